@@ -13,6 +13,7 @@ from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.errors import ConfigError
 from edoras_tools.model import Peer
 from edoras_tools.units import MICROSECOND, MILLISECOND, SECOND
+from edoras_tools.wire.cfe import STANDARD, Headers, MissionTime
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -112,9 +113,9 @@ class SimProfile:
         wakeup_ns: period of the wake-up that the two-robot application sends its commands on.
         generator_msg_id: MsgId of the telemetry generator's commands; 0 where there is no generator.
         big_endian: 1: counters and events have the highest byte first.
-        extended_header: whether cFE is built with the extended header.
-        msg_id_version: how its MsgIds are built: 1, or 2, which needs the extended header. MsgIds of this
-            profile are those of version 1 also then; ``wire.msg_id`` says what they are on the links.
+        headers: of packets on the links. MsgIds of this profile are those of version 1 also where these have
+            version 2; ``wire.msg_id`` says what they are on the links.
+        time: how telemetry has mission time; with an epoch, it is the clock's from the start.
         boot_ns: from the start of the processor until all applications run.
         app_start_ns: from the start of an application until it runs.
         app_kill_ns: how long an application may take to end that is told to.
@@ -136,8 +137,8 @@ class SimProfile:
 
     generator_msg_id: int = GENERATOR_MSG_ID
     big_endian: int = 0
-    extended_header: bool = False
-    msg_id_version: int = 1
+    headers: Headers = STANDARD
+    time: MissionTime = MissionTime()  # noqa: RUF009  frozen
 
     ci_port: int = 1234
     ci_buffer: int = 768

@@ -75,6 +75,10 @@ _LEAPS: Final = (0, 18, 37)
 _GOES_ON_S: Final = 5
 """A clock that counts seconds stays this near the capture's."""
 
+_TIME_NOTE: Final = (
+    "telemetry has mission time as {}, as its bytes show; 'time' of 'cfs' in a mission file says otherwise"
+)
+
 
 class _Kept(NamedTuple):
     """What is kept of packets: first bytes, length, capture time in ns, row of the batch."""
@@ -190,11 +194,9 @@ class Variants:
             if stated.epoch_s is None and abs(middle - epoch_s * SECOND) < SECOND:
                 time = replace(time, epoch_s=epoch_s)
         if time != context.time:
+            said = _TIME_NOTE.format(context.time)
             context.time, context.described["time"] = time, str(time)
-            context.notes.append(
-                f"telemetry has mission time as {time}, as its bytes show; 'time' of 'cfs' in a mission file "
-                "says otherwise"
-            )
+            context.notes[:] = [*(item for item in context.notes if item != said), _TIME_NOTE.format(time)]
 
     def _fitting(self, sample: _Kept) -> Fitting:
         return Fitting(self._context.structs, self._context.command_table, sample.head, sample.length)

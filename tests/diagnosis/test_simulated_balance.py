@@ -101,8 +101,7 @@ def test_msg_ids_of_version_2_change_nothing_but_the_numbers(lab):
     """The same flight with both, by the same names: losses of commands, by limits and in the application."""
     told = []
     for headers in (cfe.WITH_EXTENDED, cfe.WITH_EXTENDED_2):
-        profile = {"extended_header": True, "msg_id_version": headers.msg_ids.version}
-        sent, _ = lab.simulate("two-rovers", seconds=14, hz=12.0, **profile)
+        sent, _ = lab.simulate("two-rovers", seconds=14, hz=12.0, headers=headers)
         bench = Settings(configs=lab.missions("two-rovers")).workbench().with_headers(headers)
         examination, batch = Examination(bench.columns.context), Demux().demux(frames_of(sent))
         examination.add(batch, bench.columns.decode(batch))

@@ -148,7 +148,7 @@ def test_packets_with_extended_headers_that_we_wrote(
     version, preference, tshark, taught, judge, write_pcap, tmp_path
 ):
     """The traffic of an emulated cFS and its bridges, to four readers; all headers have 16 bytes."""
-    profile = SimProfile(extended_header=True, msg_id_version=version.version)
+    profile = SimProfile(headers={item.msg_ids: item for item in cfe.HEADERS}[version])
     simulation = Simulation(profile, "two-rovers")
     sent = [(item.source.port, item.destination.port, item.payload) for item in simulation.run(8 * SECOND)]
     capture = write_pcap(tmp_path / "extended.pcap", sent)

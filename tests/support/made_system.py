@@ -29,7 +29,8 @@ CONSTANTS = {
 }
 PORTS = {"ci_port": 5010, "to_port": 5011}
 LIMITS = {STATE: 20}
-PROFILE = SimProfile().stating(CONSTANTS | PORTS, LIMITS)
+TIME = "little, 1/1000 s, since 2000-01-01T12:00:00"
+PROFILE = replace(SimProfile().stating(CONSTANTS | PORTS, LIMITS), time=cfe.MissionTime.of_text(TIME))
 ENVELOPE = EnvelopeFormat.of_name("length: u16be, capacity: u16be")
 ROUTES = SystemRoutes(
     {COMMAND: TWIST, STATE: POSE_STAMPED}, [COMMAND], [STATE], envelopes={COMMAND: ENVELOPE, STATE: ENVELOPE}

@@ -425,7 +425,10 @@ class _Writer:
         yield "  ros__parameters:"
         yield "    communication:"
         for key, value in communication.items():
-            yield f"      {key}: {json.dumps(value)}"
+            if isinstance(value, str) and ":" in value:
+                yield f'      {key}: "0.0.0.0" # {value} was seen, but the bridges take IPv4 only'
+            else:
+                yield f"      {key}: {json.dumps(value)}"
         for direction, comment, streams in groups:
             keys = [_key(item) for item in streams if item.msg_id in written]
             yield f"    {direction}: {keys or ['']} # {comment}"

@@ -167,13 +167,14 @@ class _Study(Examination):
 
 def _keys(study: _Study, ports: Sequence[tuple[Link, int]], orders: Counter[str]) -> Iterator[str]:
     """Yield the lines about how packets are built and which ports they have."""
-    headers = study.context.headers
+    headers, packets = study.context.headers, plural(study.datagrams, "datagram")
     if study.datagrams:  # telemetry with a time, whose lengths are known
-        packets = plural(study.datagrams, "datagram")
         yield f"      extended_header: {str(headers.extended).lower()} # {headers.name}, in {packets}"
         yield f"      telemetry_header: {headers.telemetry_bytes}"
     if headers.msg_ids.version != 1:
         yield f"      msg_id_version: {headers.msg_ids.version} # as it was given"
+    if str(study.context.time):
+        yield f"      time: {study.context.time} # as {packets} have it"
     if orders["big"] > orders["little"]:
         yield f"      big_endian: 1 # {orders['big']} of {plural(orders.total(), 'event')}, by their types"
     if ports:

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from made_system import CONSTANTS, LIMITS, PORTS, STATE, lost, play, write
+from made_system import CONSTANTS, LIMITS, PORTS, STATE, TIME, lost, play, write
 from places import ROOT
 
 from edoras_tools.addons.lab.emulator import WireDatagram
@@ -13,6 +13,7 @@ from edoras_tools.diagnosis import examination
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import SourceDefaults
 from edoras_tools.mission import loads
+from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.units import MILLISECOND, SECOND
 
@@ -64,6 +65,23 @@ def test_each_constant_of_a_made_system_is_learned(made):
         ("geometry_msgs/msg/PoseStamped", 0x0A01, "2/2 be"),
     ]
     assert bench.mission.warnings == ()
+    assert str(profile.time) == TIME
+
+
+def test_an_address_that_no_bridge_takes_is_a_comment(tmp_path):
+    """The real bridges know IPv4 alone; the file that is learned loads, and says what was seen."""
+    sent = [
+        item._replace(source=six(item.source), destination=six(item.destination))
+        for item in play(seconds=6)[0]
+    ]
+    text = learned(write(sent, tmp_path / "six.pcap")).text
+    assert '      fsw_ip: "0.0.0.0" # fd00::1 was seen, but the bridges take IPv4 only\n' in text
+    assert loads({"six.yaml": text.encode()}).ground[0].fsw_port == PORTS["ci_port"]
+
+
+def six(endpoint):
+    """Return the same port at an IPv6 address."""
+    return Endpoint("fd00::1", endpoint.port)
 
 
 def test_a_twin_loses_what_the_first_lost(made):

@@ -21,8 +21,8 @@ class FlightOptions(NamedTuple):
     limit: Annotated[int, Option(min=0, max=255, hidden=True)] = 0
     msg_max: Annotated[int, Option(min=0, hidden=True)] = 0
     generator: Annotated[Any, Option(parser=options.msg_id, hidden=True)] = None
-    extended_header: Annotated[bool, Option("--extended-header", hidden=True)] = False
-    msg_id_version: Annotated[int, Option(min=1, max=2, hidden=True)] = 1
+    extended_header: Annotated[bool | None, Option("--extended-header", hidden=True)] = None
+    msg_id_version: Annotated[int | None, Option(min=1, max=2, hidden=True)] = None
     set_values: Annotated[
         list[Any] | None,
         Option(
@@ -62,8 +62,13 @@ def sim(
 
     # When bound to every address, the parts still use loopback among themselves.
     address = "127.0.0.1" if host == "0.0.0.0" else host  # noqa: S104  the user asked for it
-    built = options.DecodingOptions(config=config, set_values=flight.set_values).merged()
-    bench = built.settings(constants=True).workbench()
+    built = options.DecodingOptions(
+        config=config,
+        set_values=flight.set_values,
+        extended_header=flight.extended_header,
+        msg_id_version=flight.msg_id_version,
+    )
+    bench = built.merged().settings(constants=True).workbench()
     profile = mission_profile(bench)
     # The lab's table names the first processor too: each of its cFS has the others as peers.
     first = SimProfile()
@@ -72,8 +77,6 @@ def sim(
     profile = replace(
         with_limit(profile, flight.limit or profile.to_default_limit),
         msg_max=flight.msg_max or profile.msg_max,
-        extended_header=flight.extended_header or profile.extended_header,
-        msg_id_version=max(profile.msg_id_version, flight.msg_id_version),
         address=address,
         sbn_peers=peers,
         sbn_says_start=True,

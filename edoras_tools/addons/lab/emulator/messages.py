@@ -29,16 +29,9 @@ def _types() -> TypeStore:
     return TypeStore()
 
 
-def headers_of(profile: SimProfile) -> cfe.Headers:
-    """Return the headers of packets on the links. On the emulated bus they are always the usual ones."""
-    if profile.msg_id_version == 2:
-        return cfe.WITH_EXTENDED_2
-    return cfe.WITH_EXTENDED if profile.extended_header else cfe.STANDARD
-
-
 def from_link(packet: bytes, profile: SimProfile) -> bytes:
-    """Return a packet of a link as it is on the bus."""
-    return cfe.with_headers(packet, headers_of(profile), cfe.STANDARD)
+    """Return a packet of a link as it is on the bus, where headers are always the usual ones."""
+    return cfe.with_headers(packet, profile.headers, cfe.STANDARD)
 
 
 _NUMBERS: Final = {
@@ -58,22 +51,34 @@ def to_link(packet: bytes, profile: SimProfile) -> bytes:
             if slot.field.kind == "uint":
                 data[at + slot.start : at + slot.end] = data[at + slot.start : at + slot.end][::-1]
         packet = bytes(data)
-    return cfe.with_headers(packet, cfe.STANDARD, headers_of(profile))
+    packet = cfe.with_headers(packet, cfe.STANDARD, profile.headers)
+    return packet if profile.time == cfe.MissionTime() else _retimed(packet, profile)
+
+
+def _retimed(packet: bytes, profile: SimProfile) -> bytes:
+    """Return a packet of a link with its mission time as the profile has it; a command as it is."""
+    headers, time = profile.headers, profile.time
+    if headers.msg_ids.is_command(headers.msg_ids.of(packet)) or len(packet) < headers.telemetry_bytes:
+        return packet
+    words = headers.telemetry.parse(packet, headers.start)
+    words["subseconds"] = words["subseconds"] * (time.ticks or cfe.USUAL_TICKS) // cfe.USUAL_TICKS
+    layout = time.layout(headers.telemetry)
+    return packet[: headers.start] + layout.emit(words) + packet[headers.telemetry_bytes :]
 
 
 def bus_id(msg_id: int, profile: SimProfile) -> int:
     """Return what a MsgId of a link, or in a payload, is on the bus."""
-    return headers_of(profile).msg_ids.standard(msg_id)
+    return profile.headers.msg_ids.standard(msg_id)
 
 
 def link_id(msg_id: int, profile: SimProfile) -> int:
     """Return what a MsgId of the bus is on a link, and in payloads and events."""
-    return headers_of(profile).msg_ids.of_known(msg_id)
+    return profile.headers.msg_ids.of_known(msg_id)
 
 
 def command_length(size: int, profile: SimProfile) -> int:
     """Return the bytes on a link of a command that has ``size`` on the bus, as events tell them."""
-    return size + headers_of(profile).command_bytes - cfe.COMMAND_HEADER_BYTES
+    return size + profile.headers.command_bytes - cfe.COMMAND_HEADER_BYTES
 
 
 class FixedStruct:

@@ -113,8 +113,8 @@ def mission_profile(bench: Workbench) -> SimProfile:
     return replace(
         profile,
         **{name: port for name, port in ports.items() if name not in profile.stated},
-        extended_header=headers.extended,
-        msg_id_version=headers.msg_ids.version,
+        headers=headers,
+        time=bench.columns.context.time,
     )
 
 

@@ -13,7 +13,7 @@ from edoras_tools.addons.lab.emulator.apps.lab import CiLab, SchLab, ToLab
 from edoras_tools.addons.lab.emulator.apps.sbn import SbnApp
 from edoras_tools.addons.lab.emulator.bridges import FlightBridge, GroundBridge, GroundOperator
 from edoras_tools.addons.lab.emulator.cfs import Cfs
-from edoras_tools.addons.lab.emulator.messages import headers_of, link_id
+from edoras_tools.addons.lab.emulator.messages import link_id
 from edoras_tools.addons.lab.emulator.robots import robot_of
 from edoras_tools.addons.lab.emulator.routes import DEMO_ROUTES, Scenario, SystemRoutes
 from edoras_tools.addons.lab.emulator.scheduler import Scheduler
@@ -164,10 +164,10 @@ class Simulation:
         operator = GroundOperator(command_type, commands, command_rate_hz, after_ns, command_count, routes)
         ground = Endpoint(profile.address, profile.to_port)
         self.ground = GroundBridge(self._scheduler, ground, self.cfs.ci_endpoint, operator, self._send)
-        self.ground.headers = headers_of(profile)
+        self.ground.headers = profile.headers
         if routes.flight:
             self.flight = self._flight(profile, state_rate_hz)
-            self.flight.headers, self.flight.routes = headers_of(profile), routes
+            self.flight.headers, self.flight.routes = profile.headers, routes
 
     def _flight(self, profile: SimProfile, rate_hz: float) -> FlightBridge:
         if profile.sbn_tcp:

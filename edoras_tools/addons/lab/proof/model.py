@@ -39,8 +39,8 @@ from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.links.table import among
 from edoras_tools.model import Peer
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.cfe import WITH_EXTENDED, emit_telemetry
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.cfe import STANDARD, WITH_EXTENDED, WITH_EXTENDED_2, emit_telemetry
+from edoras_tools.wire.msg_id import VERSION_1, VERSION_2
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -286,7 +286,8 @@ class Model:
         rows = case.rows
         to_ci = among(rows.link, lambda link: link.only_to_cfs)
         long = rows.header_length[to_ci] == WITH_EXTENDED.command_bytes
-        extended = 2 * int(long.sum()) > len(long)
+        headers = WITH_EXTENDED if 2 * int(long.sum()) > len(long) else STANDARD
+        headers = WITH_EXTENDED_2 if case.mission.msg_ids is VERSION_2 else headers
         own = case.instances.items[0].name if case.instances.items else "66:1"
         peer = Peer(*map(int, own.split(":"))) if own else Peer(66, 1)
         inbound = [item for item in case.streams if item.link.peers and not item.counted]
@@ -301,8 +302,7 @@ class Model:
             spacecraft_id=peer.spacecraft_id,
             processor_id=peer.processor_id,
             sbn_peers=peers or case.profile.sbn_peers,
-            extended_header=extended,
-            msg_id_version=case.mission.msg_ids.version,
+            headers=headers,
         )
         lengths = {stream.msg_id: int(np.median(rows.cdr_length[stream.rows])) for stream in case.streams}
         two = bool(peers)

@@ -46,12 +46,10 @@ def profile_of(plan: SweepPlan, mission: Mission) -> SimProfile:
         plan: with defaults filled in.
     """
     options, route, limit = plan.options, plan.route, plan.limit
-    msg_ids = plan.headers.msg_ids
     profile = replace(
         mission.software.profile,
-        generator_msg_id=msg_ids.standard(plan.generator),
-        extended_header=plan.headers.extended,
-        msg_id_version=msg_ids.version,
+        generator_msg_id=plan.headers.msg_ids.standard(plan.generator),
+        headers=plan.headers,
     )
     if plan.scenario is None:
         return profile
@@ -60,7 +58,7 @@ def profile_of(plan: SweepPlan, mission: Mission) -> SimProfile:
     if limit is not None and plan.to_cfs:
         profile = replace(profile, app_msg_limit=limit)
     elif limit is not None:
-        limits = TO_TABLE | {msg_ids.standard(route.msg_id): limit}
+        limits = TO_TABLE | {plan.headers.msg_ids.standard(route.msg_id): limit}
         profile = replace(profile, to_limits=limits, sbn_msg_limit=limit)
     if route.link.peers:
         peer = SbnPeerConfig(options.identity(mission), options.listen.port)

@@ -12,6 +12,7 @@ from places import ROOT
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.units import SECOND
+from edoras_tools.wire.cfe import WITH_EXTENDED
 
 SEEDS = (1, 2, 3, 4, 5)
 EVENT = re.compile(r"EVS Port1 66/1/(\S+) (\d+): ")
@@ -296,7 +297,7 @@ def test_c3_every_pipe_is_cut_where_the_host_allows_ten(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_cfe_with_extended_headers(seed):
     """What it was sent goes in as it was sent; as many are lost, and packets as long come out."""
-    beside = Beside("p6b_extended_header", seed, extended_header=True).run()
+    beside = Beside("p6b_extended_header", seed, headers=WITH_EXTENDED).run()
     assert beside.commands == 300
     assert beside.reached == (277, pytest.approx(277, abs=0.03 * 300))
     real, ours = beside.events()

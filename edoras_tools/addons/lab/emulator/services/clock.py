@@ -32,6 +32,8 @@ class Clock:
         self.leap_seconds = facts.LEAP_SECONDS
         self.stcf_ns = profile.epoch_offset_s * SECOND
         self._zero_ns = now - profile.boot_met_s * SECOND
+        if profile.time.epoch_s is not None:
+            self.stcf_ns = now - profile.time.epoch_s * SECOND - self.met_ns(now)
         self._adjust_ns, self._since_ns = 0, now
 
     def met_ns(self, now: int) -> int:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from edoras_tools.addons.lab.emulator.account import Fifo
-from edoras_tools.addons.lab.emulator.messages import bus_id, command_length, from_link, headers_of
+from edoras_tools.addons.lab.emulator.messages import bus_id, command_length, from_link
 from edoras_tools.addons.lab.emulator.services.events import Event
 from edoras_tools.cfs import command_ingest as facts
 from edoras_tools.cfs.queues import QueueEnd
@@ -74,7 +74,7 @@ class CommandIngest:
         self._buffer[: len(data)] = data
         if not data:
             return Ingested()
-        if len(data) < headers_of(self.profile).command_bytes:
+        if len(data) < self.profile.headers.command_bytes:
             self.ingest_errors += 1
             word, second = self._buffer[0] << 8 | self._buffer[1], self._buffer[2] << 8 | self._buffer[3]
             return Ingested(
@@ -106,7 +106,7 @@ class CommandIngest:
                 msg_id=facts.COMMAND_MSG_ID,
                 code=function_code,
                 length=command_length(size, self.profile),
-                expected=headers_of(self.profile).command_bytes,
+                expected=self.profile.headers.command_bytes,
             )
         if function_code == 0:
             self.commands += 1

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.addons.lab.emulator.messages import (
     bus_id,
     from_link,
-    headers_of,
     link_id,
     to_link,
     whole_packet,
@@ -283,7 +282,7 @@ class SbnNode:
                     self._subscription(state, msg_type, bus_id(item, self.profile), actions)
             case AppMessage():
                 packet = event.packet
-                if headers_of(self.profile).msg_ids.of(packet) > cfe.HIGHEST_MSG_ID:
+                if self.profile.headers.msg_ids.of(packet) > cfe.HIGHEST_MSG_ID:
                     actions.fail(facts.BAD_MSG_ID, facts.MESSAGE_FAILED)
                     return
                 size = max(length_of(packet), carried, cfe.COMMAND_HEADER_BYTES)
