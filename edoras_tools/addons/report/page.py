@@ -57,16 +57,26 @@ def page(result: Diagnosis, name: str, origin: Made) -> str:
     """Return the HTML page."""
     picture = sankey(result)
     sections = [section("Messages", [_card(picture)], _key(picture, "bands"))]
-    drawn = plots(result.case, result.choice) if result.case is not None and result.datagrams else None
-    if drawn is not None:
-        picture = strip(drawn)
-        sections.append(section("Routes over time", [_card(picture)], _key(picture)))
+    drawn = [
+        (whose, plots(part.case, part.choice))
+        for whose, part in _parts(result)
+        if part.case is not None and part.datagrams and (part.routes or part is result)
+    ]
+    for whose, item in drawn:
+        picture = strip(item)
+        sections.append(section(f"Routes over time{whose}", [_card(picture)], _key(picture)))
     sections += [section("Links", [links_picture(result)]), _verdicts(result)]
-    if drawn is not None:
-        sections += [_rates(drawn), _latency(drawn), _time(drawn), _sizes(drawn)]
+    for whose, item in drawn:
+        sections += [draw(item, whose) for draw in (_rates, _latency, _time, _sizes)]
     sections += [_balance(result), _routes(result), _habits(result)]
     parts = [_head(result, name), _summary(result), contents(sections), *sections, footer(origin)]
     return document(f"edoras report: {name}", parts)
+
+
+def _parts(result: Diagnosis) -> list[tuple[str, Diagnosis]]:
+    """Return the diagnosis of each spacecraft, and what follows a title where there are several."""
+    parts = [(f" of {result.mission.called(number)}", part) for number, part in result.parts.items()]
+    return parts or [("", result)]
 
 
 def _key(drawing: str, style: str = "") -> str:
@@ -198,22 +208,22 @@ def _when(result: Diagnosis, item: Verdict) -> str:
     return f"{start:.1f} s" if end - start < 0.1 else f"{start:.1f} to {end:.1f} s"
 
 
-def _rates(drawn: Plots) -> str:
+def _rates(drawn: Plots, whose: str) -> str:
     rows = drawn.rates[:_MOST_CHARTS]
     cards = "".join(
         chart_card(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn)) for row in rows
     )
-    return section("Rates against limits", [cards], _key(cards))
+    return section(f"Rates against limits{whose}", [cards], _key(cards))
 
 
-def _latency(drawn: Plots) -> str:
+def _latency(drawn: Plots, whose: str) -> str:
     def note(row: dict[str, Any]) -> str:
         latency = row["latency"]
         figures = [units.milliseconds(latency[name]) for name in ("p50_ms", "p99_ms", "max_ms")]
         return "p50 {}, p99 {}, max {}".format(*figures)
 
     return section(
-        "Latency through cFS",
+        f"Latency through cFS{whose}",
         (
             chart_card(row["label"], charts.delays(row, drawn), note(row))
             for row in drawn.delays[:_MOST_CHARTS]
@@ -221,7 +231,7 @@ def _latency(drawn: Plots) -> str:
     )
 
 
-def _time(drawn: Plots) -> str:
+def _time(drawn: Plots, whose: str) -> str:
     inside = [
         chart_card(
             f"Lost on the software bus, {row['label']}",
@@ -235,10 +245,10 @@ def _time(drawn: Plots) -> str:
         picture = charts.timeline(drawn)
         entries = [entry for style, entry in _STATES.items() if f'class="{style}"' in picture]
         inside += [colour_key(entries), chart_card("SBN peers and events", picture)]
-    return section("Over time", inside)
+    return section(f"Over time{whose}", inside)
 
 
-def _sizes(drawn: Plots) -> str:
+def _sizes(drawn: Plots, whose: str) -> str:
     rows = "".join(
         f"<tr><td>{escape(row['label'])}</td><td>{row['link'].upper()}</td>"
         f'<td><meter min="0" max="{row["room"]}" high="{row["room"] * 0.999:.1f}" '
@@ -248,7 +258,7 @@ def _sizes(drawn: Plots) -> str:
     )
     head = "<tr><th>route</th><th>link</th><th></th><th>largest</th><th>buffer</th></tr>"
     table = f'<div class="scroll"><table>{head}{rows}</table></div>'
-    return section("Sizes against buffers", [table] if rows else [])
+    return section(f"Sizes against buffers{whose}", [table] if rows else [])
 
 
 def _balance(result: Diagnosis) -> str:
