@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.addons.runs.comparison import CaptureComparison, compare_captures, compare_messages
+from edoras_tools.addons.runs.comparison import CaptureComparison, compare_each, compare_messages
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.balance import BridgeCount
 from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.diagnosis.evidence.preparation import prepare
@@ -20,6 +21,7 @@ from edoras_tools.pipelines.doctor.scope import Chosen, Scope
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.ros.types.schema import full_name
 from edoras_tools.wire.arrays.fingerprint import of_bytes
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:
@@ -62,22 +64,29 @@ def diff(
         read_capture(first, bench, scope, choices, progress),
         read_capture(second, bench, Scope(), choices, progress),
     )
-    comparison, choice = compare_captures(*recorders, bench.mission), choices.choice()
+    comparison, choice = compare_each(*recorders, bench.mission), choices.choice()
     return comparison if choice is None else comparison.limited(choice)
 
 
 def read_capture(
     source: Source, bench: Workbench, scope: Scope, choices: Chosen, progress: Progress | None
-) -> Recorder:
-    """Read a source to its end; see ``diff``."""
-    recorder = Recorder(bench.columns.context)
+) -> dict[int, Recorder]:
+    """Read a source to its end, each spacecraft by itself, by its number; see ``diff``."""
+    context = bench.columns.context
+    recorders = {FIRST_SPACECRAFT: Recorder(context)}
     with reading(source, bench, examined=scope.period) as loop:
         for rows in loop:
-            recorder.add(rows.batch, rows.columns)
+            for number, own in by_value(rows.columns.spacecraft):
+                batch, columns = rows.batch, rows.columns
+                if len(own) < len(batch):
+                    batch, columns = batch.take(own), columns.take(own)
+                if number not in recorders:
+                    recorders[number] = Recorder(context.of(number))
+                recorders[number].add(batch, columns)
             choices.add(rows.batch, rows.columns)
             if progress is not None:
                 progress.read(source)
-    return recorder
+    return recorders
 
 
 _ENCAPSULATION: Final = 4
@@ -112,7 +121,7 @@ def against_capture(
     Args:
         source: the capture; it is read to its end.
         bags: rosbag2 folders, ``.db3`` files or any MCAP.
-        bench: decodes the capture; the routes of its mission are compared.
+        bench: decodes the capture; the routes of its mission are compared, of several spacecraft the first's.
         scope: which time of the capture is compared, and which routes are shown.
         progress: shows the progress of reading.
 
@@ -126,7 +135,8 @@ def against_capture(
             "--bag needs a mission that says which topic is which packet: name its files with -c"
         )
     choices = Chosen(scope.selection, bench)
-    rows = prepare(read_capture(source, bench, scope, choices, progress), {}).rows
+    recorders = read_capture(source, bench, scope, choices, progress)
+    rows = prepare(recorders[FIRST_SPACECRAFT], {}).rows
     choice = choices.choice()
     comparisons = []
     for path in bags:

@@ -22,11 +22,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.cfs.names import message_name
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.evidence.clocks.alignment import align, align_ways
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.copies import find_echoes
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.relays import LONGEST_NS, pair_up
+from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Finding, Link
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.evidence.clocks.alignment import Alignment
     from edoras_tools.diagnosis.evidence.relays import Segment
-    from edoras_tools.diagnosis.evidence.table import Recorder, Rows
+    from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.verdict import Choice
     from edoras_tools.mission import Mission
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
@@ -76,6 +78,7 @@ class Difference:
         neither: missing by sequence count in both.
         latency: from one to the other, half the shortest way there and back taken as 0.
         missed: not on the receiver's side, and not lost: the recorder there counted that it missed them.
+        spacecraft: whose packets they are, where there are several.
     """
 
     link: Link
@@ -94,6 +97,7 @@ class Difference:
     neither: int
     latency: Latency | None
     missed: int = 0
+    spacecraft: int | None = None
 
     def turned(self, topic: str | None, *, back: bool) -> Difference:
         """Return it with its topic; with ``back`` its sender's side is the second."""
@@ -112,6 +116,7 @@ class Difference:
             **{name: getattr(self, name) for name in _FIGURES},
             "latency": self.latency.as_json() if self.latency else None,
             "missed": self.missed,
+            **({} if self.spacecraft is None else {"spacecraft": self.spacecraft}),
         }
 
     def without(self, missed: int) -> Difference:
@@ -138,8 +143,9 @@ class CaptureComparison:
 
     def limited(self, choice: Choice) -> CaptureComparison:
         """Return the routes that are chosen."""
-        shown = [item for item in self.routes if choice.takes(item.link.label, item.msg_id)]
-        return replace(self, routes=shown)
+        own = {item.spacecraft: choice.of(item.spacecraft or FIRST_SPACECRAFT) for item in self.routes}
+        shown = (item for item in self.routes if own[item.spacecraft].takes(item.link.label, item.msg_id))
+        return replace(self, routes=[*shown])
 
     @property
     def lost(self) -> int:
@@ -178,8 +184,24 @@ class _Side:
         return np.isin(rows, self.doubled) | (self.rows.counted[rows] & same)
 
 
+def compare_each(
+    first: Mapping[int, Recorder], second: Mapping[int, Recorder], mission: Mission
+) -> CaptureComparison:
+    """Hold two captures against each other, spacecraft by spacecraft: each has its number."""
+    nothing = Recorder(first[FIRST_SPACECRAFT].context)
+    found = {
+        number: compare_captures(first.get(number, nothing), second.get(number, nothing), mission.of(number))
+        for number in sorted({*first, *second})
+    }
+    if len(found) == 1:
+        return found[FIRST_SPACECRAFT]
+    best = next((item for item in found.values() if item.common), found[FIRST_SPACECRAFT])
+    rows = [replace(row, spacecraft=number) for number, item in found.items() for row in item.routes]
+    return replace(best, routes=rows)
+
+
 def compare_captures(first: Recorder, second: Recorder, mission: Mission) -> CaptureComparison:
-    """Hold two captures against each other."""
+    """Hold two captures of one spacecraft against each other."""
     topics: dict[_Key, str] = {(route.link, route.msg_id): route.topic for route in mission.routes}
     sides = _side(first), _side(second)
     found = align(first, second)

@@ -8,7 +8,7 @@ from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
 from edoras_tools.render import units
-from edoras_tools.render.capture.info import link_text, msg_id_text, route_text
+from edoras_tools.render.capture.info import SPACECRAFT, link_text, msg_id_text, route_text
 from edoras_tools.render.doctor.doctor import latency_text
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
@@ -155,6 +155,7 @@ def comparison_table(comparison: CaptureComparison, width: int) -> RenderableTyp
     offset = (
         f"clocks differ by {units.milliseconds(comparison.offset_ns / 1e6)}{drift}; latencies are beyond that"
     )
+    columns = [*_DIFF, SPACECRAFT] if any("spacecraft" in row for row in rows) else _DIFF
     lost, neither, extra = (sum(row[name] for row in rows) for name in ("lost", "neither", "extra"))
     end = f"Lost between the two: {plural(lost, 'message')}." if lost else "Nothing lost between the two."
     style = Level.ERROR.style if lost else "green"
@@ -163,5 +164,7 @@ def comparison_table(comparison: CaptureComparison, width: int) -> RenderableTyp
     if extra:
         end += f" {extra:,} are on the receiver's side alone: not recorded by the other, or sent by others."
     return Group(
-        Text(offset, palette.DIM), build(_DIFF, rows, width, apart=lambda row: row["link"]), Text(end, style)
+        Text(offset, palette.DIM),
+        build(columns, rows, width, apart=lambda row: row["link"]),
+        Text(end, style),
     )

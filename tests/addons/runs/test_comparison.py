@@ -4,7 +4,8 @@ from contextlib import closing
 from dataclasses import replace
 
 import pytest
-from places import ROOT
+from merging import merge
+from places import CAPTURES, MISSIONS, ROOT
 
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.runs.comparison import compare_captures
@@ -158,3 +159,17 @@ def test_nothing_in_common(sent):
     assert (found.offset_ns, found.common) == (0, False)
     assert routes["ci", 0x1827].same == 0
     assert replace(routes["ci", 0x1827], lost=0).as_json()["latency"] is None
+
+
+def test_each_spacecraft_is_held_against_itself(call, tmp_path):
+    """Both have the same MsgIds; the second capture has only the second of them."""
+    captures = {"10.0.0.2": CAPTURES / "b_arm_single.pcap", "10.0.0.3": CAPTURES / "a_rover.pcap"}
+    whole, (_, second) = merge(captures, tmp_path)
+    words = ("doctor", whole, "--against", second, "--json")
+    rows = call(*words).json()["routes"]
+    counts = {(row["spacecraft"], row["msg_id"]): (row["first"], row["same"], row["lost"]) for row in rows}
+    assert counts[2, "0x1827"] == (600, 600, 0)
+    assert counts[2, "0x0827"] == (63, 63, 0)
+    assert all(same == lost == 0 for (number, _), (_, same, lost) in counts.items() if number == 1)
+    chosen = call(*words, "--topic", "/sc_2/cmd_vel", "-c", MISSIONS / "rover_ground.yaml").json()["routes"]
+    assert [(row["topic"], row["spacecraft"]) for row in chosen] == [("/sc_2/cmd_vel", 2)]
