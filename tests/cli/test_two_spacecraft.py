@@ -7,6 +7,7 @@ import json
 import re
 from collections import defaultdict
 
+import duckdb
 import merging
 import pytest
 import yaml
@@ -89,6 +90,7 @@ def messages(path):
     return topics
 
 
+@pytest.mark.quick("and SBN")
 def test_a_recording_has_topics_of_each(call, rovers, tmp_path):
     whole, parts = rovers
     paths = [tmp_path / f"{number}.mcap" for number in range(3)]
@@ -105,6 +107,7 @@ def test_a_recording_has_topics_of_each(call, rovers, tmp_path):
     assert messages(again) == both
 
 
+@pytest.mark.quick("of IPv6")
 def test_a_stream_has_the_same_topics(edoras, call, rovers, tmp_path):
     whole, streamed = tmp_path / "whole.mcap", tmp_path / "streamed.mcap"
     assert call("record", rovers[0], "-o", whole, "-c", MISSION, "-q").code == 0
@@ -113,6 +116,7 @@ def test_a_stream_has_the_same_topics(edoras, call, rovers, tmp_path):
     assert messages(streamed) == messages(whole)
 
 
+@pytest.mark.quick("CI and TO")
 def test_a_topic_is_of_one_spacecraft(call, tmp_path, rovers):
     whole, _ = rovers
     rows = {row["topic"]: row["count"] for row in json_of(call, "info", whole)["routes"] if row["topic"]}
@@ -167,6 +171,7 @@ def of_each(whole, parts):
     yield from zip((1, 2), ("", "/sc_2"), parts, strict=True)
 
 
+@pytest.mark.quick("and SBN")
 def test_what_was_lost_is_listed_for_each(call, rovers):
     whole, parts = rovers
     words = ("--list-lost", "json", "-c", MISSION)
@@ -194,6 +199,7 @@ def test_what_was_lost_is_listed_for_each(call, rovers):
         )
 
 
+@pytest.mark.quick("of IPv6")
 def test_checks_and_drafts_hold_each_to_its_own(call, rovers, tmp_path):
     whole, parts = rovers
     expect, words = tmp_path / "both.yaml", ("-c", MISSION, "-q")
@@ -219,6 +225,7 @@ def test_checks_and_drafts_hold_each_to_its_own(call, rovers, tmp_path):
     assert results == dict.fromkeys(("/cmd_vel", "/sc_2/cmd_vel", "/sc_2/0x1827"), True)
 
 
+@pytest.mark.quick("of IPv6")
 def test_runs_are_compared_rover_by_rover(call, rovers):
     whole, (first, _) = rovers
     found = call("compare", first, whole, "-c", MISSION, "--json").json()
@@ -235,44 +242,30 @@ def test_runs_are_compared_rover_by_rover(call, rovers):
 @pytest.mark.quick("and SBN")
 def test_an_archive_has_rows_of_each(call, rovers, tmp_path):
     whole, parts = rovers
-    rows = []
-    for place, path in enumerate((whole, *parts)):
-        folder, index = tmp_path / str(place), tmp_path / f"{place}.duckdb"
-        folder.mkdir()
-        (folder / "x.pcap").write_bytes(path.read_bytes())
-        assert call("archive", folder, "-c", MISSION, "--index", index, "--jobs", "1", "-q").code == 0
-        rows.append([
-            sorted(map(str, archived(call, index, table, number)))
-            for table in ("routes", "outcomes", "losses", "events", "verdicts", "latencies")
-            for number in ((1, 2) if not place else (None,))
-        ])  # fmt: skip
-    both, *alone = rows
-    for number, own in enumerate(alone):
-        assert both[number::2] == own
-        assert own[0]
-    losses = call("archive", "losses", "--index", tmp_path / "0.duckdb", "--json").json()["losses"]
-    assert {item["spacecraft"] for item in losses} <= {1, 2}
+    index, names = tmp_path / "x.duckdb", [str(path) for path in (whole, *parts)]
+    assert call("archive", *names, "-c", MISSION, "--index", index, "--jobs", "1", "-q").code == 0
+    with duckdb.connect(str(index), read_only=True) as opened:
+        for table in ("routes", "outcomes", "losses", "events", "verdicts", "latencies"):
+            for number, part in enumerate(names[1:], 1):
+                own = archived(opened, table, part)
+                assert archived(opened, table, names[0], number) == own
+                assert own or table != "routes"
+    losses = call("archive", "losses", "--index", index, "--json").json()["losses"]
+    assert {item["spacecraft"] for item in losses} <= {1, 2, None}
 
 
-def archived(call, index, table, number):
-    """Return the rows of a table that are of a spacecraft, without what differs beside others."""
+def archived(opened, table, capture, number=None):
+    """Return the rows of a capture, or of a spacecraft in it, without what differs beside others."""
     left_out = "capture, spacecraft" + {
         "events": "",
         "losses": ", instance",
         "latencies": ", instance",
         "verdicts": ", reason, evidence",
     }.get(table, "")
-    where = "true" if number is None else f"spacecraft = {number}"
+    where = "capture = ?" if number is None else f"capture = ? AND spacecraft = {number}"
     where += " AND rule NOT IN ('not_examined', 'out_of_order')" if table == "verdicts" else ""
-    found = call(
-        "archive",
-        "query",
-        f"SELECT * EXCLUDE ({left_out}) FROM {table} WHERE {where}",
-        "--index",
-        index,
-        "--json",
-    ).json()
-    return [[str(cell).removeprefix("/sc_2") for cell in row] for row in found["rows"]]
+    rows = opened.execute(f"SELECT * EXCLUDE ({left_out}) FROM {table} WHERE {where}", [capture]).fetchall()
+    return sorted(str([str(cell).removeprefix("/sc_2") for cell in row]) for row in rows)
 
 
 @pytest.mark.quick("and SBN")
@@ -302,6 +295,7 @@ def test_a_plot_and_rates_are_of_each(call, rovers, tmp_path):
     assert {"SBN: Peer 66:3 connected.", text} <= {*events}
 
 
+@pytest.mark.quick("CI and TO-*")
 @pytest.mark.parametrize(
     "verb", [["topic", "list"], ["topic", "info"], ["bw"], ["delay"], ["echo"]], ids=" ".join
 )
@@ -322,6 +316,7 @@ def test_verbs_of_ros_do_not_mix_them(call, rovers, verb):
         assert found.out.splitlines() == sorted(texts)
 
 
+@pytest.mark.quick("CI and TO")
 @pytest.mark.parametrize("rovers", ["CI and TO", "and SBN"], indirect=True)
 def test_learn_writes_a_file_for_each(call, rovers, tmp_path, monkeypatch):
     whole, parts = rovers
