@@ -51,8 +51,11 @@ def types_that_fit_each(
     found: list[list[str]] = [[] for _ in some]
     for name in sorted({*names, *own}, key=lambda name: (name not in own, name not in USUAL, name)):
         with suppress(EdorasError):
+            size, most = types.fixed_size(name), types.most_trailing(name) - ROUNDING
+            if size and not np.logical_and.reduceat((size <= length) & (length <= size + most), begins).any():
+                continue  # as most types: each group has a message of another size
             behind = types.trailing(name, data, offset, length)
-            ends = (behind >= 0) & (behind <= types.most_trailing(name) - ROUNDING)
+            ends = (behind >= 0) & (behind <= most)
             for place in np.flatnonzero(np.logical_and.reduceat(ends, begins)).tolist():
                 found[place].append(name)
     left = iter(found)

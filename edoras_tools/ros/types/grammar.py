@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import struct
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
 from edoras_tools.errors import ConfigError
@@ -57,6 +58,7 @@ def sections(name: str, text: str) -> Iterator[Section]:
     yield Section(full_name(name), text[start:], line)
 
 
+@lru_cache(2048)  # stores share what a distribution says
 def parse_definition(name: str, text: str, file: str, first_line: int = 1) -> Definition:
     """Read one message definition.
 

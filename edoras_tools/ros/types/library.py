@@ -62,16 +62,9 @@ class Library:
             ConfigError: the definition was found and holds mistakes.
         """
         if name not in self._found and TYPE_NAME.fullmatch(name):
-            for place in (
-                self._from_files,
-                self._from_schemas,
-                self._from_package,
-                self._from_distro,
-                self._sourced,
-            ):
-                if definition := place(name):
-                    self._found[name] = definition
-                    break
+            by = self._from_files, self._from_schemas, self._from_package, self._from_distro, self._sourced
+            if definition := next(filter(None, (find(name) for find in by)), None):
+                self._found[name] = definition
         return self._found.get(name)
 
     def names(self) -> list[str]:
