@@ -230,7 +230,9 @@ class Panes(App[None]):
             self.register_theme(theme)
         palette.SHADES.clear()  # the themes have sixteen colours of their own
         palette.escapes.cache_clear()
-        self.ansi_theme_dark, self.ansi_theme_light = themes.DARK_SIXTEEN, themes.LIGHT_SIXTEEN
+        # Quietly: the theme, which comes next, has the style sheet read again for all three.
+        self.set_reactive(App.ansi_theme_dark, themes.DARK_SIXTEEN)
+        self.set_reactive(App.ansi_theme_light, themes.LIGHT_SIXTEEN)
         self.theme = themes.of_terminal(os.environ.get("COLORFGBG", "")).name
         self.packets.focus()
         self.set_interval(_EVERY_S, self._refresh_figures)

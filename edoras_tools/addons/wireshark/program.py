@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 from contextlib import closing, contextmanager
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -62,19 +63,22 @@ def find_program(*names: str) -> str:
         raise CaptureError(
             f"{' or '.join(names)} is not installed; on Debian and Ubuntu: apt install {names[0]}"
         )
+    _check(program, Path(program).stat().st_mtime_ns)
+    return program
+
+
+@cache
+def _check(program: str, _changed_ns: int) -> None:
+    """Check a program once: it starts for half a second to say its version."""
     output = _ask(program, "--version")
     version = re.search(r"(\d+)\.(\d+)\.\d+", output)
     if version is None:
         raise CaptureError(f"{program}: does not print its version; is it from Wireshark?")
+    described = f"{program}: version {version[0]}"
     if (int(version[1]), int(version[2])) < OLDEST:
-        raise CaptureError(
-            f"{program}: version {version[0]} is too old; {OLDEST[0]}.{OLDEST[1]} or newer is needed"
-        )
+        raise CaptureError(f"{described} is too old; {OLDEST[0]}.{OLDEST[1]} or newer is needed")
     if not re.search(r"with\s+Lua", output):
-        raise CaptureError(
-            f"{program}: version {version[0]} was built without Lua; install a build that has it"
-        )
-    return program
+        raise CaptureError(f"{described} was built without Lua; install a build that has it")
 
 
 def folders() -> dict[str, Path]:
