@@ -65,8 +65,7 @@ QUICK = ("wire", "cfs", "mission", "ros", "structs", "sessions", "io/formats", "
 def removed(folder: Path, *names: str) -> Path:
     """Copy the package without some add-ons; what lies beside it is linked."""
     package = folder / "edoras_tools"
-    leave = shutil.ignore_patterns("__pycache__")
-    shutil.copytree(ROOT / "edoras_tools", package, ignore=leave)
+    shutil.copytree(ROOT / "edoras_tools", package)  # with what Python compiled: times are copied, too
     for name, place in (("dissectors", "dissectors"), ("samples", "samples"), ("schemas", "docs/schemas")):
         (package / name).symlink_to(ROOT / place)
     for name in names:

@@ -237,6 +237,7 @@ def with_time(item, time, later_ns):
     return replace(item, payload=data[:6] + time.layout(cfe.TELEMETRY).emit(words)[:6] + data[12:])
 
 
+@pytest.mark.quick("detected-c1_*", "told-c1_*little, 1/10000 s*")
 @pytest.mark.parametrize(
     ("name", "text"),
     [

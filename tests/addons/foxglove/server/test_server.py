@@ -96,7 +96,7 @@ def test_a_topic_may_come_later(serve, types):
 
 def test_a_client_that_does_not_read_holds_up_nobody_and_its_losses_are_counted(serve):
     server = serve()
-    total, size, piece = 40_000, 260, 2000
+    total, size, piece = 24_000, 260, 2000
     narrow = socket.socket()
     narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
     narrow.connect((server.endpoint.address, server.endpoint.port))
