@@ -39,7 +39,7 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(57_877, 150, 58_000),
+    "lines with code, core": Limit(57_875, 150, 58_000),
     "lines with code, all": Limit(94_013, 150, 84_000),  # with what is still to come
     "files": Limit(613, 10, 450),
     "files below 170 lines, of 1,000": Limit(418, 10, 500),  # a median of 170 lines or more
