@@ -11,6 +11,7 @@ import duckdb
 import merging
 import pytest
 import yaml
+from distributed import LocalCluster
 from mcap.reader import make_reader
 from places import ROOT
 
@@ -243,7 +244,10 @@ def test_runs_are_compared_rover_by_rover(call, rovers):
 def test_an_archive_has_rows_of_each(call, rovers, tmp_path):
     whole, parts = rovers
     index, names = tmp_path / "x.duckdb", [str(path) for path in (whole, *parts)]
-    assert call("archive", *names, "-c", MISSION, "--index", index, "--jobs", "1", "-q").code == 0
+    options = {"host": "127.0.0.1", "dashboard_address": None, "silence_logs": 60}
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", **options) as here:
+        words = ("-c", MISSION, "--index", index, "--scheduler", here.scheduler_address, "-q")
+        assert call("archive", *names, *words).code == 0
     with duckdb.connect(str(index), read_only=True) as opened:
         for table in ("routes", "outcomes", "losses", "events", "verdicts", "latencies"):
             for number, part in enumerate(names[1:], 1):
