@@ -15,6 +15,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+import warm
 import zstandard
 from effort import every, long_but
 from places import ROOT
@@ -170,7 +171,7 @@ def on_terminal(command, *arguments, **environment):
     plain = {
         key: value for key, value in os.environ.items() if key not in {"NO_COLOR", "FORCE_COLOR", "COLUMNS"}
     }
-    process = subprocess.Popen(
+    process = warm.Popen(
         [command, *map(str, arguments)],
         stdin=subprocess.DEVNULL,
         stdout=theirs,

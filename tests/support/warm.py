@@ -41,13 +41,15 @@ class Popen(subprocess.Popen):
 
     def _execute_child(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest):
         ends, how = rest[3:9], rest[9 : 9 + len(PLAIN)]
-        special = preexec_fn or pass_fds or env is not None or how != PLAIN or not _in_its_network()
+        environ = dict(os.environ if env is None else env)
+        special = preexec_fn or pass_fds or how != PLAIN or _of_start(environ) != _of_start(os.environ)
+        special = special or not _in_its_network()
         if special or args[0] != str(EDORAS):
             super()._execute_child(args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest)
             return
         streams = [end if end >= 0 else number for number, end in enumerate((ends[0], ends[3], ends[5]))]
         server = _server(os.getpid(), self._packages)
-        self.pid = server.start([*map(os.fspath, args)], str(cwd or Path.cwd()), streams)
+        self.pid = server.start([*map(os.fspath, args)], str(cwd or Path.cwd()), streams, environ)
         self._child_created = True
         self._close_pipe_fds(*ends)
 
@@ -65,6 +67,11 @@ def run(*arguments, **options):
             process.kill()
             raise
     return subprocess.CompletedProcess(words, process.returncode, out, err)
+
+
+def _of_start(environ):
+    """Return of an environment what Python and its libraries read as they start."""
+    return {name: value for name, value in environ.items() if name.startswith(("PYTHON", "LD_", "OPENBLAS"))}
 
 
 def _in_its_network():
@@ -87,13 +94,13 @@ class _Server:
         )
         theirs.close()
 
-    def start(self, words, folder, streams):
+    def start(self, words, folder, streams, environ):
         """Start a process, a child of this one; return its number."""
         prctl = ctypes.CDLL(None).prctl
         with self._one_at_a_time:
             prctl(PR_SET_CHILD_SUBREAPER, 1)  # whose parent ends, it becomes the child of this process
             try:
-                given = json.dumps([words, folder, dict(os.environ)]).encode()
+                given = json.dumps([words, folder, environ]).encode()
                 socket.send_fds(self._socket, [given], streams)
                 child = int(self._socket.recv(16))
                 assert self._socket.recv(16) == b"parent ended"
