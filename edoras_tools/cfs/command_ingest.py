@@ -26,10 +26,7 @@ TOO_SHORT: Final = EventText(
 )
 TOO_SHORT_7: Final = EventText(NAMES[1], 8, "CI: cmd dropped, bad packet length={length:d}", EventType.ERROR)
 CUT_7: Final = EventText(
-    NAMES[1],
-    8,
-    "CI: cmd dropped - length mismatch, {wanted:d} (hdr) / {length:d} (packet)",
-    EventType.ERROR,
+    NAMES[1], 8, "CI: cmd dropped - length mismatch, {wanted:d} (hdr) / {length:d} (packet)", EventType.ERROR
 )
 """What CI of cFS 7 says, which refuses a packet that is longer than its datagram, or than its buffer."""
 NOT_SENT: Final = EventText(

@@ -64,8 +64,7 @@ class MessageOptions(NamedTuple):
     ] = ""
     command: Annotated[tuple[str, str] | None, Option(metavar="MSGID CODE", help="Send a command.")] = None
     payload: Annotated[
-        Any,
-        Option("--hex", parser=hexadecimal, metavar="BYTES", help="Bytes after the header of --command."),
+        Any, Option("--hex", parser=hexadecimal, metavar="BYTES", help="Bytes after the header of --command.")
     ] = None
     code: Annotated[int | None, Option(parser=options.number, help="Function code of a message.")] = None
     rate: Annotated[float | None, Option(parser=sending.factor, metavar="HZ", help="Times a second.")] = None

@@ -119,8 +119,7 @@ class SendingOptions(NamedTuple):
         ),
     ] = None
     tolerance: Annotated[
-        list[Any] | None,
-        Option(parser=room, metavar="[FIELD=]VALUE", help="Of --expect FILE: percent."),
+        list[Any] | None, Option(parser=room, metavar="[FIELD=]VALUE", help="Of --expect FILE: percent.")
     ] = None
     expect_within: Annotated[int | None, Option(parser=duration, hidden=True)] = None
     max_loss: Annotated[float | None, Option(parser=share, help="Exit code 3 beyond it, e.g. 1%.")] = None

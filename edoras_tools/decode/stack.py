@@ -246,14 +246,7 @@ class _Dissection(Reading):
         dissected = bound.shipped and any(layer.name in OWN_LAYERS for layer in self.layers)
         if self.detail and not dissected:
             fields = tuple(
-                LayerField(
-                    path,
-                    value,
-                    at + low,
-                    at + high,
-                    bound.text(member, value),
-                    member.doc,
-                )
+                LayerField(path, value, at + low, at + high, bound.text(member, value), member.doc)
                 for path, value, low, high, member in bound.spans(values, length)
             )
             title = f"{bound.name}: {bound.struct.doc}" if bound.struct.doc else bound.name

@@ -24,7 +24,7 @@ _OF_THE_CORE: Final = {
         f"a ROS 2 of Python {_PYTHON} ({{why}}); source its setup.bash, or: "
         "pip install ros-rclpy ros-rmw-fastrtps-cpp",
         open=True,
-    ),
+    )
 }
 
 
@@ -81,12 +81,7 @@ def usual_domain(environ: Mapping[str, str] | None = None) -> int:
 
 
 def open_graph(
-    ros: str,
-    store: TypeStore,
-    node: str,
-    *,
-    domain: int = 0,
-    options: Mapping[str, str] = {},
+    ros: str, store: TypeStore, node: str, *, domain: int = 0, options: Mapping[str, str] = {}
 ) -> Graph:
     """Join a graph.
 

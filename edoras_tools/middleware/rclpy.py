@@ -22,13 +22,7 @@ if TYPE_CHECKING:
     from edoras_tools.middleware.graph import Qos
     from edoras_tools.ros import TypeStore
 
-_MODULES: Final = (
-    "rclpy",
-    "rclpy.context",
-    "rclpy.event_handler",
-    "rclpy.executors",
-    "rclpy.qos",
-)
+_MODULES: Final = ("rclpy", "rclpy.context", "rclpy.event_handler", "rclpy.executors", "rclpy.qos")
 _ECHO_SECONDS: Final = 1.0
 _MOST_ECHOES: Final = 10_000
 _FOLLOW_S: Final = 0.25

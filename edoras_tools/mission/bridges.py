@@ -247,12 +247,7 @@ class _Routes:
     """Collects the routes of one bridge, key by key."""
 
     def __init__(
-        self,
-        fields: Fields,
-        flight: bool,
-        claims: Claims,
-        check_type: CheckType | None,
-        msg_ids: MsgIds,
+        self, fields: Fields, flight: bool, claims: Claims, check_type: CheckType | None, msg_ids: MsgIds
     ) -> None:
         self.fields = fields
         self.flight = flight

@@ -327,10 +327,7 @@ class Independence:
     """
 
     def __init__(
-        self,
-        context: Context,
-        sequences: SequenceCounts | None = None,
-        repeats: Repeats | None = None,
+        self, context: Context, sequences: SequenceCounts | None = None, repeats: Repeats | None = None
     ) -> None:
         self._context, self._usual = context, context.detected
         self._suspects = Conversations(context)

@@ -144,9 +144,7 @@ EXPLANATIONS: Final = {
         "The packet ends after its header: a scheduler's wake-up or a request, not a message.",
     ),
     Finding.INVALID_MSG_ID: Explanation(
-        _ERROR,
-        "invalid MsgId",
-        "The MsgId is 0 or above 0x1FFF; the software bus refuses it (CFE_SB 21).",
+        _ERROR, "invalid MsgId", "The MsgId is 0 or above 0x1FFF; the software bus refuses it (CFE_SB 21)."
     ),
     Finding.WRONG_DIRECTION: Explanation(
         _WARNING,
@@ -171,15 +169,9 @@ EXPLANATIONS: Final = {
         "The length field exceeds the software bus's 32768 bytes; the send fails (CFE_SB 15).",
     ),
     Finding.SBN_VERSION_MISMATCH: Explanation(
-        _ERROR,
-        "SBN version",
-        "PROTO has a protocol version other than 11; the receiver refuses it.",
+        _ERROR, "SBN version", "PROTO has a protocol version other than 11; the receiver refuses it."
     ),
-    Finding.SBN_NO_MESSAGE: Explanation(
-        _NOTE,
-        "NO_MSG",
-        "MsgType is NO_MSG; the receiver ignores it.",
-    ),
+    Finding.SBN_NO_MESSAGE: Explanation(_NOTE, "NO_MSG", "MsgType is NO_MSG; the receiver ignores it."),
     Finding.SBN_LEGACY_HEADER: Explanation(
         _WARNING,
         "7-byte header",

@@ -89,10 +89,7 @@ _SHOWN: Final[dict[str, dict[str, str]]] = {
         "ToneIntErrorCounter": "tone_interrupt_error_counter",
         "LocalIntCounter": "local_interrupt_counter",
     },
-    "CFE_ES_AppInfo": {
-        "AddressesAreValid": "addresses_valid",
-        "NumOfChildTasks": "child_tasks",
-    },
+    "CFE_ES_AppInfo": {"AddressesAreValid": "addresses_valid", "NumOfChildTasks": "child_tasks"},
     "CFE_TIME_HousekeepingTlm": {
         "ClockStateAPI": "clock_state",
         "SecondsMET": "met_seconds",
@@ -104,9 +101,7 @@ _SHOWN: Final[dict[str, dict[str, str]]] = {
         "SecondsDelay": "adjust_seconds",
         "SubsecsDelay": "adjust_subseconds",
     },
-    "CI_LAB_HkTlm": {
-        "EnableChecksums": "checksums_enabled",
-    },
+    "CI_LAB_HkTlm": {"EnableChecksums": "checksums_enabled"},
 }
 """Struct of cFE, without ``_Payload`` and ``_t``, to its members whose field has a name of its own."""
 

@@ -108,11 +108,7 @@ class TableFile:
     """
 
     def __init__(
-        self,
-        path: Path,
-        make: Callable[..., TableWriter],
-        head: TableHead,
-        columns: Sequence[TableColumn],
+        self, path: Path, make: Callable[..., TableWriter], head: TableHead, columns: Sequence[TableColumn]
     ) -> None:
         self.path, self.head, self.rows = path, head, 0
         try:

@@ -240,11 +240,7 @@ class Demux:
         length = np.minimum(errors.end, frames.offset + frames.length) - start
         none = np.zeros(len(frames), np.uint16)
         own = replace(
-            messages,
-            offset=start,
-            length=length.astype(np.int32),
-            source_port=none,
-            destination_port=none,
+            messages, offset=start, length=length.astype(np.int32), source_port=none, destination_port=none
         )
         return by_time([batch, own])
 

@@ -82,11 +82,7 @@ def _parts(frame: bytes, network: int, payload: int, size: int, whole: int) -> l
         if four:
             (identification,) = struct.unpack_from(">H", frame, network + 4)
             struct.pack_into(
-                ">HH",
-                header,
-                network + 2,
-                payload - network + length,
-                (identification + number) & 0xFFFF,
+                ">HH", header, network + 2, payload - network + length, (identification + number) & 0xFFFF
             )
             struct.pack_into(">H", header, network + 10, 0)
             words = header[network : network + 4 * (frame[network] & 15)]

@@ -25,14 +25,7 @@ if TYPE_CHECKING:
     from edoras_tools.structs import Structs
 
 _GROUP = np.dtype(
-    [
-        ("second", "i8"),
-        ("flow", "i8"),
-        ("count", "i8"),
-        ("gaps", "i8"),
-        ("bytes", "i8"),
-        ("largest", "i8"),
-    ]
+    [("second", "i8"), ("flow", "i8"), ("count", "i8"), ("gaps", "i8"), ("bytes", "i8"), ("largest", "i8")]
 )
 """The counters of one flow, a MsgId on a link of a spacecraft, in one second."""
 

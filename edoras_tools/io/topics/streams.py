@@ -394,12 +394,7 @@ class Streams:
         return other
 
     def prepare_part(
-        self,
-        batch: PacketBatch,
-        columns: Columns,
-        published: NDArray[np.int64] | None,
-        *,
-        transforms: bool,
+        self, batch: PacketBatch, columns: Columns, published: NDArray[np.int64] | None, *, transforms: bool
     ) -> NDArray[np.int64]:
         """Take note of a batch of one spacecraft; return its publish times."""
         if published is None:

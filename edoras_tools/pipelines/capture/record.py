@@ -14,13 +14,7 @@ from edoras_tools.io.formats.pcapng import LISTENED
 from edoras_tools.io.formats.split import RecordingOptions, SplitCaptureSink
 from edoras_tools.io.formats.table import FILE_SUFFIXES, MCAP, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import FileSink, Keep, OutputLoss, WatchedSink
-from edoras_tools.io.outputs import (
-    Patience,
-    in_the_way,
-    refuse_existing,
-    refuse_input,
-    waiting_for_room,
-)
+from edoras_tools.io.outputs import Patience, in_the_way, refuse_existing, refuse_input, waiting_for_room
 from edoras_tools.io.processors import jobs_for
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing, Waiting
 from edoras_tools.pipelines.capture.ledger import Ledger

@@ -301,10 +301,7 @@ def examine(
 
 
 def list_missing(
-    diagnosis: Diagnosis,
-    source: Source,
-    bench: Workbench,
-    progress: Progress | None = None,
+    diagnosis: Diagnosis, source: Source, bench: Workbench, progress: Progress | None = None
 ) -> list[Missing]:
     """Return the messages that were lost, with the values of those that the capture contains.
 

@@ -211,11 +211,7 @@ def row_lines(row: TreeRow, width: int, paint: palette.Paint, *, closed: bool = 
         case "packet":
             label = fit(row.label, max(GUTTER, cells(row.label) + 1))
             return _hang(
-                paint(label, f"bold {row.style}" if row.label else ""),
-                cells(label),
-                row.value,
-                GUTTER,
-                width,
+                paint(label, f"bold {row.style}" if row.label else ""), cells(label), row.value, GUTTER, width
             )
         case "finding" | "stop":
             label = fit(row.label, row.align + 2)

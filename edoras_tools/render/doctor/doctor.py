@@ -47,12 +47,7 @@ _ALIKE: Final = 4
 """So many verdicts of one rule, or more, are one entry with a line each."""
 _MANY_ERRORS: Final = 12
 """The same for errors, whose evidence matters more."""
-_STATES: Final = {
-    "connected": "green",
-    "silent": "yellow",
-    "timed_out": "bold red",
-    "disconnected": "yellow",
-}
+_STATES: Final = {"connected": "green", "silent": "yellow", "timed_out": "bold red", "disconnected": "yellow"}
 
 
 def screen(result: Diagnosis, width: int, words: str = "", lines: int = _SCREEN) -> RenderableType:

@@ -56,10 +56,7 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
         facts.add_row("rate", f"{units.rate(summary['rate_achieved_hz'])}, asked: {target_rate}")
     late = summary["lateness_us"]
     if late["p50"] is not None:
-        facts.add_row(
-            "lateness",
-            "  ".join(f"{name} {_micro(late[name])}" for name in ("p50", "p99", "max")),
-        )
+        facts.add_row("lateness", "  ".join(f"{name} {_micro(late[name])}" for name in ("p50", "p99", "max")))
     for why, count in summary["errors"].items():
         facts.add_row("not sent", Text(f"{count:,}: {why}", Level.ERROR.style))
     if summary["faults"]:

@@ -11,13 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.ros.types.schema import (
-    PLACEHOLDER,
-    Constant,
-    Definition,
-    MessageField,
-    Shape,
-)
+from edoras_tools.ros.types.schema import PLACEHOLDER, Constant, Definition, MessageField, Shape
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import FieldDesc, Typesdict

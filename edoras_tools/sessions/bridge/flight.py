@@ -52,13 +52,7 @@ class FlightSession:
     """
 
     def __init__(
-        self,
-        own: Peer,
-        peer: Peer,
-        msg_ids: Iterable[int] = (),
-        *,
-        now: int,
-        headers: Headers = STANDARD,
+        self, own: Peer, peer: Peer, msg_ids: Iterable[int] = (), *, now: int, headers: Headers = STANDARD
     ) -> None:
         self.connection = SbnConnection(own, msg_ids, habits=BRIDGE, peer=peer, now=now)
         self.connections = 0

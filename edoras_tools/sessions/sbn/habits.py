@@ -63,10 +63,7 @@ class Habits:
 
 
 STOCK: Final = Habits(
-    ask=(MsgType.ANNOUNCE,),
-    ask_ns=facts.ANNOUNCE_S * SECOND,
-    asks_when_silent=True,
-    asks_strangers_only=True,
+    ask=(MsgType.ANNOUNCE,), ask_ns=facts.ANNOUNCE_S * SECOND, asks_when_silent=True, asks_strangers_only=True
 )
 """SBN as cFS runs it.
 

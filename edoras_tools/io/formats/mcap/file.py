@@ -31,13 +31,7 @@ from mcap.records import (
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, os_errors
-from edoras_tools.io.formats.mcap.index import (
-    CHUNK_HEAD,
-    INDEX_ENTRY,
-    INDEX_HEAD,
-    RECORD_HEAD,
-    ChunkHead,
-)
+from edoras_tools.io.formats.mcap.index import CHUNK_HEAD, INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, ChunkHead
 from edoras_tools.io.outputs import STDOUT, OutputFile, output_name
 from edoras_tools.io.topics.rows import MAGIC
 from edoras_tools.wire.arrays.crc import crc32

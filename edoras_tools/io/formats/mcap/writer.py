@@ -20,13 +20,7 @@ from edoras_tools.io.topics.cfe import fault_messages
 from edoras_tools.io.topics.recorded import RecordedStreams
 from edoras_tools.io.topics.rows import COUNTS_METADATA_NAME, OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.statistics import host_messages
-from edoras_tools.io.topics.streams import (
-    FAULTS,
-    HOST_COUNTERS,
-    PreparedBatch,
-    Streams,
-    Topic,
-)
+from edoras_tools.io.topics.streams import FAULTS, HOST_COUNTERS, PreparedBatch, Streams, Topic
 from edoras_tools.links import table
 from edoras_tools.model import Finding, InterfaceOutage
 
@@ -36,13 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Room
     from edoras_tools.io.outputs import OutputFile
     from edoras_tools.mission import Mission
-    from edoras_tools.model import (
-        Columns,
-        HostCounters,
-        PacketBatch,
-        SourceInfo,
-        SourceStatistics,
-    )
+    from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.faults.fault import Fault
 
