@@ -103,8 +103,9 @@ class Fitting:
         command = VERSION_1.is_command(self._msg_id)
         out = np.zeros(len(command), bool)
         rows = np.flatnonzero(command & (self._length >= headers.command_bytes))
-        accepted = self._commands.fits(*self._command(rows, headers))  # with this length
-        out[rows] = self._payload_fits(headers.command_bytes)[rows] | accepted
+        # What its app refuses is no message, though its bytes may look like an envelope: a name, for one.
+        allowed = self.allowed(headers) & self._payload_fits(headers.command_bytes)
+        out[rows] = allowed[rows] | self._commands.fits(*self._command(rows, headers))  # with this length
         rows = np.flatnonzero(~command & (self._length >= headers.telemetry_bytes))
         out[rows] = self._telemetry_fits(rows, headers)
         return out
