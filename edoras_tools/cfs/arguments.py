@@ -294,6 +294,7 @@ A layout's title is the application's name for the command. A layout of no bytes
 APPLICATIONS: Final[Mapping[int, str]] = {
     executive_services.COMMAND_MSG_ID: executive_services.NAME,
     EVS_MSG_ID: event_services.NAME,
+    SB_MSG_ID: "CFE_SB",
     TBL_MSG_ID: table_services.NAME,
     TIME_MSG_ID: time.NAME,
     telemetry_output.COMMAND_MSG_ID: telemetry_output.NAME,
@@ -305,6 +306,7 @@ CHANGES: Final = frozenset(
     {(msg_id, 1) for msg_id in APPLICATIONS}
     | {(executive_services.COMMAND_MSG_ID, code) for code in (2, 4, 5, 6, 7)}
     | {(EVS_MSG_ID, code) for code in (2, 3, 5, 6, 7, 8, 9, 10, 13, 14, 15, 16)}
+    | {(SB_MSG_ID, code) for code in (4, 5)}
     | {(TBL_MSG_ID, code) for code in table_services.CODES}
     | {(TIME_MSG_ID, code) for code in time.SETS}
     | {(telemetry_output.COMMAND_MSG_ID, code) for code in (2, 4, 5, 6)}

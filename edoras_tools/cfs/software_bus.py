@@ -16,6 +16,9 @@ MSG_LIMIT: Final = 17
 INVALID_MSG_ID: Final = 21
 PIPE_OVERFLOW: Final = 25
 
+ENABLE_ROUTE, DISABLE_ROUTE = 4, 5
+"""Function codes: an application gets a MsgId again, or no more."""
+
 STOPS_AFTER: Final = 16
 """How often cFS repeats a loss event before its filter stops it."""
 

@@ -151,7 +151,8 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
     """Return the command that last set how many of a MsgId may wait at Telemetry Output, if one did."""
     if loss.hop != telemetry_output.PIPE:
         return None
-    return _entry_command(case, loss.instance, loss.msg_id, loss.start_ns + SECOND)
+    first_ns = loss.among.times_ns[0] if loss.among and len(loss.among.rows) else loss.start_ns
+    return _entry_command(case, loss.instance, loss.msg_id, first_ns + SECOND)
 
 
 def told_limit(case: Case, stream: Stream) -> int | None:

@@ -79,8 +79,8 @@ _BY_BUS: Final[Mapping[str, str]] = {"in": "0x803: it counts only what is lost",
 _BEFORE_CI: Final = frozenset({"network", "socket", "down", "restart", "ci_stopped", PORT_CLOSED})
 _NOT_READ: Final = frozenset({"down", PORT_CLOSED})
 _ON_BUS: Final = frozenset({*COUNTERS, "unknown"})
-_BEHIND_BUS: Final = frozenset({"stopped", "restart_failed", "away", "unsubscribed", "disabled"})
-_AT_PIPE: Final = frozenset({*COUNTERS, "stopped", "away"})
+_BEHIND_BUS: Final = frozenset({"stopped", "restart_failed", "away", "unsubscribed", "disabled", "route"})
+_AT_PIPE: Final = frozenset({*COUNTERS, "stopped", "away", "route"})
 _BEHIND_PIPE: Final = frozenset({"after", "unknown", "fragments"})
 
 
@@ -124,6 +124,9 @@ CAUSES: Final[Mapping[str, LossCause]] = {
     ),
     "disabled": LossCause(
         "while Telemetry Output was not to send them", "Telemetry Output was not to send it"
+    ),
+    "route": LossCause(
+        "while their route on the software bus was disabled", "its route on the software bus was disabled"
     ),
     PEER_RESTARTED: LossCause("sent to an SBN peer that restarted"),
     UNHEARD: LossCause("sent to a silent SBN peer"),

@@ -11,6 +11,7 @@ datagrams are checked of which something else in the capture says that they pass
 3. *Counts of CI*. Between two times of rest, CI counted so many datagrams that the tap saw before; or as
    many until one as the tap saw in all.
 4. *Sequence counts*. A message that cFS counted left it, while the bus counted no loss.
+5. *Periods*. Who sends to cFS at an even rate sent at each of its periods, but for a pause.
 
 Whether a datagram is checked never depends on whether it was captured, so those that are missing are a fair
 sample. Evidence of one kind about datagrams of one sending host is a group. Groups are not added up: two
@@ -61,7 +62,7 @@ if TYPE_CHECKING:
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
-EvidenceKind = Literal["identifications", "inputs", "ci_counts", "sequence_counts"]
+EvidenceKind = Literal["identifications", "inputs", "ci_counts", "sequence_counts", "periods"]
 
 CONFIDENCE: Final = 0.999
 _ANSWERED: Final = frozenset({"inputs", "ci_counts"})
@@ -73,6 +74,10 @@ _START_NS: Final = 2 * SECOND
 _REST_NS: Final = 1500 * MILLISECOND
 """CI has read what was sent so long ago, unless its socket is full."""
 _LEAST_COUNTED: Final = 20
+_EVEN: Final = 0.2
+"""What comes so much of a period early or late still comes at an even rate."""
+_MOST_PERIODS: Final = 10
+"""Who sends nothing for more of its periods paused."""
 _LATE_NS: Final = 100 * MILLISECOND
 _ROUNDS_NS: Final = 2 * SECOND
 """A message is lost on the bus, or leaves, within so long."""
@@ -213,6 +218,7 @@ def assess_quality(
         *check_inputs(rows, hops, instances.hosts, holes),
         *check_ci_counts(rows, payloads, instances, holes),
         *check_sequence_counts(rows, streams, instances, tracks, holes),
+        *check_periods(rows, streams, instances.hosts, holes),
     ]
     return Quality(tuple(item for item in found if item.checked), drops)
 
@@ -376,6 +382,28 @@ def check_sequence_counts(
         before = totals.get(sender, (0, 0))
         totals[sender] = before[0] + int(usable.sum()), before[1] + int((usable & absent).sum())
     yield from (Evidence("sequence_counts", sender, *counts) for sender, counts in totals.items())
+
+
+def check_periods(
+    rows: Rows, streams: Sequence[Stream], hosts: NDArray[np.int32], holes: Sequence[tuple[int, int]] = ()
+) -> Iterator[Evidence]:
+    """Yield for what is sent to cFS at an even rate how many periods passed, and how many of these lack it.
+
+    Args:
+        hosts: endpoint to the number of its address.
+        holes: from when to when nothing was captured, ns.
+    """
+    for stream in streams:
+        for span in () if stream.link.only_from_cfs else stream.spans:
+            times = stream.time_ns[span.first : span.last + 1]
+            steps = np.diff(times)
+            period = max(1, int(np.median(steps))) if len(steps) >= _LEAST_COUNTED else 0
+            periods = np.rint(steps / period) if period else steps
+            even = (periods >= 1) & (np.abs(steps - periods * period) <= _EVEN * period)
+            if period and even.mean() >= _MOSTLY_ONCE:
+                known = even & (periods <= _MOST_PERIODS) & ~overlapping(times[:-1], times[1:], holes)
+                passed, sender = int(periods[known].sum()), int(hosts[rows.source[stream.rows[0]]])
+                yield Evidence("periods", sender, passed, passed - int(known.sum()))
 
 
 def _quiet(track: Track, start_ns: Integers, end_ns: Integers) -> Mask:

@@ -53,6 +53,12 @@ FLIGHTS = {
     "link_down": (172, {"after": 117, "network": 55}),
     "two_cfs": (302, {"limit": 196, "sbn_timeout": 88, "unknown": 18}),
     "entry_removed_and_added": (163, {"restart_failed": 75, "stopped": 40, "limit": 48}),
+    "route_disabled": (48, {"route": 48}),
+    "added_again_lower": (300, {"limit": 300}),
+    "losing_network": (60, {"network": 17, "after": 43}),
+    "losing_network_fragments": (38, {"after": 38}),
+    "never_started": (57, {"stopped": 57}),
+    "refused_starts": (111, {"stopped": 109, "bad_command": 2}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -62,6 +68,8 @@ RANGES = {
     "restarted_without_events": 156,
     "relay_of_peers": 46,
     "peer_restarts_at_once": 7,
+    "another_list": 20,
+    "route_to_peer_disabled": 40,
 }
 
 
@@ -97,7 +105,7 @@ def first_screen(found):
         "refused_*",
     ),
     *("stood_still_when_idle", "uplink_alone", "ci_restarted_*", "entry_*"),
-    *("slow_uplink", "turned_*", "link_down"),
+    *("slow_uplink", "turned_*", "link_down", "route_*", "losing_*", "never_*", "added_*"),
 )
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_the_doctor_says_how_many_were_lost_and_why(name):
@@ -189,6 +197,7 @@ MOST = {
         0x1829: {"port_closed": 19, "disabled": 29},
     },
     "killed_with_full_queues": {0x1827: {"down": 17, "overflow": 2}},
+    "route_to_peer_disabled": {0x1827: {}, 0x1829: {"route": 24}, 0x82A: {"route": 16}},
     "ci_and_sbn_restarted": {0x182C: {"restart": 16, "stopped": 13}, 0x82D: {"limit": 41}},
     "restarted_without_events": {0x1828: {"stopped": 11, "limit": 1}, 0x182A: {"stopped": 16}},
 }
@@ -233,3 +242,21 @@ def test_housekeeping_of_another_cfs_over_a_limit_is_no_loss_of_what_is_seen_to_
     assert rows[0x82D, "SBN_1_66_Pipe"] == 113
     assert rows[0x82D, "TO_LAB_TLM_PIPE"] == 71
     assert rows[0x800, "TO_LAB_TLM_PIPE"] == 2
+
+
+def test_the_limit_is_that_of_the_command_that_was_in_force():
+    text = first_screen(examined("added_again_lower"))
+    assert "TO keeps 20 of this MsgId" in text
+    assert "set by a command at 17.2 s" in text
+
+
+@pytest.mark.parametrize("name", ["added_again_lower", "never_started"])
+def test_a_message_that_is_the_same_all_the_time_is_no_state_of_a_robot_that_waits(name):
+    """The generator publishes one pose all the time; the robot sent the same one once."""
+    assert not [item for item in examined(name).verdicts if item.rule == "old_states"]
+
+
+def test_a_command_that_was_refused_changes_no_application():
+    text = first_screen(examined("refused_starts"))
+    assert "started again" not in text
+    assert "length that its function code does not take" in text

@@ -24,7 +24,13 @@ import numpy as np
 
 from edoras_tools.cfs import executive_services, queues, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.claims import Claim, Rank, claimed_alike
-from edoras_tools.diagnosis.accounting.closed import closed_at, enables_ns, silenced_at, unled_silences
+from edoras_tools.diagnosis.accounting.closed import (
+    closed_at,
+    enables_ns,
+    routes_cut,
+    silenced_at,
+    unled_silences,
+)
 from edoras_tools.diagnosis.accounting.losses import (
     BEHIND,
     COUNTER_NAMES,
@@ -180,7 +186,8 @@ class Telemetry:
         """
         found = stream.missing + 1
         for part in self.parts:
-            if part.stream is stream and part.closed and stream.link.peers:
+            routed = part.cause is None or part.cause[0] != "route"
+            if part.stream is stream and part.closed and stream.link.peers and routed:
                 found[part.span.first] = 1
         return found
 
@@ -326,6 +333,9 @@ class Telemetry:
     def _cause(self, part: Part) -> tuple[LossKind, str, str] | None:
         """Return what closed the way out of messages of the mission, unless a command took them off it."""
         case, stream, span = self._case, part.stream, part.span
+        for cut in routes_cut(case, stream):
+            if cut.overlaps(span.start_ns, span.end_ns):
+                return "route", case.pipe_of(stream), cut.change.witness
         if stream.link.peers:
             return self._ended_with_sbn(part)
         if stream.is_housekeeping or not stream.link.only_from_cfs:
@@ -464,14 +474,11 @@ class Telemetry:
         for counted, number in part.taken.items():
             if number:
                 self._lose(part, counted, number, of, "high").uncounted = more * (counted == likeliest)
-        dropped, missed = self._never_whole(part)
+        dropped = self._never_whole(part)
         if rest > 0 and (cut := min(rest, dropped)):
             part.evidence.append(f"the first fragments of {cut:,} of them came, and no later ones")
             self._lose(part, "fragments", cut, of, "high")
             rest -= cut
-        if rest > 0 and (number := min(rest, missed)):
-            self.ends[id(part.stream)]["uncertain"] += number
-            rest -= number
         if rest <= 0:
             return
         is_counted = part.owner in self._counts
@@ -512,14 +519,13 @@ class Telemetry:
                 "the capture: its peer pipe may have lost some of these"
             )
 
-    def _never_whole(self, part: Part) -> tuple[int, int]:
-        """Return how many lost their later fragments on the way, and of how many the capture lacks some."""
+    def _never_whole(self, part: Part) -> int:
+        """Return how many lost their later fragments on the way."""
         case, stream, span = self._case, part.stream, part.span
         last = stream.rows[min(span.last + 1, len(stream) - 1)]
         end_ns = max(span.end_ns, int(case.rows.time_ns[last]))
         own = [when for when in self._beginnings(stream) if span.start_ns < when < end_ns]
-        dropped = sum(any(start <= when <= end for start, end in self._fragmented) for when in own)
-        return dropped, len(own) - dropped
+        return sum(any(start <= when <= end for start, end in self._fragmented) for when in own)
 
     def _beginnings(self, stream: Stream) -> list[int]:
         case = self._case

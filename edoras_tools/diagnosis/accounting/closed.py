@@ -41,7 +41,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services, queues, sbn, telemetry_output
-from edoras_tools.diagnosis.accounting.losses import READY_NS, TAIL_NS, WAITS_NS, Fate, Loss, LossKind
+from edoras_tools.diagnosis.accounting.losses import BUS, READY_NS, TAIL_NS, WAITS_NS, Fate, Loss, LossKind
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, Way, reasons_for
 from edoras_tools.links.table import among
@@ -72,25 +72,43 @@ def closed_at(case: Case, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.bo
     behind = np.minimum(at + 1, len(stream) - 1)
     starts, ends = stream.time_ns[at], stream.time_ns[behind]
     out = np.zeros(len(at), bool)
+    for span in routes_cut(case, stream):
+        middle_ns = (span.start_lo + min(span.end_lo, case.end_ns)) // 2
+        out |= (starts < middle_ns) & (middle_ns < ends)
     if stream.link.only_from_cfs:
         # Telemetry Output that speaks from another port started anew, and forgot whom it sends to.
         out |= rows.source[stream.rows[at]] != rows.source[stream.rows[behind]]
-        for item in case.payloads.outputs(*telemetry_output.STOPS):
-            if item.entry in {-1, stream.msg_id}:
-                when = int(rows.time_ns[item.row])
-                out |= (starts - _STOPS_NS < when) & (when < ends)
+        added_ns = _commanded_ns(case, stream, telemetry_output.ADD_PACKET)
+        for when in _commanded_ns(case, stream, *telemetry_output.STOPS):
+            inside = (starts - _STOPS_NS < when) & (when < ends)
+            # Where it is added again, what comes behind the one gap that ends there was lost otherwise.
+            again_ns = added_ns[added_ns > when].min(initial=NEVER)
+            back = np.flatnonzero(inside & (ends > again_ns))[:1]
+            out |= np.isin(np.arange(len(at)), back) if len(back) else inside
         return out
     connection = case.network.crossing(stream.sender, stream.receiver)
     owner = case.owner(stream)
     system = case.instances.systems[owner] if owner != NOBODY else 0
     stopped = case.timeline.spans(StateOwner("app", sbn.NAME), "stopped", system)
     for index, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
-        out[index] = bool(
+        out[index] |= bool(
             (connection and connection.broken_within(start, end))
             or case.network.unsubscribed_within(stream.msg_id, start - _STOPS_NS, end)
             or any(span.overlaps(start, end) for span in stopped)
         )
     return out
+
+
+def routes_cut(case: Case, stream: Stream) -> list[StateSpan]:
+    """Return when a command had disabled the route of a stream's MsgId on its software bus."""
+    return case.timeline.spans(StateOwner("route", "", stream.msg_id), "cut", case.system(stream))
+
+
+def _commanded_ns(case: Case, stream: Stream, *codes: int) -> NDArray[np.int64]:
+    """Return when Telemetry Output was told something about a stream's MsgId, or about all, in order."""
+    about = [item.row for item in case.payloads.outputs(*codes) if item.entry in {-1, stream.msg_id}]
+    times: NDArray[np.int64] = np.sort(case.rows.time_ns[np.array(about, np.intp)])
+    return times
 
 
 def silenced_at(stream: Stream, at: NDArray[np.intp], spans: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
@@ -313,6 +331,7 @@ _CLOSED: Final[Mapping[str, tuple[int, LossKind, str]]] = {
     "app": (0, "stopped", sbn.NAME),
     "peer": (1, "away", "SBN peer"),
     "subscription": (2, "unsubscribed", "SBN peer"),
+    "route": (3, "route", BUS),
 }
 """Kind of the subject that was closed to which of several is the cause, the kind of the loss, and where."""
 _LEAST_ROUNDS: Final = 5
@@ -411,7 +430,7 @@ class Stops:
         self.losses: list[Loss] = []
         self._fates = [fate for fate in fates if not fate.stream.is_housekeeping]
         gone = [item for item in case.outages if item.app not in _LINKS]
-        for fate in self._fates:
+        for fate in sorted(self._fates, key=lambda item: not item.seen):
             if fate.seen:
                 for item in gone:
                     # Where nobody wakes an application, its pipe loses some, or it keeps the newest.
@@ -507,13 +526,13 @@ class Stops:
         if all(hop.out.link.peers for hop in fate.hops):
             for each in fate.hops:
                 way = Way(each.out.msg_id, each.out.link, system, peer=peer(each.out.receiver, ""))
-                ways.append((way, _newest(fate, each)))
+                ways.append((way, self._untaken(fate, each, _newest(fate, each))))
         times = stream.time_ns
         closed = [
             (_CLOSED[reason.span.change.subject.kind], reason, newest)
             for way, newest in ways
-            if way.link.peers
             for reason in reasons_for(case.timeline, way, 0, NEVER, case.at)
+            if (way.to_cfs if reason.span.change.subject.kind == "route" else way.link.peers)
             if reason.span.change.subject.kind in _CLOSED and reason.span.change.state != "silent"
         ]
         for early_ns, until in ((0, "end_lo"), (WAITS_NS, "end_hi")):
@@ -529,6 +548,23 @@ class Stops:
                     fate.stop[inside] = self._causes.index(cause)
                 else:
                     self._add(fate, inside, cause)
+
+    def _untaken(self, fate: Fate, hop: Hop, newest: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Tell which messages an application sends on, as many before the first one as nobody took by 0x803.
+
+        That count has them where the first one is the first of its MsgId: until then it had no route.
+        """
+        case, out = self._case, hop.out
+        track, first_ns = case.tracks.get(case.owner(out)), int(out.time_ns[0])
+        before = np.flatnonzero(newest & (fate.stream.time_ns < first_ns))
+        if not (track and out.counted and case.rows.sequence_count[out.rows[0]] == 1 and len(before)):
+            return newest
+        counted = track.growth("no_subscribers", int(fate.stream.time_ns[0]), first_ns)
+        others = track.growth("no_subscribers", first_ns + _STOPS_NS)
+        if not others and 0 < counted < len(before):
+            newest[before] = False
+            newest[before[np.linspace(0, len(before) - 1, counted).round().astype(int)]] = True
+        return newest
 
     def _hold_one(
         self, fate: Fate, inside: NDArray[np.bool_], newest: NDArray[np.bool_]
@@ -593,6 +629,10 @@ class Stops:
             if reported.at_pipe and reported.msg_id == fate.stream.msg_id and not reported.at_output
         }
         surely = [item for item in own if any(pipe.startswith(item.app) for pipe in pipes)]
+        # What is known to be for an application tells that another MsgId need not be for it.
+        own = surely or [item for item in own if item.app not in {cause.hop for cause in self._causes}]
+        if not own:
+            return
         alike = [item for item in self._fates if not item.seen and item.stream.link is fate.stream.link]
         if not surely and len(alike) == 1 and len({item.app for item in own}) == 1:
             surely = list(own)

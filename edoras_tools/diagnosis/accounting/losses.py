@@ -28,12 +28,13 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.verdict import Confidence
 
 IngestKind = Literal["network", "socket", "down", "restart", "ci_stopped", "port_closed"]
-AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled"]
+AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled", "route"]
 LossKind = PipeKind | IngestKind | AppKind | Literal["after", "unknown", "fragments"]
 """Over a limit or out of a full pipe; behind cFS; on the way to CI; in CI's socket; while cFS or CI was down;
 while the application was, or after it was started again and passed nothing on; while an SBN peer was away, or
-had not subscribed to it; while Telemetry Output was not to send it; unknown: nothing tells where, or of which
-MsgId; fragments: only the first fragments of it came; port_closed: nobody listened."""
+had not subscribed to it; while Telemetry Output was not to send it; while its route was disabled; unknown:
+nothing tells where, or of which MsgId; fragments: only the first fragments of it came; port_closed: nobody
+listened."""
 
 LEAD_NS: Final = 700 * MILLISECOND
 """A loss may be counted so long before the next message of the stream is seen."""

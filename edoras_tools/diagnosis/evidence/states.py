@@ -88,6 +88,7 @@ class StateRecorder:
             number, time_ns, prints = (column[rows] for column in columns[1:])
             at = latest_equal(states, sent_ns, prints.view(np.uint64), time_ns)
             is_state = at >= 0
+            is_state &= np.isin(np.arange(len(at)), np.unique(at, return_index=True)[1])  # each waits once
             if is_state.sum() >= _LEAST:
                 age_ns = time_ns[is_state] - sent_ns[at[is_state]]
                 yield PassedStates(msg_id, number[is_state], time_ns[is_state], age_ns, sent_ns)

@@ -49,6 +49,10 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
             "Telemetry Output was not to send them",
             f"enable Telemetry Output as soon as it runs: {case.inject(ENABLE_OUTPUT)}",
         ),
+        "route": (
+            "a command had disabled their route on the software bus",
+            "enable it: 0x1803, function code 4, with the MsgId and the pipe of that command",
+        ),
     }
     for loss in case.losses:
         if loss.kind in reasons:

@@ -33,6 +33,8 @@ _WINDOW_NS: Final = 2 * SECOND
 _JITTER_NS: Final = 100 * MILLISECOND
 """A packet may be that much quicker than the level beside it."""
 _BESIDE_NS: Final = 5 * SECOND
+_SLIPS_NS: Final = 3600 * SECOND
+"""A clock that was set further makes another instance."""
 _SURE: Final = 4
 """Packets of a window of which one was hardly delayed."""
 _ALIKE_NS: Final = 20 * MILLISECOND
@@ -69,6 +71,10 @@ def steadied(
         jump, before = parted
         rows = _without(rows, jump, instances.of_row == before)
         jumps.append(jump)
+        instances = Instances(rows, events, endpoints)
+    while len(jumps) < _MOST and (ahead := _set_ahead(rows, instances)):
+        rows = _without(rows, ahead, np.zeros(len(rows), bool))
+        jumps.append(ahead)
         instances = Instances(rows, events, endpoints)
     moved = _levelled(rows, instances, jumps)
     if moved.any():
@@ -199,6 +205,22 @@ def _parted(rows: Rows, instances: Instances) -> tuple[Jump, int] | None:
             if by > 0 and len(steps) and abs(int(steps[widest]) - by) < SECOND + by // 10:
                 return Jump("capture", low + widest + 1, by), before
             return Jump(second.name or first.name or "cFS", high, -by), before
+    return None
+
+
+def _set_ahead(rows: Rows, instances: Instances) -> Jump | None:
+    """Find where mission time falls behind by a time without frames: the capture's clock was set."""
+    times = rows.time_ns
+    steps = np.diff(times)
+    for at in np.flatnonzero((steps > 2 * _CYCLE_NS) & (steps < _SLIPS_NS)).tolist():
+        low, high = np.searchsorted(times, (times[at] - _BESIDE_NS, times[at + 1] + _BESIDE_NS)).tolist()
+        near = low + np.flatnonzero(rows.mission_time_ns[low:high] > 0)
+        for index in np.unique(instances.of_row[near]).tolist():
+            own = near[instances.of_row[near] == index]
+            before, after = own[own <= at], own[own > at]
+            by = _offset_ns(rows, after) - _offset_ns(rows, before) if len(before) and len(after) else 0
+            if by > 2 * _CYCLE_NS and abs(by - int(steps[at])) < _CYCLE_NS:
+                return Jump("capture", at + 1, by)
     return None
 
 

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import executive_services, sbn, telemetry_output, time_services
-from edoras_tools.cfs.arguments import TIME_MSG_ID
+from edoras_tools.cfs import executive_services, sbn, software_bus, telemetry_output, time_services
+from edoras_tools.cfs.arguments import SB_MSG_ID, TIME_MSG_ID
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
@@ -131,13 +131,18 @@ class SoftwareChanges:
                 yield change(entry, "unsubscribed")
             elif code == telemetry_output.REMOVE_ALL:
                 yield change(_ALL_ENTRIES, "unsubscribed")
+        elif command.msg_id == SB_MSG_ID and code in {software_bus.ENABLE_ROUTE, software_bus.DISABLE_ROUTE}:
+            route = StateOwner("route", "", values["msg_id"] & 0xFFFF)
+            yield change(route, "cut" if code == software_bus.DISABLE_ROUTE else "subscribed")
         elif command.msg_id == TIME_MSG_ID and code in time_services.SETS:
             yield self._clock(command, change(_CLOCK, "set"))
 
     def _executive(self, command: CommandRecord, pattern: Change) -> Iterator[Change]:
         state = _APP_STATES.get(command.function_code)
         app = command.app
-        if state is None or not app:
+        sent_ns, words = pattern.not_before_ns, f"0x{command.msg_id:04X},  CC = {command.function_code}, Len"
+        said = [item.message for item in self._payloads.events if 0 <= item.time_ns - sent_ns < _SLACK_NS]
+        if state is None or not app or any(words in text for text in said):  # its length is wrong
             return
         change = replace(pattern, subject=StateOwner("app", app), state=state)
         is_output = app in telemetry_output.NAMES

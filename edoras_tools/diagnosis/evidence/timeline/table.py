@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Link
 
 
-Kind = Literal["cfs", "app", "output", "entry", "peer", "subscription", "clock", "capture"]
+Kind = Literal["cfs", "app", "output", "entry", "peer", "subscription", "route", "clock", "capture"]
 NEVER: Final = int(np.iinfo(np.int64).max)
 
 
@@ -33,8 +33,9 @@ class StateOwner(NamedTuple):
 
     ``kind`` is one of: ``cfs`` itself; ``app``, an application by ``name``; ``output``, whether Telemetry
     Output sends and where to; ``entry`` of its table, by ``msg_id``, ``NO_MSG_ID`` for all of them; ``peer``
-    of SBN by ``name`` (``66:3``); ``subscription`` of the peer ``name`` to ``msg_id``; ``clock``; or
-    ``capture``, the interface, which is of no cFS: its system is ``EVERY``.
+    of SBN by ``name`` (``66:3``); ``subscription`` of the peer ``name`` to ``msg_id``; ``route`` on the
+    software bus, by ``msg_id``; ``clock``; or ``capture``, the interface, which is of no cFS: its system is
+    ``EVERY``.
     """
 
     kind: Kind
@@ -226,6 +227,7 @@ def _blocking(way: Way) -> Iterator[tuple[int, StateOwner, Sequence[str]]]:
     """Yield what messages need on a way, and the states in which it does not let them through."""
     yield EVERY, StateOwner("capture"), ("away",)
     yield way.system, StateOwner("cfs"), NOT_RUNNING
+    yield way.system, StateOwner("route", "", way.msg_id), ("cut",)
     if way.link.only_from_cfs:
         for app in telemetry_output.NAMES:
             yield way.system, StateOwner("app", app), NOT_RUNNING
@@ -246,6 +248,7 @@ def subject_name(subject: StateOwner) -> str:
         "app": subject.name,
         "output": "Telemetry Output",
         "entry": f"{number or 'every MsgId'} in Telemetry Output's table",
+        "route": f"the route of {number} on the software bus",
         "peer": f"SBN peer {subject.name}",
         "subscription": f"{number} for SBN peer {subject.name}",
         "clock": "cFS's clock",
@@ -266,6 +269,7 @@ _VERBS: Final = {
     "timed_out": "was given up",
     "disconnected": "was not connected",
     "away": "saw nothing",
+    "cut": "was disabled",
 }
 """State that explains a loss or a silence to how people are told of it."""
 

@@ -44,3 +44,16 @@ def test_a_clock_that_slipped_and_an_output_that_woke_at_another_time_are_told_a
     assert 480 < own["p50_ms"] <= own["max_ms"] < 510  # what it makes itself waits for one round
     assert max(delay["max_ms"] for delay in delays.values()) < 500  # and nothing for longer
     assert 290 < delays["0x0800"]["p50_ms"] < 320
+
+
+def test_the_clock_of_the_capture_set_ahead_is_not_laid_on_cfs() -> None:
+    """Nobody sends for 3 s, and mission time does not go on meanwhile: only the capture's clock did."""
+    bench = Settings().workbench()
+    examination = Examination(bench.columns.context)
+    for batch in open_file(ROOT / "tests/captures/b_arm_single.pcap.zst").batches():
+        batch.time_ns[batch.number > 400] += 3 * 10**9
+        examination.add(batch, bench.columns.decode(batch))
+    found = examination.diagnose()
+    (jump,) = (item for item in found.verdicts if item.rule == "clock_jump")
+    assert jump.reason.startswith("the capture's own clock was set ahead by 3.0 s at packet")
+    assert (found.lost, found.unaccounted, found.uncertain) == (0, 0, 0)
