@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.case import Capture, Case
 from edoras_tools.diagnosis.evidence.relays import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.ledger import CAPTURE, Row, summed
-from edoras_tools.diagnosis.missing import Missing, missing
+from edoras_tools.diagnosis.missing import ALL, Missing, missing
 from edoras_tools.diagnosis.rules import SINGLE, others, rules
 from edoras_tools.diagnosis.rules.capture import too_many
 from edoras_tools.diagnosis.rules.silence import note_silences
@@ -344,13 +344,14 @@ class Examination:
         progress: see ``judge``.
         faults: what a proxy or a replay did on purpose, as the recording says.
         listing: whether to list every message that was lost.
+        latest: how many of each loss are listed at the most, the latest.
     """
 
     def __init__(self, context: Context, profile: SimProfile | None = None) -> None:
         self.zero_ns: int | None = None
         self.progress: Callable[[int, int], None] = lambda _done, _of: None
         self.faults: Sequence[Fault] = ()
-        self.listing = False
+        self.listing, self.latest = False, ALL
         self._apart: Apart | None = None
         self.context = context
         self.profile = profile or context.mission.software.profile
@@ -444,7 +445,7 @@ class Examination:
         """Return what was lost, one by one, if that is asked for."""
         if not self.listing:
             return ()
-        found = [*(missing(case) if len(case.rows) else ()), *case.capture.missing()]
+        found = [*(missing(case, self.latest) if len(case.rows) else ()), *case.capture.missing()]
         return tuple(sorted(found, key=attrgetter("time_ns")))
 
     def _begun(self, conversations: Conversations) -> Recorder:

@@ -29,8 +29,11 @@ if TYPE_CHECKING:
     from edoras_tools.wire.arrays.order import Integers, Places
 
 _Share = tuple[LedgerEntry, Among]
+_ShareUnits = tuple[LedgerEntry, Among, "Integers"]
 _ROOM: Final = 1 << 32
 """Numbers for the counts that are missing behind one row."""
+ALL: Final = 1 << 62
+"""More messages than any loss has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +82,8 @@ class Missing:
         return {**asdict(self), "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}"}
 
 
-def missing(case: Case) -> list[Missing]:
-    """Return all of them, in order of time."""
+def missing(case: Case, most: int = ALL) -> list[Missing]:
+    """Return them in order of time; of each loss at most so many, the latest."""
     listed: list[Missing] = []
     groups: dict[tuple[int, bool], list[_Share]] = {}
     for entry in case.ledger.losses():
@@ -88,24 +91,24 @@ def missing(case: Case) -> list[Missing]:
         if isinstance(among, Among):
             groups.setdefault((id(among.stream), among.missing is None), []).append((entry, among))
         else:
-            listed += _alone(case, entry, among)
+            listed += _alone(case, entry, among, most)
     for shares in groups.values():
         units = [_units(among) for _, among in shares]
         labels = _connected(units)
         for label in np.unique(labels).tolist():
             members = np.flatnonzero(labels == label).tolist()
-            listed += _together(case, [(*shares[index], units[index]) for index in members])
+            listed += _together(case, [(*shares[index], units[index]) for index in members], most)
     return sorted(listed, key=lambda item: item.time_ns)
 
 
-def _alone(case: Case, entry: LedgerEntry, rows: Places | None) -> Iterator[Missing]:
+def _alone(case: Case, entry: LedgerEntry, rows: Places | None, most: int) -> Iterator[Missing]:
     """Yield the messages of a loss that is of no stream: the rows that it may be, where they are as many."""
     number = entry.number
     if rows is None or len(rows) != number:
         one_of = None if rows is None or len(rows) < number else len(rows)
-        yield from [_entry(case, entry, one_of)] * number
+        yield from [_entry(case, entry, one_of)] * min(number, most)
         return
-    for row in rows.tolist():
+    for row in rows[-most:].tolist():
         when = int(case.rows.time_ns[row])
         one = replace(_entry(case, entry), time_ns=when, until_ns=when)
         yield replace(one, number=int(case.rows.number[row]))
@@ -138,13 +141,13 @@ def _connected(units: Sequence[Integers]) -> Places:
     return label
 
 
-def _together(case: Case, shares: Sequence[tuple[LedgerEntry, Among, Integers]]) -> Iterator[Missing]:
+def _together(case: Case, shares: Sequence[_ShareUnits], most: int) -> Iterator[Missing]:
     """Yield the messages of losses that share what they are among (rules 2 to 4)."""
     every = np.unique(np.concatenate([units for _, _, units in shares]))
     if sum(entry.number for entry, _, _ in shares) == len(every):
         causes: dict[int, dict[str, _Share]] = {}
         for entry, among, units in shares:
-            for unit in units.tolist():
+            for unit in units[units >= every[-most:][0]].tolist():
                 causes.setdefault(unit, {})[entry.text] = entry, among
         for unit, texts in causes.items():
             yield _message(case, next(iter(texts.values())), unit, " or ".join(texts))
@@ -153,29 +156,19 @@ def _together(case: Case, shares: Sequence[tuple[LedgerEntry, Among, Integers]])
     for entry, among, units in sorted(shares, key=lambda item: len(item[2]) - item[0].number):
         free = np.setdiff1d(units, taken)
         if entry.number < len(free):
-            yield from [_entry(case, entry, len(free))] * entry.number
+            yield from [_entry(case, entry, len(free))] * min(entry.number, most)
             continue
         taken = np.concatenate((taken, free))
-        for unit in free.tolist():
+        for unit in free[-most:].tolist():
             yield _message(case, (entry, among), unit, entry.text)
-        yield from [_entry(case, entry)] * (entry.number - len(free))
+        yield from [_entry(case, entry)] * min(entry.number - len(free), most)
 
 
 def _entry(case: Case, entry: LedgerEntry, one_of: int | None = None) -> Missing:
     """Return a message that no packet and no count tells."""
     msg_id = NO_MSG_ID if entry.traffic.msg_id is None else entry.traffic.msg_id
-    return Missing(
-        link=entry.traffic.link,
-        msg_id=msg_id,
-        topic=_name(case, msg_id),
-        count=1,
-        time_ns=entry.times_ns[0],
-        until_ns=entry.times_ns[1],
-        number=None,
-        first=None,
-        one_of=one_of,
-        what=entry.text,
-    )
+    link, name, times_ns = entry.traffic.link, _name(case, msg_id), entry.times_ns[:2]
+    return Missing(link, msg_id, name, 1, *times_ns, number=None, first=None, one_of=one_of, what=entry.text)
 
 
 def _message(case: Case, share: _Share, unit: int, what: str) -> Missing:

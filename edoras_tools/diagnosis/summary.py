@@ -65,6 +65,7 @@ class Problem:
         verdicts: what explains it, the worst first; may be empty.
         left: messages that would still be lost then, by the queue model; None where it cannot tell.
         of: of how many: all of its routes where nothing else lost any, else those that it lost.
+        spacecraft: number of the part of the diagnosis that it is of; 0 where that has no parts.
     """
 
     lost: int | None
@@ -74,6 +75,7 @@ class Problem:
     verdicts: tuple[Verdict, ...]
     left: int | None = None
     of: int = 0
+    spacecraft: int = 0
 
     @property
     def promise(self) -> str:
@@ -130,11 +132,11 @@ def summarize(found: Diagnosis) -> DoctorSummary:
     """Return what a person reads first of a diagnosis."""
     problems = list(chain.from_iterable(_problems(found)))
     if found.parts:
-        own = {found.mission.called(number): _problems(part) for number, part in found.parts.items()}
+        own = {number: _problems(part) for number, part in found.parts.items()}
         first, losses, rest = (
             [
-                replace(item, text=f"{name}: {item.text}")
-                for name, kinds in own.items()
+                replace(item, text=f"{found.mission.called(number)}: {item.text}", spacecraft=number)
+                for number, kinds in own.items()
                 for item in kinds[kind]
             ]
             for kind in range(3)

@@ -27,6 +27,17 @@ def test_commands_are_told_one_by_one(lab):
     assert set(numbers) <= sent
 
 
+@pytest.mark.parametrize("name", ["a_rover.pcap", "c1_tlm_rate_limit4.pcap.gz", "d3_cpu1_cpu2.pcap.gz"])
+def test_the_latest_of_each_loss_are_the_last_of_all(name, lab):
+    case = lab.read(CAPTURES / name).case
+    every, latest = missing(case), missing(case, 5)
+    assert 0 < len(latest) < len(every)
+    for kind in {(item.msg_id, item.what) for item in every}:
+        own = [item for item in every if (item.msg_id, item.what) == kind]
+        some = [item for item in latest if (item.msg_id, item.what) == kind]
+        assert some[-5:] == own[-5:]
+
+
 def test_telemetry_is_told_by_its_counts(lab):
     diagnosis = lab.read(CAPTURES / "c1_tlm_rate_limit4.pcap.gz")
     found = [item for item in missing(diagnosis.case) if item.msg_id == 0x0827]
