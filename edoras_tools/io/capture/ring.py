@@ -91,7 +91,9 @@ _AT_ONCE: Final = 4 << 20
 """Maximum bytes that one read copies, unless a single block is larger."""
 FRESH_S: Final = 0.02
 """Maximum age of packets in the open block before they are read."""
-_LINGER_S, _BUSY_LINGER_S = 0.4, 0.05
+_LINGER_S, _BUSY_LINGER_S = 1.0, 0.05
+_CHECKED_S: Final = 0.4
+"""A ring that holds so much at ``_FILL_RATE`` is large enough to be only checked five times a second."""
 _ENOUGH: Final = 2 << 20
 """Bytes that a read should find: reading a block alone costs as much as ten."""
 _FILL_RATE: Final = 320_000_000
@@ -297,7 +299,8 @@ class Ring(Device):
     def _filled(self, size: int) -> None:
         """Set how long frames may gather from now on, by how many bytes came since the last time."""
         now = time.monotonic()
-        longest_s = min(_LINGER_S, self._ring.size / _FILL_RATE)
+        holds_s = self._ring.size / _FILL_RATE
+        longest_s = _LINGER_S if holds_s >= _CHECKED_S else holds_s
         self._enough_s = min(longest_s, max(_ENOUGH * (now - self._copied) / size, _BUSY_LINGER_S))
         self._copied = now
         if self._asked is None:
@@ -369,6 +372,11 @@ class Ring(Device):
         packets, drops, _ = struct.unpack("=3I", self._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 12))
         self._delivered += packets - drops
         self.drops += drops
+
+    def pressed(self) -> bool:
+        """Return whether a quarter of the ring is full."""
+        ahead = (self._next + len(self._ring) // 4) % len(self._ring)
+        return bool(self._headers[ahead, _STATUS] & _STATUS_USER)
 
     def refuse(self) -> None:
         """Drop every packet from now on; packets in the ring stay."""

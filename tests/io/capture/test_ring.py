@@ -219,6 +219,18 @@ def test_what_does_not_fit_is_counted(ring, pair):
     assert source.failure() is None
 
 
+def test_a_quarter_of_a_ring_presses(ring, pair):
+    sender, port = pair
+    source = ring("lo", [port], block_size=1 << 17, blocks=8)
+    assert not source.pressed()
+    while not source.pressed():
+        assert not source.drops
+        sender.send(bytes(1000))
+        source.count()
+    assert sum(len(frames) for frames in iter(source.read, None)) * 1000 > 2 << 17
+    assert not source.pressed()
+
+
 def test_many_blocks_keep_the_order(ring, pair):
     sender, port = pair
     source = ring("lo", [port], block_size=1 << 17, blocks=8)
