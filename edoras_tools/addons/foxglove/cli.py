@@ -272,15 +272,7 @@ def _show(
     sink = serve(bench, source.info, statistics=source.statistics, publisher=commands)
     with on_interrupt(source.stop), view as watch:
         _say(source.info.name, sink, commands.topics if commands else ())
-        report = run(
-            source,
-            bench,
-            sink,
-            selection=selection,
-            target=goal,
-            limits=limits,
-            watcher=watch,
-        )
+        report = run(source, bench, sink, selection=selection, target=goal, limits=limits, watcher=watch)
     return {**report.summary(), "foxglove": sink.summary()}, report
 
 

@@ -146,6 +146,8 @@ def live(
                 source, bench, target, selection=selection, limits=limits, watcher=watcher, tap=sink.write
             )
         with reading(source, bench, selection, limits, keeps_failure=True) as loop:
-            return pour(loop, sink, watcher=watcher)
+            if source.on_this_host:
+                sink.pace = lambda gather_s: source.pace(gather_s, gather_s)
+            return pour(loop, sink, watcher=watcher, sequences=sink.sequences)
     finally:
         sink.close(source.statistics)

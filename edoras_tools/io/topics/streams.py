@@ -251,6 +251,7 @@ class Streams:
         added: channel ids of the topics that were added, by name.
         definitions: complete ``ros2msg`` texts by type, of all these topics.
         structs: those without a route.
+        all_wanted: whether messages of anything but statistics and events are made.
         clock: maps mission time to UTC.
         endpoints: of DDS, as the decoder learns them; until it is set, their samples make no messages.
 
@@ -300,6 +301,7 @@ class Streams:
         )
         names = [*(topic.type for topic in OWN_TOPICS), *(topic.type for topic in self.topics)]
         self.definitions = {name: types.definition(name) for name in dict.fromkeys(names)}
+        self.all_wanted = True
         self.clock = MissionClock()
         self.endpoints: Endpoints | None = None
         self._latched = LatchedTopics(mission)
@@ -390,6 +392,7 @@ class Streams:
                 transforms=self._transforms is not None,
             )
         other = self._others[number]
+        other.all_wanted = self.all_wanted
         other.number([channel(topic) for topic in other.topics])
         return other
 
@@ -429,7 +432,7 @@ class Streams:
             datagrams: see ``messages``.
             transforms: see ``messages``.
         """
-        columns = self._trimmed(batch, columns)
+        columns = self._trimmed(batch, columns) if self.all_wanted else columns
         streams = [*prepared.statistics]
         if self._datagrams and datagrams:
             streams.append(self._datagrams.messages(batch, columns, prepared.published))
@@ -446,19 +449,17 @@ class Streams:
         self, batch: PacketBatch, columns: Columns, prepared: PreparedBatch, *, transforms: bool
     ) -> list[Messages]:
         """Return the messages of one spacecraft's datagrams."""
-        published, added = prepared.published, prepared.added
-        streams = [
-            ros_messages(batch, columns, self._routes, published),
-            event_messages(batch, columns, self._events, published, big_endian=self.structs.big_endian),
-            software_bus_messages(
-                batch, columns, self._software_bus, published, big_endian=self.structs.big_endian
-            ),
-        ]
+        published, added, big_endian = prepared.published, prepared.added, self.structs.big_endian
+        streams = [event_messages(batch, columns, self._events, published, big_endian=big_endian)]
+        if self.all_wanted:
+            bus = self._software_bus
+            streams.insert(0, ros_messages(batch, columns, self._routes, published))
+            streams.append(software_bus_messages(batch, columns, bus, published, big_endian=big_endian))
         if (columns.link == RESETS).any():
             streams.append(reset_messages(batch, columns, self._events))
         if self.structs.dictionary is not None:
             streams.append(log_messages(batch, columns, self.structs, self.types, self._events))
-        if self._add:
+        if self._add and self.all_wanted:
             streams += struct_messages(batch, columns, self.structs, added, published)
         if self._transforms and transforms and self._transforms.are_in(columns):
             streams += self._transforms.messages(batch, columns, added[TF_TOPIC])

@@ -31,6 +31,7 @@ _MOST_ROUTES: Final = 500
 _MOST_EVENTS: Final = 40
 _STALE_NS: Final = 2500 * MILLISECOND
 """A route is counted once in a second with traffic; without a count for this long its rate is 0."""
+_GATHERS_NS: Final = 2 * SECOND
 _LOG: Final = "rcl_interfaces/msg/Log"
 _SUMS: Final = ("count", "gaps", "bytes")
 _BITS: Final = 32
@@ -63,11 +64,13 @@ class LinkState:
 
     Attributes:
         clock: monotonic, in s.
+        wall: the time now, ns since 1970.
     """
 
     def __init__(self, mission: Mission, types: TypeStore, statistics: SourceStatistics | None) -> None:
         self._mission, self._types, self._statistics = mission, types, statistics
         self.clock: Callable[[], float] = time.monotonic
+        self.wall: Callable[[], int] = time.time_ns
         self._lock = threading.Lock()
         self._routes: dict[tuple[int, int, int], dict[str, Any]] = {}
         self._last: dict[tuple[int, int, int], _LastPacket] = {}
@@ -99,7 +102,10 @@ class LinkState:
         entries.sort(key=itemgetter("time_ns"))
         last = self._last_packets(batch, columns)
         with self._lock:
-            self._heard, self._time_ns = self.clock(), int(batch.time_ns[-1])
+            self._time_ns = int(batch.time_ns[-1])
+            age_ns = self.wall() - self._time_ns
+            # What is live gathers for a while; what is played, or of another clock, has come just now.
+            self._heard = self.clock() - (age_ns / SECOND if 0 < age_ns < _GATHERS_NS else 0)
             self._last.update(last)
             for entry in entries:
                 self._add_event(entry)

@@ -3,7 +3,7 @@
 Rules:
 
 1. Whoever writes batches never waits for a judgement: what comes meanwhile waits in a queue.
-2. Judging takes at most a fortieth of the time, however much was taken, and none while nobody asks, or
+2. After judging it pauses 79 times as long, however much was taken. It judges nothing while nobody asks, or
    nothing came.
 3. Where the queue grows beyond its limit, all is judged from there on, and ``since_ns`` says so.
 """
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, Link, PacketBatch, SourceStatistics
 
 _EVERY_S: Final = 1.0
-_PAUSE: Final = 39
+_PAUSE: Final = 79
 """Times as long as it judged, it pauses."""
 _SHORT_PAUSE: Final = 3
 """The same, where adding waits."""
@@ -41,9 +41,11 @@ _ASKED_S: Final = 10.0
 """So long after the last question it goes on."""
 _MOST_WAITING: Final = 64 << 20
 """Bytes that wait at the most while it judges."""
-_TOGETHER: Final = 1 << 20
-"""Bytes that wait for each other: each batch costs a millisecond, however small it is."""
+_TOGETHER: Final = 8 << 20
+"""Bytes that wait for each other: taking few datagrams costs almost as much as taking many."""
 _MOST_LISTED: Final = 50
+FIGURES: Final = "datagrams", "lost", "unaccounted", "uncertain", "messages_lost", "messages_uncertain"
+"""What a diagnosis sums up."""
 _FIGURES: Final = ("duplicated", "superseded", "waiting", "unaccounted", "uncertain")
 
 
@@ -107,7 +109,7 @@ class LiveDiagnosis:
 
     def _fresh(self) -> Examination:
         examination = self._begin()
-        examination.listing = True
+        examination.listing, examination.latest = True, _MOST_LISTED
         return examination
 
     def _run(self) -> None:
@@ -168,12 +170,7 @@ def _page_values(diagnosis: Diagnosis) -> dict[str, Any]:
     summary = summarize(diagnosis)
     return {
         "until_ns": diagnosis.end_ns,
-        "datagrams": diagnosis.datagrams,
-        "lost": diagnosis.lost,
-        "unaccounted": diagnosis.unaccounted,
-        "uncertain": diagnosis.uncertain,
-        "messages_lost": diagnosis.messages_lost,
-        "messages_uncertain": diagnosis.messages_uncertain,
+        **{name: getattr(diagnosis, name) for name in FIGURES},
         "worst": diagnosis.worst.label,
         "headline": summary.headline,
         "fine": summary.fine,
@@ -205,10 +202,7 @@ def _routes(ways: Iterable[WaySum]) -> list[dict[str, Any]]:
 def _problem(problem: Problem, diagnosis: Diagnosis) -> dict[str, Any]:
     """Return a problem with the latest of the messages that were lost by it."""
     about = {(item.link, item.msg_id) for item in problem.verdicts if item.msg_id is not None}
-    # A problem is of one spacecraft: its verdicts are those of the part.
-    ids = {id(item) for item in problem.verdicts}
-    parts = [part for part in diagnosis.parts.values() if not ids.isdisjoint(map(id, part.verdicts))]
-    every = (*parts, diagnosis)[0].missing if problem.lost else ()
+    every = diagnosis.parts.get(problem.spacecraft, diagnosis).missing if problem.lost else ()
     lost = [item for item in every if (item.link, item.msg_id) in about]
     return {
         **problem.as_json(),

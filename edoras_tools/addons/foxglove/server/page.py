@@ -8,15 +8,20 @@ import re
 from base64 import b64encode
 from functools import cache
 from hashlib import sha256
+from http import HTTPStatus
 from importlib.resources import files
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 _STATE: Final = "/live.json"
-_SHARED_S: Final = 0.5
+_SHARED_S: Final = 0.25
+_FLOWING_S: Final = 1.0
+"""The same while traffic flows: the next batch brings news before."""
 _BLOCK: Final = r"<{0}>(.*?)</{0}>"
+_REQUEST: Final = re.compile(rb"GET (/[!-~]*) HTTP/1\.1\r\n((?:[!#-'*+.0-9A-Z^-z|~-]+:[ -~]*\r\n)*)\r\n")
+_NOT_PLAIN: Final = {b"upgrade", b"content-length", b"transfer-encoding", b"expect"}
 
 
 class HttpAnswer(NamedTuple):
@@ -26,18 +31,48 @@ class HttpAnswer(NamedTuple):
     headers: Mapping[str, str]
     body: bytes
 
+    def whole(self, connection: str) -> bytes:
+        """Return the answer as bytes; ``connection``: ``close`` or ``keep-alive``."""
+        head = [f"{name}: {value}" for name, value in {**self.headers, "Connection": connection}.items()]
+        first = f"HTTP/1.1 {self.status} {HTTPStatus(self.status).phrase}"
+        return "\r\n".join([first, *head, "", ""]).encode() + self.body
+
+
+def plain_request(data: bytes) -> tuple[str, str, str | None] | None:
+    """Read a request for a page by a browser that asks again: path with query, host, origin or None.
+
+    None where it is anything else, not whole, or its connection is not to be kept.
+    """
+    match = _REQUEST.fullmatch(data)
+    lines = [line.partition(b":") for line in match[2].split(b"\r\n")[:-1]] if match else []
+    fields = {name.lower(): value.strip().decode() for name, _, value in lines}
+    again = fields.get(b"connection", "").lower() == "keep-alive"
+    if match is None or not again or len(fields) < len(lines) or _NOT_PLAIN & fields.keys():
+        return None
+    return match[1].decode(), fields.get(b"host", ""), fields.get(b"origin") or None
+
 
 class SharedState:
-    """The JSON of a state, made once for all browsers that ask within half a second; for one thread."""
+    """The JSON of a state, made once for all browsers that ask before it changed."""
 
-    def __init__(self, state: Callable[[], Mapping[str, object]], clock: Callable[[], float]) -> None:
+    def __init__(self, state: Callable[[], Mapping[str, Any]], clock: Callable[[], float]) -> None:
         self._state, self._clock = state, clock
         self._text, self._until = "", -math.inf
+        self._changes = self._shown = 0
+
+    def changed(self) -> None:
+        """Note that the state has changed; for any one thread."""
+        self._changes += 1
 
     def text(self) -> str:
-        """Return the state as JSON."""
-        if self._clock() >= self._until:
-            self._text, self._until = json.dumps(self._state()), self._clock() + _SHARED_S
+        """Return the state as JSON; for one thread."""
+        changes, now = self._changes, self._clock()
+        if now >= self._until or changes != self._shown:
+            state = self._state()
+            silent_s = (state.get("link") or {}).get("silent_s")
+            flows = silent_s is not None and silent_s < _FLOWING_S
+            self._text, self._shown = json.dumps(state), changes
+            self._until = now + (_FLOWING_S if flows else _SHARED_S)
         return self._text
 
 
@@ -62,7 +97,6 @@ def _answer(status: int, kind: str, text: str, headers: Mapping[str, str]) -> Ht
         "Content-Type": f"{kind}; charset=utf-8",
         "Content-Length": str(len(body)),
         "Cache-Control": "no-store",
-        "Connection": "close",
         "Referrer-Policy": "no-referrer",  # the address may have the token
         "X-Content-Type-Options": "nosniff",
     }

@@ -84,11 +84,17 @@ class ServerOptions:
 
 @dataclass(slots=True, eq=False)
 class _Connection:
-    """A socket, its client, and when it is closed at the latest, in s of the monotonic clock."""
+    """A socket and its client.
+
+    Attributes:
+        until: when it is closed at the latest, in s of the monotonic clock.
+        stuck: the server's thread waits until the socket takes more.
+    """
 
     socket: socket.socket
     client: FoxgloveClient
     until: float
+    stuck: bool = False
 
     def send(self) -> bool:
         """Send what the socket takes; return whether anything remains.
@@ -215,6 +221,10 @@ class FoxgloveServer:
         shared: dict[tuple[bytes, int], SharedFrames] = {}
         self._each(lambda client: client.give(records, shared))
 
+    def changed(self) -> None:
+        """Show browsers what ``link_state`` returns now."""
+        self._shared.changed()
+
     def tell_time(self, time_ns: int) -> None:
         """Send a time for the clients' clocks, ns since 1970."""
         self._each(lambda client: client.tell_time(time_ns))
@@ -277,7 +287,8 @@ class FoxgloveServer:
                 self._end()
             now = time.monotonic()
             for connection in tuple(self._connections.values()):
-                if not self._send(connection, now):
+                due = connection.stuck or connection.until <= now or connection.client.due
+                if due and not self._send(connection, now):
                     if connection.client.failed:
                         address = connection.client.address.address
                         self._tell(f"a client at {address} was disconnected: it does not read its answers")
@@ -380,6 +391,7 @@ class FoxgloveServer:
                 )
             elif path:
                 client.serve(page.answer(path, self._shared.text))
+                connection.until = time.monotonic() + PATIENCE_S
             elif len(self._open) >= MOST_CLIENTS:
                 client.refuse(503, f"{MOST_CLIENTS} clients are connected, which is the maximum.")
                 warning = f"{refusal}: {MOST_CLIENTS} clients are connected, which is the maximum"
@@ -403,12 +415,8 @@ class FoxgloveServer:
         playback = None
         if player is not None:
             start_ns, end_ns = player.range_ns
-            playback = {
-                **asdict(player.state),
-                "start_ns": start_ns,
-                "end_ns": end_ns,
-                "waiting": player.waiting,
-            }
+            times = {"start_ns": start_ns, "end_ns": end_ns}
+            playback = {**asdict(player.state), **times, "waiting": player.waiting}
         topics = zip(self._channels, self._counts.tolist(), strict=False)
         return {
             "schema": 1,
@@ -443,8 +451,9 @@ class FoxgloveServer:
             return False
         if client.ending:
             connection.until = min(connection.until, now + _GOODBYE_S)
-        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if remains else 0)
-        if self._selector.get_key(opened).events != events:
+        if remains != connection.stuck:
+            connection.stuck = remains
+            events = selectors.EVENT_READ | (selectors.EVENT_WRITE if remains else 0)
             self._selector.modify(opened, events, connection)
         return connection.until > now and not client.failed
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.addons.foxglove.server.link_state import LinkState, route_from_key, route_keys
-from edoras_tools.addons.foxglove.server.live_diagnosis import LiveDiagnosis
+from edoras_tools.addons.foxglove.server.live_diagnosis import FIGURES, LiveDiagnosis
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.examination import Examination
@@ -23,6 +23,7 @@ from edoras_tools.io.topics.rows import Messages, bodies_of, lay_out
 from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPIC, TRANSFORMS, Streams, Topic
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, PacketBatch, SourceStatistics
+from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.units import SECOND
 from edoras_tools.wire.cdr import ENCAPSULATION
 
@@ -45,9 +46,14 @@ WARN: Final = 1
 ERROR: Final = 2
 _LEVELS: Final = {"warning": WARN, "error": ERROR}
 """Severities of the doctor that are no OK."""
+_SAID: Final = "lost", "remedy", "promise"
 _MOST: Final = 256
 """Garbage may contain any number of MsgIds; those above this number share one status."""
 _BITS: Final = 32
+_PROMPT_S: Final = 0.2
+"""How long datagrams gather where a client has subscribed to what they become,"""
+_CALM_S: Final = 0.9
+"""and where only browsers look, which ask once a second: a batch costs as much as a thousand datagrams."""
 _ALL: Final = 0.95
 """Where more than this share comes through, the rates before and behind are one."""
 
@@ -84,48 +90,57 @@ class Diagnostics:
         self.latest: dict[str, dict[str, Any]] = {}
         self.judgement: Mapping[str, Any] | None = None
 
-    def messages(self, batch: PacketBatch, columns: Columns, channel_id: int) -> Messages:
-        """Add a batch of at least one row; return the message of a second, if the batch completes one."""
+    def messages(
+        self, batch: PacketBatch, columns: Columns, channel_id: int, *, wanted: bool = True
+    ) -> Messages:
+        """Add a batch of at least one row; return the message of a second, if the batch completes one.
+
+        Args:
+            wanted: whether anybody receives it; else only ``latest`` is set.
+        """
         end = int(batch.time_ns[-1])
         self._until = self._until or int(batch.time_ns[0]) + SECOND
         self._add(batch, columns)
-        if end < self._until:
-            return bodies_of([], [], channel_id)
-        self._until = end + SECOND - (end - self._until) % SECOND
-        return self._message(end, channel_id, len(batch) - 1)
+        if end >= self._until:
+            self._until = end + SECOND - (end - self._until) % SECOND
+            statuses = self._statuses()
+            self.latest = {item["name"]: item for item in statuses}
+            if wanted:
+                return self._message(statuses, end, channel_id, len(batch) - 1)
+        return bodies_of([], [], channel_id)
 
     def _add(self, batch: PacketBatch, columns: Columns) -> None:
         findings = columns.findings | batch.capture_findings
         keys, which = np.unique(route_keys(columns), return_inverse=True)
-        bits = np.unpackbits(
-            np.ascontiguousarray(findings).astype("<u4").view(np.uint8).reshape(-1, 4),
-            axis=1,
-            bitorder="little",
-        )
-        for place, value in enumerate(keys.tolist()):
-            rows = which == place
+        table = np.zeros((len(keys), _BITS + 1), np.int64)
+        table[:, _BITS] = np.bincount(which)
+        for bit in np.flatnonzero(np.bitwise_or.reduce(findings) >> np.arange(_BITS) & 1).tolist():
+            table[:, bit] = np.bincount(which[findings >> bit & 1 != 0], minlength=len(keys))
+        for value, counts in zip(keys.tolist(), table, strict=True):
             owner = route_from_key(value)
             if owner not in self._counts and len(self._counts) >= _MOST:
                 owner = (FIRST_SPACECRAFT, int(OTHER), NO_MSG_ID)
-            counts = self._counts.setdefault(owner, np.zeros(_BITS + 1, np.int64))
-            counts[:_BITS] += bits[rows].sum(axis=0, dtype=np.int64)
-            counts[_BITS] += int(rows.sum())
+            self._counts[owner] = self._counts.get(owner, 0) + counts
 
-    def _message(self, time_ns: int, channel_id: int, row: int) -> Messages:
-        seconds, rest = divmod(time_ns, SECOND)
+    def _statuses(self) -> list[dict[str, Any]]:
+        """Return the statuses of the second that ends, and begin the next."""
         statuses = [self._status(*owner, counts) for owner, counts in sorted(self._counts.items())]
         if self._statistics is not None:
             statuses.insert(0, self._capture(self._statistics))
         if self.judgement is not None:
             statuses[:0] = self._doctor_statuses(self.judgement)
         self._counts.clear()
-        self.latest = {item["name"]: item for item in statuses}
-        values = {
-            "header": {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": ""},
-            "status": statuses,
-        }
+        return statuses
+
+    def _message(self, statuses: list[dict[str, Any]], time_ns: int, channel_id: int, row: int) -> Messages:
+        stamp = dict(zip(("sec", "nanosec"), divmod(time_ns, SECOND), strict=True))
+        values = {"header": {"stamp": stamp, "frame_id": ""}, "status": statuses}
         body = self._types.encode(DIAGNOSTICS.type, values)[ENCAPSULATION.size :]
         return bodies_of([body], [time_ns], channel_id, np.array([row]))
+
+    def _entry(self, level: int, name: str, message: str, figures: Mapping[str, object]) -> dict[str, Any]:
+        values = [{"key": key, "value": str(value)} for key, value in figures.items()]
+        return {"level": level, "name": name, "message": message, "hardware_id": self._name, "values": values}
 
     def _status(self, spacecraft: int, link: int, msg_id: int, counts: NDArray[np.int64]) -> dict[str, Any]:
         label = table.link(link).label
@@ -139,61 +154,27 @@ class Diagnostics:
         topic = own if spacecraft != FIRST_SPACECRAFT else ""
         if place is not None:
             topic = self._mission.of(spacecraft).routes[place].topic
-        return {
-            "level": level,
-            "name": f"{label}: {topic or name}",
-            "message": ", ".join(worst) if level else "OK",
-            "hardware_id": self._name,
-            "values": [
-                {"key": key, "value": str(value)}
-                for key, value in {
-                    "msg_id": name,
-                    "datagrams": int(counts[_BITS]),
-                    **{item.labels[0]: count for item, count in findings.items()},
-                }.items()
-            ],
-        }
+        own_counts = {item.labels[0]: count for item, count in findings.items()}
+        figures = {"msg_id": name, "datagrams": int(counts[_BITS]), **own_counts}
+        return self._entry(level, f"{label}: {topic or name}", ", ".join(worst) if level else "OK", figures)
 
     def _doctor_statuses(self, judgement: Mapping[str, Any]) -> list[dict[str, Any]]:
         """Return what the doctor says in all, and of each problem."""
-        figures = ("datagrams", "lost", "unaccounted", "uncertain", "messages_lost", "messages_uncertain")
-        sums = {"hardware_id": self._name, "name": "doctor", "message": judgement["headline"]}
-        whole = {
-            **sums,
-            "level": _LEVELS.get(judgement["worst"], OK),
-            "values": [{"key": name, "value": str(judgement[name])} for name in figures],
-        }
-        return [whole] + [
-            {
-                "level": _LEVELS.get(item["severity"], OK),
-                "name": f"doctor: {', '.join(item['rules']) or 'loss'} {place}",
-                "message": item["text"],
-                "hardware_id": self._name,
-                "values": [
-                    {"key": key, "value": str(item[key])}
-                    for key in ("lost", "remedy", "promise")
-                    if item[key] is not None
-                ],
-            }
-            for place, item in enumerate(judgement["problems"], 1)
-        ]
+        level, figures = _LEVELS.get(judgement["worst"], OK), {name: judgement[name] for name in FIGURES}
+        statuses = [self._entry(level, "doctor", judgement["headline"], figures)]
+        for place, item in enumerate(judgement["problems"], 1):
+            name = f"doctor: {', '.join(item['rules']) or 'loss'} {place}"
+            figures = {key: item[key] for key in _SAID if item[key] is not None}
+            statuses.append(self._entry(_LEVELS.get(item["severity"], OK), name, item["text"], figures))
+        return statuses
 
     def _capture(self, statistics: SourceStatistics) -> dict[str, Any]:
         drops = statistics.kernel_drops or 0
         lost, self._drops = drops - self._drops, drops
-        return {
-            "level": ERROR if lost else OK,
-            "name": "capture",
-            "message": f"{lost} packets lost by the capture itself" if lost else "OK",
-            "hardware_id": self._name,
-            "values": [
-                {
-                    "key": "kernel_drops",
-                    "value": "not told" if statistics.kernel_drops is None else str(drops),
-                },
-                {"key": "skipped", "value": str(statistics.skipped)},
-            ],
-        }
+        shown_drops = "not told" if statistics.kernel_drops is None else drops
+        figures = {"kernel_drops": shown_drops, "skipped": statistics.skipped}
+        message = f"{lost} packets lost by the capture itself" if lost else "OK"
+        return self._entry(ERROR if lost else OK, "capture", message, figures)
 
 
 class LinkMonitor:
@@ -213,6 +194,7 @@ class LinkMonitor:
 
     Attributes:
         topics: those that are there from the start.
+        sequences: the counts of all that was added since the last ``restart``.
         definitions: the complete texts of types that ``types`` has not.
 
     Raises:
@@ -264,9 +246,11 @@ class LinkMonitor:
 
         Args:
             wanted: whether anybody receives the topic of a place: whole datagrams, which are the first topic
-                and the most expensive, and ``/tf`` are only made for them.
+                and the most expensive, and ``/tf`` are only made for them, and where nobody receives
+                anything, only what is counted here.
         """
         self.offer()
+        self._streams.all_wanted = any(map(wanted, self._places.values()))
         streams = self._streams.messages(
             batch, columns, datagrams=wanted(0), transforms=wanted(self._places[TRANSFORMS.name])
         )
@@ -276,9 +260,9 @@ class LinkMonitor:
                 own.setdefault(item.channel_id, []).append(item)
         self._doctor.add(batch, columns)
         diagnostics = self._places[DIAGNOSTICS.name]
-        if wanted(diagnostics):
+        if asked := wanted(diagnostics):
             self._diagnostics.judgement = self._doctor.ask()
-        streams.append(self._diagnostics.messages(batch, columns, diagnostics))
+        streams.append(self._diagnostics.messages(batch, columns, diagnostics, wanted=asked))
         logs = {name: own.get(place) for name, place in self._places.items() if name.endswith(EVENTS_TOPIC)}
         events = {name.removesuffix(EVENTS_TOPIC): items for name, items in logs.items() if items}
         counts = own[self._places[STATISTICS_TOPIC]][-1]
@@ -320,9 +304,9 @@ class LinkMonitor:
 
     def _begin(self) -> None:
         context, counted = self._context, self._counted
-        self._streams = Streams(
-            context.mission, self._types, counted, structs=context.structs, add=self.place, transforms=True
-        )
+        self.sequences = SequenceCounts()
+        own: dict[str, Any] = {"structs": context.structs, "add": self.place, "sequences": self.sequences}
+        self._streams = Streams(context.mission, self._types, counted, transforms=True, **own)
         self._streams.endpoints = context.endpoints
         self._link = LinkState(context.mission, self._types, counted)
         if not self._live:
@@ -392,9 +376,8 @@ class RecordedSink(ServedSink):
         """Send a batch to clients."""
         if len(batch) and self.server.clients:
             prepared = self._streams.prepare(batch, columns)
-            self.server.publish(
-                lay_out(self._streams.prepared_messages(batch, columns, prepared), len(batch))
-            )
+            messages = self._streams.prepared_messages(batch, columns, prepared)
+            self.server.publish(lay_out(messages, len(batch)))
             self.show_time(int(batch.time_ns[-1]))
 
 
@@ -409,6 +392,9 @@ class FoxgloveSink(ServedSink):
         info: of the source; gives the server its name.
         levels: see ``LinkMonitor``.
         statistics: see ``LinkMonitor``.
+
+    Attributes:
+        pace: called with the seconds that datagrams may gather from now on.
 
     Raises:
         CaptureError: the address cannot be used.
@@ -430,6 +416,7 @@ class FoxgloveSink(ServedSink):
             return self.server.add(topic)
 
         self._monitor = LinkMonitor(context, types, info.name, levels or {}, statistics, offer)
+        self.pace: Callable[[float], None] = lambda _: None
         definitions = self._monitor.definitions
         self.server = FoxgloveServer(
             f"edoras: {info.name}",
@@ -444,10 +431,17 @@ class FoxgloveSink(ServedSink):
         """Send a batch to clients."""
         if not len(batch):
             return
+        self.pace(_PROMPT_S if self.server.subscriptions else _CALM_S)
         streams = self._monitor.add(batch, columns, self.server.has_subscribers)
+        self.server.changed()
         if self.server.clients:
             self.server.publish(lay_out(streams, len(batch)))
             self.show_time(int(batch.time_ns[-1]))
+
+    @property
+    def sequences(self) -> SequenceCounts:
+        """See ``LinkMonitor``; for others that see the same batches."""
+        return self._monitor.sequences
 
     def write_faults(self, faults: Sequence[Fault]) -> None:
         """Send injected faults, with times in ns since 1970."""

@@ -3,6 +3,7 @@ from __future__ import annotations
 import re
 from types import SimpleNamespace
 
+import pytest
 from places import SAMPLES
 
 from edoras_tools.addons.foxglove.server.link_state import LinkState
@@ -82,6 +83,16 @@ def test_what_is_silent_has_no_rate(capture, types, monkeypatch):
     assert silent["rate_hz"] == 0
     assert silent["silent_s"] > 99
     assert LinkState(Mission(), types, None).summary()["silent_s"] is None
+
+
+@pytest.mark.parametrize(("age_s", "silent_s"), [(0.7, 0.7), (-0.7, 0), (3, 0)])
+def test_silence_begins_with_the_last_packet_that_gathered(capture, types, age_s, silent_s):
+    rover = capture("a_rover", "rover_ground")
+    batch, columns = rover.pairs[0]
+    state = LinkState(rover.mission, types, None)
+    state.clock, state.wall = lambda: 50.0, lambda: int(batch.time_ns[-1]) + int(age_s * 1e9)
+    state.add(batch, columns, (), {}, {})
+    assert state.summary()["silent_s"] == pytest.approx(silent_s)
 
 
 def test_any_number_of_msg_ids_has_a_limit(capture, types, monkeypatch):

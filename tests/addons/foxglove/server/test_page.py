@@ -17,6 +17,7 @@ import pytest
 import waiting
 
 from edoras_tools.addons.foxglove.server import page
+from edoras_tools.addons.foxglove.server import server as foxglove_server
 from edoras_tools.addons.foxglove.server.origins import OriginCheck
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.rows import Records
@@ -241,9 +242,115 @@ def test_a_browser_says_that_traffic_stopped(serve, state, text, kind):
     assert "Not judged yet." in shown
 
 
-def test_browsers_that_ask_at_once_share_an_answer():
+@pytest.mark.parametrize(
+    ("link", "lasts"), [(None, 0.25), ({"silent_s": 1.2}, 0.25), ({"silent_s": 0.1}, 1.0)]
+)
+def test_browsers_that_ask_at_once_share_an_answer(link, lasts):
     now, asked = [0.0], []
-    shared = page.SharedState(lambda: asked.append(0) or {"asked": len(asked)}, lambda: now[0])
-    assert [shared.text(), shared.text()] == ['{"asked": 1}'] * 2
-    now[0] = 0.6
-    assert shared.text() == '{"asked": 2}'
+
+    def state():
+        asked.append(0)
+        return {"asked": len(asked), "link": link}
+
+    shared = page.SharedState(state, lambda: now[0])
+
+    def number():
+        return json.loads(shared.text())["asked"]
+
+    assert [number(), number()] == [1, 1]
+    now[0] += lasts - 0.01
+    assert number() == 1
+    now[0] += 0.02
+    assert [number(), number()] == [2, 2]
+    shared.changed()
+    assert [number(), number()] == [3, 3]
+
+
+BROWSER = b"GET /live.json?token=a HTTP/1.1\r\nHost: 127.0.0.1:8765\r\nConnection: keep-alive\r\n"
+SOCKET = b"Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+
+
+def test_a_request_of_a_browser_is_read():
+    assert page.plain_request(BROWSER + b"\r\n") == ("/live.json?token=a", "127.0.0.1:8765", None)
+    origin = b"oRIGIN:  http://localhost:3000 \r\nAccept: */*\r\n"
+    assert page.plain_request(BROWSER + origin + b"\r\n")[2] == "http://localhost:3000"
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        BROWSER,
+        BROWSER + b"\r\nGET",
+        BROWSER + b"Upgrade: websocket\r\n\r\n",
+        BROWSER + b"Content-Length: 4\r\n\r\n",
+        BROWSER + b"Host: evil.example\r\n\r\n",
+        BROWSER + b" folded: 1\r\n\r\n",
+        BROWSER + b"bad name: 1\r\n\r\n",
+        BROWSER + b"A: \xff\r\n\r\n",
+        BROWSER.replace(b"keep-alive", b"close") + b"\r\n",
+        BROWSER.replace(b"GET", b"POST") + b"\r\n",
+        BROWSER.replace(b"1.1\r", b"1.0\r") + b"\r\n",
+    ],
+)
+def test_anything_else_is_left_to_the_websocket(data):
+    assert page.plain_request(data) is None
+
+
+def received(opened):
+    """Status, connection and body of one answer."""
+    data = b""
+    while b"\r\n\r\n" not in data:
+        data += opened.recv(1)
+    head = data.decode()
+    left = int(re.search(r"Content-Length: (\d+)", head)[1])
+    body = b""
+    while len(body) < left:
+        body += opened.recv(left - len(body))
+    return int(head.split()[1]), re.search(r"Connection: (\S+)", head)[1], body
+
+
+def test_a_connection_is_kept_and_each_request_has_the_rules(serve):
+    server = serve(token="a")
+    place = (server.endpoint.address, server.endpoint.port)
+    with socket.create_connection(place, waiting.PATIENCE_S) as opened:
+        for _ in range(3):
+            opened.sendall(BROWSER + b"\r\n")
+            status, connection, body = received(opened)
+            assert (status, connection, json.loads(body)["name"]) == (200, "keep-alive", "a <b>link</b>")
+        opened.sendall(BROWSER.replace(b"token=a", b"token=b") + b"\r\n")
+        assert received(opened)[:2] == (401, "close")
+        assert opened.recv(1) == b""
+
+
+def test_a_connection_that_is_kept_may_become_a_client(serve):
+    server = serve()
+    place = (server.endpoint.address, server.endpoint.port)
+    with socket.create_connection(place, waiting.PATIENCE_S) as opened:
+        opened.sendall(BROWSER + b"\r\n")
+        assert received(opened)[0] == 200
+        upgrade = BROWSER.replace(b"keep-alive", b"Upgrade") + SOCKET
+        opened.sendall(upgrade + b"Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n")
+        assert opened.recv(12) == b"HTTP/1.1 101"
+
+
+def test_who_asks_again_before_it_has_read_is_closed(serve):
+    server = serve()
+    server.link_state = lambda: {**LINK, "routes": LINK["routes"] * 5000}  # more than a socket holds
+    place = (server.endpoint.address, server.endpoint.port)
+    with socket.create_connection(place, waiting.PATIENCE_S) as opened:
+        opened.sendall(BROWSER + b"\r\n")
+        waiting.until(lambda: any(item.stuck for item in server._connections.values()))
+        opened.sendall(BROWSER + b"\r\n")
+        assert received(opened)[:2] == (200, "keep-alive")
+        assert received(opened)[:2] == (200, "close")
+        assert opened.recv(1) == b""
+
+
+def test_a_connection_that_is_kept_ends_after_a_while(serve, monkeypatch):
+    monkeypatch.setattr(foxglove_server, "PATIENCE_S", 0.1)
+    server = serve()
+    with socket.create_connection((server.endpoint.address, server.endpoint.port), 30) as opened:
+        opened.sendall(BROWSER + b"\r\n")
+        assert received(opened)[0] == 200
+        assert opened.recv(1) == b""

@@ -115,6 +115,19 @@ def test_what_is_served_is_what_a_recording_holds(serve, capture, types, tmp_pat
     assert len(client.on("/cmd_vel")) == 600
 
 
+def test_a_source_gathers_for_longer_where_no_client_has_subscribed(serve, capture):
+    rover, paces = capture("a_rover", "rover_ground"), []
+    sink = serve(rover)
+    sink.pace = paces.append
+    sink.write(*rover.pairs[0])
+    with peer.Client(sink.server.url, len(sink.server._channels)) as client:
+        sink.write(*rover.pairs[0])
+        client.subscribe("/cmd_vel")
+        peer.wait(lambda: sink.server.subscriptions)
+        sink.write(*rover.pairs[0])
+        assert paces == [0.9, 0.9, 0.2]
+
+
 def test_what_is_watched_without_a_server_has_the_doctors_figures_at_its_routes(capture, types):
     rover = capture("a_rover", "rover_ground")
     watched = LinkMonitor(Context(rover.mission, types), types, "a", {}, None, live=False)
