@@ -3,8 +3,8 @@
 Rules:
 
 1. Whoever writes batches never waits for a judgement: what comes meanwhile waits in a queue.
-2. After judging it pauses 79 times as long, however much was taken. It judges nothing while nobody asks, or
-   nothing came.
+2. After judging it pauses 99 times as long, however much was taken; 9 times where nothing comes any more, and
+   not after the first time, which loads what it needs. It judges nothing while nobody asks, or nothing came.
 3. Where the queue grows beyond its limit, all is judged from there on, and ``since_ns`` says so.
 """
 
@@ -33,8 +33,11 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, Link, PacketBatch, SourceStatistics
 
 _EVERY_S: Final = 1.0
-_PAUSE: Final = 79
+_PAUSE: Final = 99
 """Times as long as it judged, it pauses."""
+_QUIET_PAUSE: Final = 9
+"""The same, where nothing came for ``_QUIET_S``."""
+_QUIET_S: Final = 2.0
 _SHORT_PAUSE: Final = 3
 """The same, where adding waits."""
 _ASKED_S: Final = 10.0
@@ -46,6 +49,7 @@ _TOGETHER: Final = 8 << 20
 _MOST_LISTED: Final = 50
 FIGURES: Final = "datagrams", "lost", "unaccounted", "uncertain", "messages_lost", "messages_uncertain"
 """What a diagnosis sums up."""
+_SUMS: Final = "came", "out", "all_lost"
 _FIGURES: Final = ("duplicated", "superseded", "waiting", "unaccounted", "uncertain")
 
 
@@ -72,7 +76,7 @@ class LiveDiagnosis:
         self._queue_bytes = 0
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
-        self._last_question = 0.0
+        self._last_question = self._added = 0.0
         self._since_ns: int | None = None
         self._latest: dict[str, Any] | None = None
         self._before: tuple[int, Mapping[Any, int]] = 0, {}
@@ -81,6 +85,7 @@ class LiveDiagnosis:
         """Take a batch of at least one row; it is not changed afterwards."""
         part = compact(batch, columns)
         with self._state:
+            self._added = time.monotonic()
             self._queue.append(part)
             self._queue_bytes += len(part[0].data) + ROW_BYTES * len(batch)
             enough = self._queue_bytes >= _TOGETHER
@@ -113,13 +118,17 @@ class LiveDiagnosis:
         return examination
 
     def _run(self) -> None:
-        pause = 0.0
-        while not self._stop.wait(pause):
+        wait = ended = cost = 0.0
+        while not self._stop.wait(wait):
+            wait, now = _EVERY_S, time.monotonic()
             with self._state:
-                if time.monotonic() - self._last_question > _ASKED_S:
+                if now - self._last_question > _ASKED_S:
                     self._thread = None
                     return
-            began = time.thread_time()
+                usual = _QUIET_PAUSE if now - self._added > _QUIET_S else _PAUSE
+            if now - ended < cost * (_SHORT_PAUSE if self.waits else usual):
+                continue
+            began, first = time.thread_time(), self._latest is None
             with self._judging:
                 self._take_queue()
                 came, self._news = self._news, False
@@ -129,8 +138,7 @@ class LiveDiagnosis:
                 self._add_rates(latest)
                 with self._state:
                     self._latest = latest
-            factor = _SHORT_PAUSE if self.waits else _PAUSE
-            pause = max(_EVERY_S, factor * (time.thread_time() - began))
+            ended, cost = time.monotonic(), 0.0 if first else time.thread_time() - began
 
     def _add_rates(self, latest: dict[str, Any]) -> None:
         """Say how many a second came out of each hop since the judgement before."""
@@ -244,10 +252,5 @@ def _ends(link: Link, first: str) -> tuple[str, str]:
 
 def _hop(hop: str, rows: Iterable[Row]) -> dict[str, Any]:
     rows = list(rows)
-    return {
-        "hop": hop,
-        "in": sum(row.came for row in rows),
-        "out": sum(row.out for row in rows),
-        "lost": sum(row.all_lost for row in rows),
-        **{name: sum(getattr(row, name) for row in rows) for name in _FIGURES},
-    }
+    came, out, lost, *rest = (sum(getattr(row, name) for row in rows) for name in (*_SUMS, *_FIGURES))
+    return {"hop": hop, "in": came, "out": out, "lost": lost, **dict(zip(_FIGURES, rest, strict=True))}

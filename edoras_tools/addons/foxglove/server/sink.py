@@ -52,7 +52,7 @@ _MOST: Final = 256
 _BITS: Final = 32
 _PROMPT_S: Final = 0.2
 """How long datagrams gather where a client has subscribed to what they become,"""
-_CALM_S: Final = 0.9
+_CALM_S: Final = 0.95
 """and where only browsers look, which ask once a second: a batch costs as much as a thousand datagrams."""
 _ALL: Final = 0.95
 """Where more than this share comes through, the rates before and behind are one."""

@@ -3,6 +3,7 @@ from __future__ import annotations
 import threading
 from functools import partial
 
+import numpy as np
 import pytest
 import waiting
 
@@ -142,6 +143,25 @@ def test_it_judges_only_while_somebody_asks(diagnosis, capture, monkeypatch):
     item.close()
     assert item.ask()["lost"] == LOST, "what it judged stays"
     assert not item._thread.is_alive()
+
+
+@pytest.mark.parametrize(("quiet_s", "judges"), [(3600.0, False), (0.0, True)])
+def test_it_pauses_less_where_nothing_comes_any_more(quiet_s, judges, diagnosis, capture, monkeypatch):
+    monkeypatch.setattr(live_diagnosis, "_EVERY_S", 0.01)
+    monkeypatch.setattr(live_diagnosis, "_PAUSE", 1e9)
+    monkeypatch.setattr(live_diagnosis, "_QUIET_PAUSE", 0)
+    monkeypatch.setattr(live_diagnosis, "_QUIET_S", quiet_s)
+    rover = capture("a_rover", "rover_ground")
+    batch, columns = rover.pairs[0]
+    item, before = diagnosis(rover), 0
+    for number, rows in enumerate(np.array_split(np.arange(len(batch)), 3)):
+        item.add(batch.take(rows), columns.take(rows))
+        if number == 2 and not judges:
+            item.close()
+            assert item.ask()["datagrams"] == before
+        else:
+            waiting.until(lambda least=before: (item.ask() or {"datagrams": 0})["datagrams"] > least)
+        before = item.ask()["datagrams"]
 
 
 def test_what_several_links_share_is_a_flow_without_ends():
