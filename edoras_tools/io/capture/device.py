@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 _AT_ONCE = 4 << 20
 """Maximum bytes of one batch, or one read of the device if that is more."""
 _GATHER_S = 0.06
+_LEAD_S = 0.05
+"""How long before a batch is due a device is read, which may have to wait for the kernel first."""
 _STEP_S = 0.1
 """How long ``discard`` waits for the thread at a time."""
 _CHECK_S = 0.2
@@ -362,10 +364,10 @@ class DeviceSource(SourceDefaults):
     def _until_read_s(self) -> float:
         """Return in how many seconds to read for the next batch: when it is due, or frames wait for two.
 
-        What decodes it then runs right behind: there is one wake-up of each for a batch.
+        What decodes it then runs soon behind: there is one wake-up of each for a batch.
         """
-        due_s = max(self._due_s(), 0)
-        return due_s if due_s > self.gather_s / 2 else due_s + self.gather_s
+        read_s = max(self._due_s(), 0) - min(_LEAD_S, self.gather_s / 4)
+        return read_s if read_s > self.gather_s / 2 else read_s + self.gather_s
 
     def _drain(self) -> bool:
         """Queue what the device holds; return whether to continue at once, because there may be more."""

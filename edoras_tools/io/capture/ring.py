@@ -299,8 +299,7 @@ class Ring(Device):
     def _filled(self, size: int) -> None:
         """Set how long frames may gather from now on, by how many bytes came since the last time."""
         now = time.monotonic()
-        holds_s = self._ring.size / _FILL_RATE
-        longest_s = _LINGER_S if holds_s >= _CHECKED_S else holds_s
+        longest_s = _LINGER_S if (holds_s := self._ring.size / _FILL_RATE) >= _CHECKED_S else holds_s
         self._enough_s = min(longest_s, max(_ENOUGH * (now - self._copied) / size, _BUSY_LINGER_S))
         self._copied = now
         if self._asked is None:
