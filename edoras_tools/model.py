@@ -676,6 +676,9 @@ class SourceStatistics:
         outages: when an interface was away, in order of time; the last may still go on.
         passed_over: datagrams of a recording that were not read, because nothing asks for them.
         cut: datagrams that never became whole, at most 16,384 and those that still wait; filled at the end.
+        shared: datagrams that are left out, for another capture that is read with this one has them.
+        astray: time (ns since 1970) and fingerprint of each datagram that never came to the place of another
+            capture that is read with this one, where that is on its way.
     """
 
     frames: int = 0
@@ -689,6 +692,8 @@ class SourceStatistics:
     warnings: list[str] = field(default_factory=list)
     outages: list[InterfaceOutage] = field(default_factory=list)
     cut: list[CutDatagram] = field(default_factory=list)
+    shared: int = 0
+    astray: list[tuple[int, int]] = field(default_factory=list)
 
     @property
     def ended(self) -> bool:

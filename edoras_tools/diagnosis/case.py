@@ -104,6 +104,8 @@ class Capture:
         evidence: what links saw in it themselves.
         unwrappers: what took packets out of what carried them, and what its counts say.
         lacking: datagrams of which the first fragment is in it, and later ones are not.
+        shared: of ``SourceStatistics``, as the next.
+        astray: where they are known.
     """
 
     drops: int | None = None
@@ -115,6 +117,8 @@ class Capture:
     evidence: Mapping[Link, LinkEvidence] = field(default_factory=dict)
     unwrappers: Mapping[Link, Unwrapper] = field(default_factory=dict)
     lacking: tuple[CutDatagram, ...] = ()
+    shared: int = 0
+    astray: tuple[tuple[int, int], ...] = ()
 
     def evidence_of(self, link: Link, kind: type[OfLink]) -> OfLink | None:
         """Return what a link saw in it, or took packets out with; None where that is of no such kind."""
@@ -186,7 +190,7 @@ class Case:
         proxied: Mapping[RouteWay, Proxied] | None = None,
     ) -> None:
         self.proxied: Mapping[RouteWay, Proxied] = proxied or {}
-        self.prepared = prepare(recorder, self.proxied)
+        self.prepared = prepare(recorder, self.proxied, capture.astray, shared=capture.shared > 0)
         payloads = self.prepared.payloads
         rows, self.jumps, self.instances = steadied(self.prepared.rows, payloads.events, recorder.endpoints)
         if self.jumps:  # what seemed to begin anew went on
@@ -337,6 +341,26 @@ class Case:
     def hops(self) -> list[Hop]:
         """Streams that come out again as others."""
         return find_hops([*self.streams, *self.robots], self.rows, self)
+
+    @cached_property
+    def damaged(self) -> dict[int, Rows]:
+        """Datagrams that the network damaged, by the id of the stream that lacks them; 0: of no stream."""
+        rows, hosts = self.prepared.damaged, self.instances.hosts
+        places: dict[int, list[int]] = {}
+        for place, when in enumerate(rows.time_ns.tolist()):
+            own = [
+                (max(int(item.time_ns[0]) - when, when - int(item.time_ns[-1]), 0), id(item))
+                for item in [*self.streams, *self.robots]
+                if (item.link, item.msg_id) == (rows.link[place], rows.msg_id[place])
+                and item.receiver == rows.destination[place]
+                and hosts[item.sender] == hosts[rows.source[place]]
+            ]
+            places.setdefault(min(own, default=(0, 0))[1], []).append(place)
+        return {key: rows.take(np.array(own)) for key, own in places.items()}
+
+    def damaged_of(self, stream: Stream) -> Rows:
+        """Return the datagrams of a stream that the network damaged."""
+        return self.damaged.get(id(stream)) or self.prepared.damaged.take(slice(0))
 
     def arrival(self, stream: Stream) -> Hashable:
         """Return all that decides what may come out of a stream; None where nobody took it."""

@@ -434,7 +434,9 @@ class Examination:
             found = replace(found, verdicts=(told, *found.verdicts))
         if not self._others:
             return found
-        rest = replace(whole, zero_ns=found.zero_ns, evidence={}, unwrappers={}, host=(), lacking=(), cut=0)
+        rest = replace(
+            whole, zero_ns=found.zero_ns, evidence={}, unwrappers={}, host=(), lacking=(), astray=(), cut=0
+        )
         others = {number: other.diagnose(rest) for number, other in sorted(self._others.items())}
         return side_by_side({FIRST_SPACECRAFT: found, **others}, self.context.mission)
 

@@ -32,7 +32,9 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
 from edoras_tools.links import table
 from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.wire.arrays.order import groups
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.losses import Fate
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.relays import LostInRelay
+    from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Verdict
     from edoras_tools.wire.arrays.order import Places
@@ -67,6 +70,8 @@ UNHEARD: Final = "sbn_timeout"
 PEER_RESTARTED: Final = "sbn_peer_restart"
 """Cause of the loss of what was sent to a peer that was started again: the rule that tells of it."""
 TO_SOCKET: Final = "to_socket"
+DAMAGED: Final = "damaged"
+"""Cause of the loss of what the network damaged: the rule that tells of it."""
 ON_PURPOSE: Final = "/edoras/faults: done on purpose"
 NOT_COUNTED: Final = "not observable: "
 """How the text begins that says what would have counted a figure."""
@@ -79,7 +84,9 @@ _BY_BUS: Final[Mapping[str, str]] = {"in": "0x803: it counts only what is lost",
 _BEFORE_CI: Final = frozenset({"network", "socket", "down", "restart", "ci_stopped", PORT_CLOSED})
 _NOT_READ: Final = frozenset({"down", PORT_CLOSED})
 _ON_BUS: Final = frozenset({*COUNTERS, "unknown"})
-_BEHIND_BUS: Final = frozenset({"stopped", "restart_failed", "away", "unsubscribed", "disabled", "route"})
+_BEHIND_BUS: Final = frozenset(
+    {"stopped", "restart_failed", "away", "unsubscribed", "disabled", "route", DAMAGED}
+)
 _AT_PIPE: Final = frozenset({*COUNTERS, "stopped", "away", "route"})
 _BEHIND_PIPE: Final = frozenset({"after", "unknown", "fragments"})
 
@@ -134,6 +141,7 @@ CAUSES: Final[Mapping[str, LossCause]] = {
         "on the way, where later fragments are dropped", "its later fragments never came", ("lost_after_cfs",)
     ),
     TO_SOCKET: LossCause("at Telemetry Output's failed socket"),
+    DAMAGED: LossCause("damaged on the way", "it came damaged: its checksum is wrong"),
     "before_capture": LossCause("before the capture", rules=("dds_lost",)),
     "given_up": LossCause("given up by their reader", rules=("dds_lost",)),
     PROXY_HOP: LossCause("dropped on purpose by the proxy", rules=("proxy_faults",)),
@@ -453,6 +461,7 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
                 _to_port(case, way, item)
         yield way
     yield from _all_dropped(case)
+    yield from _damaged(case)
     for item in case.unreached:
         if not item.own:
             way = LedgerWay(LedgerTraffic(link=item.stream.link.label), len(item.stream))
@@ -484,6 +493,7 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     traffic = LedgerTraffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
     entered = len(stream) + len(dropped) - doubled
     entered += relayed.more if relayed else 0
+    entered += len(case.damaged_of(stream))
     way = LedgerWay(traffic, entered, doubtful=case.perhaps_doubled(stream))
     if relayed:
         losses = _by_relay(way, relayed, losses)
@@ -496,8 +506,8 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     if not fate.seen:
         way.lose(losses, _BEHIND_BUS)
     way.lose(losses, _ON_BUS)
-    for item, number, among in case.commands.refused_of.get(id(stream), ()):
-        _refuse(way, item, number, among)
+    for item, number, refused in case.commands.refused_of.get(id(stream), ()):
+        _refuse(way, item, number, refused)
     way.end("shared", min(fate.ends["shared"], way.left))
     _behind_bus(case, fate, way)
     way.copies = _lost_copies(case, fate, doubled)
@@ -555,6 +565,26 @@ def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
         _applied(case, fate, way)
 
 
+def _damaged(case: Case) -> Iterator[LedgerWay]:
+    """Yield what came to cFS damaged so that nothing else of its MsgId is in the capture."""
+    rows = case.damaged.get(0, case.prepared.damaged.take(slice(0)))
+    to_cfs = among(rows.link, lambda link: link.to_cfs and link.packets)
+    to_cfs &= (rows.msg_id != NO_MSG_ID) | ~among(rows.link, lambda link: link.peers)
+    to_cfs &= np.isin(rows.destination, [item.stream.receiver for item in case.commands.fates.values()])
+    for key, own in groups(rows.link.astype(np.int64) << 32 | (rows.msg_id + 1), np.flatnonzero(to_cfs)):
+        link, msg_id = table.link(key >> 32), (key & 0xFFFFFFFF) - 1
+        way = LedgerWay(LedgerTraffic(link=link.label, msg_id=None if msg_id < 0 else msg_id), len(own))
+        way.hop(SBN_SOCKET if link.peers else CI_HOP, {"in": _SEEN, "lost": "checksums"})
+        _lose_damaged(way, rows.take(own))
+        yield way
+
+
+def _lose_damaged(way: LedgerWay, rows: Rows) -> None:
+    """Let end at the last hop datagrams that came damaged."""
+    for when in rows.time_ns.tolist():
+        way.end("lost", 1, DAMAGED, text=CAUSES[DAMAGED].listed, times_ns=(when, when))
+
+
 def _taken_in(
     case: Case, fate: Fate, way: LedgerWay, all_out: Mapping[str, str], losses: Sequence[Loss]
 ) -> None:
@@ -565,12 +595,14 @@ def _taken_in(
         by = "the kernel's counter of its socket" if any(item.by_kernel for item in accounts) else "0x884"
         way.hop(CI_HOP, {"in": _SEEN, **({"out": by} if accounts else all_out or {"lost": _NO_INGEST})})
         way.lose(losses, _BEFORE_CI)
+        _lose_damaged(way, case.damaged_of(stream))
         way.end("waiting", fate.ends["queued"])
         way.end("uncertain", fate.ends["crowded"])
         way.end("not_captured", min(fate.ends["late"], way.left))
-    elif any(loss.kind in _NOT_READ for loss in losses):
+    elif any(loss.kind in _NOT_READ for loss in losses) or len(case.damaged_of(stream)):
         way.hop(SBN_SOCKET, {"in": _SEEN, "out": "not counted: what came out, and what the bus counts"})
         way.lose(losses, _NOT_READ)
+        _lose_damaged(way, case.damaged_of(stream))
 
 
 def _applied(case: Case, fate: Fate, way: LedgerWay) -> None:
@@ -614,10 +646,16 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     counted = {"in": by, "out": _SEEN}
     way.hop(BEHIND, counted, duplicated=stream.duplicates - doubled if stream.counted else 0)
     way.lose(losses, _BEHIND_PIPE)
+    _lose_damaged(way, case.damaged_of(stream).take(slice(telemetry.ended(stream, "damaged"))))
     way.end("not_captured", telemetry.ended(stream, "away"))
     way.end("unaccounted", telemetry.ended(stream, "untold"))
     way.end("uncertain", telemetry.ended(stream, "uncertain"))
-    way.close(len(stream))
+    astray = (
+        item.lost
+        for item in losses
+        if item.among and item.among.stream is stream and item.among.missing is None
+    )
+    way.close(len(stream) - sum(astray))
     return way
 
 

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs.time_services import START_S
-from edoras_tools.diagnosis.evidence.clocks.alignment import MISSION_TIME, Alignment, align, boot_offsets
+from edoras_tools.diagnosis.evidence.clocks.alignment import (
+    MISSION_TIME,
+    Alignment,
+    align,
+    boot_offsets,
+    lost_between,
+)
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.errors import CaptureError
@@ -121,6 +127,7 @@ def open_aligned(
     alone: list[Source] = []
     notes = []
     set_back: dict[int, list[ClockLine]] = {0: []}
+    astray: list[tuple[int, int]] = []
     for at, (path, table) in enumerate(zip(paths[1:], tables[1:], strict=True), 1):
         if progress is not None:
             progress.step("aligning clocks", at, len(paths))
@@ -158,9 +165,16 @@ def open_aligned(
         is_one_clock = not is_cfe_file(path) and _follows(tables[to], table, shift)
         set_back[at] = set_back[to] if is_one_clock else [shift.line, *set_back[to]]
         sources.append(Aligned(open_file(path), set_back[at], shift.shared))
+        sources[0].statistics.shared += len(shift.shared)
+        for side, chosen in zip((to, at), lost_between(tables[to], table, shift), strict=True):
+            rows = tables[side].rows().take(chosen)
+            for line in set_back[side]:
+                rows = replace(rows, time_ns=line.set_back(rows.time_ns))
+            astray += zip(rows.time_ns.tolist(), rows.bytes_print.tolist(), strict=True)
         if not is_one_clock:
             some = f"; {len(shift.shared):,} datagrams are in both, counted once" if len(shift.shared) else ""
             notes.append(f"{path}: its clock is {shift.told(str(paths[to]))}{some}")
+    sources[0].statistics.astray += astray
     return OneByOne([merge_sources(sources), *alone]) if alone else merge_sources(sources), notes
 
 

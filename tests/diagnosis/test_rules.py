@@ -11,6 +11,7 @@ import pytest
 from fprime_session import space
 from icmp_errors import datagram, error_about, frame
 from mutations import Frame, frames
+from mutations import damaged as damaging
 from mutations import write as write_frames
 from pdus import eof, finished, metadata, nak, pdu, piece, with_crc
 from places import CAPTURES, ROOT
@@ -273,6 +274,13 @@ def lost_after_cfs(lab, tmp_path, msg_id):
     sent, _ = lab.simulate(seconds=30)
     at = [index for index, item in enumerate(sent) if item.destination.port == 1235 and msg_id(item) == 0x827]
     return lab.examine([item for index, item in enumerate(sent) if index not in {at[8], at[9], at[15]}])
+
+
+@case
+def damaged(lab, tmp_path, msg_id):
+    change = damaging(0.05, 1235)
+    after = change(frames(ROOT / "tests/captures/a_rover.pcap.zst"), random.Random(1))
+    return lab.read(write_frames(tmp_path / "x.pcap", after), lab.missions("rover"))
 
 
 @case

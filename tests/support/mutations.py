@@ -64,6 +64,49 @@ def doubled_later(share: float, after_ns: int) -> Change:
     return change
 
 
+PORT = 36
+"""Where a frame has the destination port: Ethernet, and IPv4 without options."""
+
+
+def internet_checksum(data):
+    """Return the checksum of RFC 1071."""
+    total = sum(struct.unpack(f">{(len(data) + 1) // 2}H", bytes(data) + bytes(len(data) % 2)))
+    return ~(total % 0xFFFF) & 0xFFFF
+
+
+def summed(data):
+    """Return a frame with the checksums of IPv4 and UDP that its sender's network card would have made."""
+    frame = bytearray(data)
+    frame[24:26] = frame[40:42] = bytes(2)
+    struct.pack_into(">H", frame, 24, internet_checksum(frame[14:34]))
+    pseudo = bytes(frame[26:34]) + struct.pack(">HH", 17, len(frame) - 34)
+    struct.pack_into(">H", frame, 40, internet_checksum(pseudo + frame[34:]) or 0xFFFF)
+    return frame
+
+
+def flipped(data, chance, first=42):
+    """Return a frame with one bit turned over on its way, behind so many bytes."""
+    frame = summed(data)
+    frame[chance.randrange(first, len(frame))] ^= 1 << chance.randrange(8)
+    return bytes(frame)
+
+
+def is_to(data, *ports):
+    """Tell whether a frame is a UDP datagram to one of these ports."""
+    udp = data[12:14] == b"\x08\0" and data[23] == 17
+    return udp and int.from_bytes(data[PORT : PORT + 2], "big") in ports
+
+
+def damaged(share: float, *ports: int) -> Change:
+    """Turn a bit over in a share of the datagrams to some ports, as a network does."""
+    return lambda items, chance: [
+        item._replace(data=flipped(item.data, chance))
+        if is_to(item.data, *ports) and chance.random() < share
+        else item
+        for item in items
+    ]
+
+
 def displaced(within_ns: int = SECOND) -> Change:
     """Change the order of the records, each by at most so much; times stay."""
     return lambda items, chance: sorted(items, key=lambda item: item.time_ns + chance.randrange(within_ns))

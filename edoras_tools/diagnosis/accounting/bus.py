@@ -112,13 +112,13 @@ class Part:
     evidence: list[str] = field(default_factory=list)
 
 
-GapEnd = Literal["closed", "proxied", "untold", "away", "uncertain"]
+GapEnd = Literal["closed", "proxied", "damaged", "untold", "away", "uncertain"]
 """How counts end that are missing and in no loss.
 
 Those that were published while the way out was ``closed``, and are in no counter; that a proxy dropped on
-purpose; ``untold``: cut frames do not tell whose they are, or nothing tells whether Telemetry Output was to
-send them; that are missing while the capturing interface was ``away``; ``uncertain``: the capture itself may
-have missed them."""
+purpose; ``damaged``: they came with a wrong checksum; ``untold``: cut frames do not tell whose they are, or
+nothing tells whether Telemetry Output was to send them; that are missing while the capturing interface was
+``away``; ``uncertain``: the capture itself may have missed them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +172,10 @@ class Telemetry:
         for stream in case.streams:
             if not stream.link.only_to_cfs:
                 self._claim(stream)
+                # Before the first that came and behind the last no gap shows them.
+                times, when = stream.time_ns, case.damaged_of(stream).time_ns
+                outside = (when < times[0]) | (when > times[-1]) | (not stream.counted)
+                self.ends[id(stream)]["damaged"] += int(outside.sum())
         self._dropped_unseen()
 
     def ended(self, stream: Stream, how: GapEnd) -> int:
@@ -293,18 +297,23 @@ class Telemetry:
                 self.ends[id(stream)]["proxied"] += more
 
     def _dropped(self, stream: Stream) -> NDArray[np.int64]:
-        """Return how many of what is missing behind each row a proxy dropped on purpose, by their counts."""
+        """Return how many are missing behind each row that others tell of, by their counts.
+
+        A proxy dropped them on purpose, or they came damaged.
+        """
         found = np.zeros(len(stream), np.int64)
-        counts = self._case.done_to(stream).counts(peers=stream.link.peers)
-        if counts:
-            before = self._case.rows.sequence_count[stream.rows].astype(np.int64)
+        dropped = self._case.done_to(stream).counts(peers=stream.link.peers)
+        damaged = self._case.damaged_of(stream).sequence_count.astype(np.int64).tolist()
+        before = self._case.rows.sequence_count[stream.rows].astype(np.int64)
+        both: tuple[tuple[GapEnd, list[int]], ...] = ("proxied", dropped), ("damaged", damaged)
+        for ending, counts in both:
             for count in counts:
                 # Of gaps that a count fits into, where counts have wrapped, the first that has room.
                 fits = (count - before - 1) % MODULUS < stream.missing
                 at = np.flatnonzero(fits & (found < stream.missing))
                 if len(at):
                     found[at[0]] += 1
-            self.ends[id(stream)]["proxied"] = int(found.sum())
+                    self.ends[id(stream)][ending] += 1
         return found
 
     def _claim_closed(self, part: Part, gap: _Gaps) -> None:

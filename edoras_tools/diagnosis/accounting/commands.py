@@ -29,10 +29,11 @@ from edoras_tools.diagnosis.accounting.claims import (
     settle_rest,
     shares,
 )
-from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, Stops
+from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, UDP_PORT, Stops
 from edoras_tools.diagnosis.accounting.ingest import BeforeCi
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
+    BEHIND,
     COUNTERS,
     SBN_SOCKET,
     TAIL_NS,
@@ -104,6 +105,12 @@ class Commands:
             key = fate.stream.link.label, fate.stream.msg_id
             self._by_packet.setdefault(key, []).append(fate)
         self._spans = {key: _spans(own) for key, own in self._by_packet.items()}
+        for fate in fates:
+            self._damaged(fate)
+            self._astray(fate.stream, fate)
+        for stream in case.streams:
+            if id(stream) not in self.fates:
+                self._astray(stream)
         before_ci, pipes = BeforeCi(case, fates, self.losses), Pipes(case, self.losses)
         for account in case.ingests:
             before_ci.share(account)
@@ -150,6 +157,40 @@ class Commands:
         for fate in fates:
             if fate.stream.known_id == telemetry_output.COMMAND_MSG_ID and fate.stream.link.only_to_cfs:
                 self._commanded(fate)
+
+    def _damaged(self, fate: Fate) -> None:
+        """Tell lost what came out damaged, on its way to a robot: between those that came out around it."""
+        case, sent = self._case, fate.stream.time_ns
+        for hop in (hop for hop in fate.hops if hop.out.link.last_hop):
+            order = np.argsort(hop.out_rows)
+            out_ns, into = hop.out.time_ns[hop.out_rows[order]], hop.in_rows[order]
+            for when in case.damaged_of(hop.out).time_ns.tolist():
+                at = int(np.searchsorted(out_ns, when))
+                inside = fate.open & (sent < when) & (sent > when - TAIL_NS)
+                inside[: into[at - 1] if at else 0] = inside[into[at] if at < len(into) else len(sent) :] = (
+                    False
+                )
+                if fate.claim(rows := np.flatnonzero(inside)[:1]):
+                    text, to = "it came out damaged: its checksum is wrong", case.endpoints[hop.out.receiver]
+                    self.losses.append(fate.loss("damaged", rows, [text], hop=f"{UDP_PORT} {to}"))
+
+    def _astray(self, stream: Stream, fate: Fate | None = None) -> None:
+        """Tell lost what came to one capture and never to the next on its way."""
+        chosen = np.flatnonzero(self._case.rows.undelivered[stream.rows])
+        silent = self._case.unheard.get(id(stream))
+        if silent is not None:
+            chosen = np.setdiff1d(chosen, silent.unheard)
+        text = f"{plural(len(chosen), 'datagram')} came to one capture, and not to the next on their way"
+        if fate is not None:
+            # What a CI counted tells of those before it.
+            if not self._case.ingests_at(stream.receiver):
+                self._lose(fate, "network", chosen, text)
+        elif len(chosen):
+            first_ns, last_ns = stream.time_ns[chosen[[0, -1]]].tolist()
+            loss = Loss("after", BEHIND, len(chosen), first_ns, last_ns, "high", msg_id=stream.msg_id)
+            loss.stream, loss.of = stream, len(stream)
+            loss.evidence, loss.among = [text], Among(stream, chosen)
+            self.losses.append(loss)
 
     def _down(self, fate: Fate) -> None:
         """Tell lost what came over SBN while its cFS was down: from its last packet to its next boot."""

@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 IngestKind = Literal["network", "socket", "down", "restart", "ci_stopped", "port_closed"]
 AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled", "route"]
-LossKind = PipeKind | IngestKind | AppKind | Literal["after", "unknown", "fragments"]
+LossKind = PipeKind | IngestKind | AppKind | Literal["after", "unknown", "fragments", "damaged"]
 """Over a limit or out of a full pipe; behind cFS; on the way to CI; in CI's socket; while cFS or CI was down;
 while the application was, or after it was started again and passed nothing on; while an SBN peer was away, or
 had not subscribed to it; while Telemetry Output was not to send it; while its route was disabled; unknown:
-nothing tells where, or of which MsgId; fragments: only the first fragments of it came; port_closed: nobody
-listened."""
+nothing tells where, or of which MsgId; fragments: only the first fragments of it came; damaged: it left, and
+its checksum is wrong; port_closed: nobody listened."""
 
 LEAD_NS: Final = 700 * MILLISECOND
 """A loss may be counted so long before the next message of the stream is seen."""

@@ -24,6 +24,11 @@ order:
    rules 3 and 4 tell of. Where these tell nothing, it alone decides.
 7. Else nothing tells. They are left out, and of what went to cFS it is uncertain whether that came twice.
 
+A datagram whose checksum is wrong is no copy either: the network damaged it, and its receiver's kernel drops
+it. Where it was captured whole before that, by its IP identification, that is what was lost; where its way is
+captured at two places, others are left out, for the whole one is here as well. Of a host most of whose
+checksums are wrong they say nothing: its network card makes them.
+
 Without equal identifications, echoes of a steady sender and several senders at once tell why more of a MsgId
 came than one sender means to send.
 """
@@ -40,7 +45,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -236,6 +241,61 @@ def _perhaps_again(number: Prints, time_ns: Integers) -> bool:
     key = number * MIX & ~np.uint64(most) | np.minimum(window, most).astype(np.uint64)
     ranked = np.sort(key)
     return bool((ranked[1:] - ranked[:-1] <= 1).any())
+
+
+_SELDOM: Final = 1 / 3
+"""A host of whose datagrams more have wrong checksums leaves them to its network card,"""
+_MANY: Final = 8
+"""as far as it sent so many; else all of the capture tell."""
+_TWICE: Final = 0.3
+"""A way of whose datagrams so many are copies was captured at two places."""
+
+
+def find_damaged(rows: Rows, hosts: NDArray[np.int32], *, shared: bool = False) -> tuple[Mask, Places]:
+    """Return which rows nobody got, as their checksums say, and which rows stand for what was lost so.
+
+    Args:
+        rows: in order of time.
+        hosts: endpoint to the number of its address.
+        shared: what two captures have is there once.
+    """
+    lost, none = rows.undelivered.copy(), np.zeros(0, np.intp)
+    if not lost.any():
+        return lost, none
+    host = hosts[rows.source]
+    number, wrong = np.bincount(host), np.bincount(host[lost], minlength=int(host.max()) + 1)
+    share = np.where(number < _MANY, lost.mean(), wrong / np.maximum(number, 1))
+    lost &= share[host] <= _SELDOM
+    whole, way, standing = np.flatnonzero(~lost), rows.way(), []
+    taps = rows.identification[whole], way[whole], rows.tap[whole], rows.bytes_print[whole]
+    copy = find_copies(rows.time_ns[whole], *taps).copy
+    there, which = np.unique(way[whole], return_inverse=True)
+    twice = set(there[np.bincount(which, copy) >= _TWICE * np.bincount(which)].tolist())
+    shared |= bool(twice)
+    # A datagram keeps its IP identification; a packet, where there is none, its count.
+    packet = rows.msg_id.astype(np.int64) << 16 | rows.sequence_count
+    packet = np.where((rows.identification == 0) & rows.counted, packet, -1)
+    alike = rows.link, rows.length, rows.identification, packet
+    key = numbered(*(column.astype(np.int64) for column in alike))[1]
+    key[(rows.identification == 0) & (packet < 0)] = -1
+    of_key = dict(by_value(np.where(np.isin(key, key[lost]) & ~lost, key, -1)))
+    before: set[tuple[int, int]] = set()
+    for row in np.flatnonzero(lost).tolist():
+        again = int(key[row]), int(rows.bytes_print[row])
+        if again[0] >= 0 and again in before:
+            continue
+        before.add(again)
+        same = of_key.get(again[0], none) if again[0] >= 0 else none
+        same = same[np.abs(rows.time_ns[same] - rows.time_ns[row]) <= SECOND]
+        # Behind an address translation other ends, too.
+        same = same[(way[same] == way[row]) | (shared & (rows.msg_id[same] == rows.msg_id[row]))]
+        if not len(same):
+            standing += [row] * (not shared)
+        # A whole one where it was damaged, too: it was doubled, and arrived.
+        elif int((rows.tap[same] == rows.tap[row]).sum()) <= shared:
+            standing.append(int(same[0]))
+            lost[same] = True
+    return lost, np.unique(np.array(standing, np.intp))
 
 
 BY_CAPTURE: Final = 1

@@ -6,6 +6,7 @@
    without a packet.
 3. A datagram that was captured twice is counted once, also if that was in front of a proxy and behind it, or
    on both sides of an address translation.
+4. A datagram that the network damaged is left out: its receiver dropped it.
 """
 
 from __future__ import annotations
@@ -16,10 +17,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.decode.conversations import LEFT_OUT, ConversationKind, Flow
-from edoras_tools.diagnosis.evidence.copies import BY_CAPTURE, BY_NETWORK, find_copies, who_doubled
+from edoras_tools.diagnosis.evidence.copies import (
+    BY_CAPTURE,
+    BY_NETWORK,
+    find_copies,
+    find_damaged,
+    who_doubled,
+)
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
 from edoras_tools.diagnosis.evidence.relays import before_proxy, find_relayed, one_name
-from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, followed
+from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, followed, number_hosts
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
 from edoras_tools.units import SECOND
@@ -52,6 +59,7 @@ class Prepared:
         relayed: datagrams that were captured in front of a proxy, and are counted behind it.
         passed: what relays did to messages without a sequence count, of which the capture has both sides.
         duplicates: i64, rows that the network doubled.
+        damaged: rows that stand for datagrams that the network damaged: nobody got them. They are left out.
         doubled: rows that were captured twice, or sent twice: nothing tells. They are left out.
         disordered: records that stood behind a later one.
         translated: address to the address that it is another name of.
@@ -65,16 +73,25 @@ class Prepared:
     relayed: int
     passed: tuple[LostInRelay, ...]
     duplicates: Places
+    damaged: Rows
     doubled: Rows
     disordered: int
     translated: Mapping[str, str]
 
 
-def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared:
+def prepare(
+    recorder: Recorder,
+    proxied: Mapping[RouteWay, Proxied],
+    astray: Sequence[tuple[int, int]] = (),
+    *,
+    shared: bool = False,
+) -> Prepared:
     """Prepare what a recorder kept.
 
     Args:
         proxied: what a proxy did on purpose.
+        astray: time and fingerprint of each that was lost between two captures.
+        shared: there are several captures, and what two of them have is there once.
     """
     rows, payloads, disordered = in_time_order(recorder)
     flows, endpoints = recorder.conversations.judge(), recorder.endpoints
@@ -89,9 +106,17 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
     if (names != np.arange(len(names))).any():
         ends = {name: names[getattr(left.rows, name)] for name in ("source", "destination")}
         left.rows = followed(replace(left.rows, **ends))
+    lost, standing = find_damaged(left.rows, number_hosts(endpoints), shared=shared)
+    damaged = left.rows.take(standing)
+    if lost.any():
+        left.keep(~lost)
+        left.rows = followed(left.rows)
     passed = find_relayed(left.rows, endpoints)
-    lost = tuple(loss for item in passed for loss in item.losses(left.rows))
+    lost_there = tuple(loss for item in passed for loss in item.losses(left.rows))
     if passed:
+        # What was damaged behind a relay did not come out of it.
+        ways = left.rows.way(np.concatenate([item.behind for item in passed]))
+        damaged = damaged.take(~np.isin(damaged.way(), ways))
         source, behind = left.rows.source.copy(), np.ones(len(left.rows), bool)
         for item in passed:
             source[item.behind] = item.sources(left.rows)
@@ -108,6 +133,7 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
     stranger = kind[left.places] == _PLACE[ConversationKind.STRANGER]
     if len(left.places) < len(rows) or stranger.any():
         payloads = payloads.over(np.where(stranger, -1, left.places), len(rows))
+    left.rows = replace(left.rows, undelivered=_find_astray(left.rows, astray))
     return Prepared(
         rows=_emptied(left.rows, stranger) if stranger.any() else left.rows,
         payloads=payloads,
@@ -115,8 +141,9 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
         foreign=int(foreign.sum()),
         copies=int(copy.sum()) - len(doubled),
         relayed=int(relayed.sum()),
-        passed=lost,
+        passed=lost_there,
         duplicates=np.flatnonzero(duplicate[~copy]),
+        damaged=damaged,
         doubled=doubled,
         disordered=disordered,
         translated={
@@ -138,6 +165,17 @@ class _Left:
         """Keep some of them."""
         if not some.all():
             self.rows, self.places = self.rows.take(some), self.places[some]
+
+
+def _find_astray(rows: Rows, astray: Sequence[tuple[int, int]]) -> Mask:
+    if not astray:
+        return np.zeros(len(rows), bool)
+    times = np.array([when for when, _ in astray])
+    near = np.flatnonzero(np.isin(rows.time_ns, times))
+    out, pairs = np.zeros(len(rows), bool), set(astray)
+    key = zip(rows.time_ns[near].tolist(), rows.bytes_print[near].tolist(), strict=True)
+    out[near] = [item in pairs for item in key]
+    return out
 
 
 def _doubled(

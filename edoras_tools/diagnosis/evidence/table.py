@@ -1,4 +1,4 @@
-"""The columns that a diagnosis keeps of each datagram: 127 bytes, however large the datagram is."""
+"""The columns that a diagnosis keeps of each datagram: 128 bytes, however large the datagram is."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from edoras_tools.diagnosis.evidence.payloads import Payloads
 from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder
 from edoras_tools.diagnosis.evidence.states import StateRecorder
 from edoras_tools.io.frames.linklayer import network_headers
+from edoras_tools.io.frames.network import wrong_checksums
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch, Peer
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceRows
@@ -64,6 +65,8 @@ class Rows:
             differs where one packet was captured at two places.
         life: u8, time to live, or hop limit.
         streamed: bool, it came over TCP.
+        undelivered: bool, its receiver did not get it: a checksum is wrong, as of ``wrong_checksums``. Behind
+            ``prepare``: it never came to the next capture on its way.
         bytes_print: u64, fingerprint of the whole datagram.
         counted: bool, the packet has a sequence count, and its sender counts.
         missing: i32, counts that never came right before the packet; this and the next three are as in
@@ -103,6 +106,7 @@ class Rows:
     tap: Prints
     life: NDArray[np.uint8]
     streamed: Mask
+    undelivered: Mask
     bytes_print: Prints
     counted: Mask
     missing: NDArray[np.int32]
@@ -285,6 +289,7 @@ class Recorder:
                 tap=tap + life,
                 life=life,
                 streamed=np.zeros(len(batch), bool) if batch.streams is None else batch.streams,
+                undelivered=wrong_checksums(batch, network),
                 bytes_print=whole,
                 counted=told.stream >= 0,
                 packet_print=packet,
@@ -429,7 +434,7 @@ def _counting(rows: Rows, told: SequenceRows) -> Rows:
 def _none() -> Rows:
     kinds = {"link": "u1", "header_length": "u1", "sequence_count": "u2", "findings": "u4"}
     kinds |= dict.fromkeys(("processor_id", "spacecraft_id"), "u4")
-    kinds |= {"identification": "u2", "life": "u1", "counted": "?", "streamed": "?"}
+    kinds |= {"identification": "u2", "life": "u1", "counted": "?", "streamed": "?", "undelivered": "?"}
     prints = ("tap", *(f"{name}_print" for name in ("bytes", "packet", "body", "value", "stamped", "shared")))
     kinds |= dict.fromkeys(prints, "u8")
     return Rows(**{item.name: np.zeros(0, kinds.get(item.name, "i8")) for item in fields(Rows)})

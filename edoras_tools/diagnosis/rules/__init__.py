@@ -56,6 +56,7 @@ RULES: Final[dict[str, Rule]] = {
         pipes.sbn_peer_pipe,
         gaps.crossing_loss,
         gaps.lost_after_cfs,
+        network.damaged,
         gaps.perhaps_lost,
         gaps.unexplained_gap,
         gaps.unattributed_loss,

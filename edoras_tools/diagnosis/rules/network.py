@@ -11,6 +11,7 @@ from edoras_tools.cfs import sbn as facts
 from edoras_tools.cfs.sbn import NAME
 from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE, UNSEEN, Connection, PeerChange, PeerSilence
 from edoras_tools.diagnosis.evidence.table import peer_of
+from edoras_tools.diagnosis.ledger import DAMAGED
 from edoras_tools.diagnosis.rules.about import one_by_one, packet, subject
 from edoras_tools.diagnosis.rules.pipes import revival
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, habit, note, verdict, warning
@@ -28,7 +29,31 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
     from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.diagnosis.ledger import LedgerEntry
     from edoras_tools.wire.arrays.order import Mask, Places
+
+
+def damaged(case: Case) -> Iterator[Verdict]:
+    """Datagrams came with a wrong checksum: the network damaged them, and their receiver's kernel drops them.
+
+    Say how many, of which MsgId.
+    """
+    lost: dict[tuple[str, int | None, str], list[LedgerEntry]] = {}
+    for item in case.ledger.losses():
+        if item.cause == DAMAGED:
+            lost.setdefault((item.traffic.link, item.traffic.msg_id, item.hop), []).append(item)
+    for (link, msg_id, hop), own in lost.items():
+        number = sum(item.number for item in own)
+        what = "unknown MsgIds" if msg_id is None else case.name(msg_id)
+        yield error(
+            f"{plural(number, 'datagram')} on {what} came damaged: what has a wrong checksum is dropped",
+            "their checksums are wrong, and those of most others of the same hosts are not",
+            msg_id=msg_id,
+            place=(link, hop),
+            lost=number,
+            span=(min(item.times_ns[0] for item in own), max(item.times_ns[1] for item in own)),
+            remedy="look at the interfaces on the way: ethtool -S, nstat -az UdpInCsumErrors, tc -s qdisc",
+        )
 
 
 def sbn_timeout(case: Case) -> Iterator[Verdict]:

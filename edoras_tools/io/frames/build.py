@@ -15,7 +15,7 @@ import numpy as np
 
 from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW, FrameBatch, MadeFrames
 from edoras_tools.wire.arrays.order import by_value
-from edoras_tools.wire.arrays.window import PADDING, copy_rows
+from edoras_tools.wire.arrays.window import PADDING, copy_rows, word_sums
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -282,7 +282,7 @@ def _write_headers(
         put_words(header, 10, internet_checksum(words_of(header[:, :size]).sum(axis=1)))
     # The UDP checksum covers addresses, protocol and UDP length, then header and payload (RFC 768).
     total = words_of(header[:, addresses:]).sum(axis=1) + _UDP + _UDP_BYTES + length
-    checksum = internet_checksum(total + payload_sums(data, offset + whole, length))
+    checksum = internet_checksum(total + word_sums(data, offset + whole, length))
     put_words(header, size + 6, np.where(checksum == 0, 0xFFFF, checksum))
     data[offset[:, None] + np.arange(whole)] = header
 
@@ -302,15 +302,6 @@ def put_words(header: NDArray[np.uint8], at: int, values: NDArray[Any]) -> None:
 def words_of(header: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Read rows of bytes as rows of big-endian 16-bit words."""
     return np.ascontiguousarray(header).view(">u2").astype(np.int64)
-
-
-def payload_sums(
-    data: NDArray[np.uint8], start: NDArray[np.int64], length: NDArray[np.integer[Any]]
-) -> NDArray[np.int64]:
-    """Return the sum of each payload's 16-bit words; an odd last byte is paired with the zero after it."""
-    running = np.concatenate(([0], np.cumsum(data[: data.size // 2 * 2].view(">u2"), dtype=np.int64)))
-    sums: NDArray[np.int64] = running[(start + length + 1) // 2] - running[start // 2]
-    return sums
 
 
 def internet_checksum(total: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from edoras_tools.wire.arrays.window import read_at
+from edoras_tools.model import Finding
+from edoras_tools.wire.arrays.window import read_at, word_sums
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from edoras_tools.model import PacketBatch
 
 UDP = 17
 TCP = 6
@@ -256,3 +259,45 @@ def transport_payloads(
     keep = np.minimum(payloads.end, end[payloads.rows]) - payloads.position >= least
     keep &= payloads.fragment == 0
     return payloads if keep.all() else payloads.take(keep)
+
+
+_UDP_WORDS = np.dtype((">u2", 4))
+_ADDRESSES = {4: (np.dtype((">u2", 4)), 12), 6: (np.dtype((">u2", 16)), 8)}
+"""The words of an IP header that have the addresses, and where they begin."""
+_IPV4_WORDS = np.dtype((">u2", 10))
+_ONES = 0xFFFF
+
+
+def wrong_checksums(batch: PacketBatch, network: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which datagrams their receiver drops: the checksum of UDP, or of an IPv4 header, is wrong.
+
+    Nothing is said of fragments, of what was cut, or has no checksum (0), of options, and of a checksum that
+    the sender left to its network card: the field then has the sum of the pseudo-header alone (RFC 768).
+
+    Args:
+        network: i64, where each row's network header starts.
+    """
+    wrong = np.zeros(len(batch), bool)
+    end = batch.frame_offset + batch.frame_length
+    whole = (batch.source_port > 0) & (batch.frame_length == batch.original_length)
+    whole &= (batch.offset >= network + UDP_BYTES) & (batch.offset + batch.length <= end)
+    whole &= (batch.capture_findings & np.uint32(Finding.FRAGMENT | Finding.CAPTURE_CUT)) == 0
+    if batch.streams is not None:
+        whole &= ~batch.streams
+    for version, (kind, at) in _ADDRESSES.items():
+        rows = np.flatnonzero(whole & (batch.ip_version == version))
+        if not len(rows):
+            continue
+        head = read_at(batch.data, batch.offset[rows] - UDP_BYTES, _UDP_WORDS).astype(np.int64)
+        field, size = head[:, 3], batch.length[rows].astype(np.int64) + UDP_BYTES
+        pseudo = read_at(batch.data, network[rows] + at, kind).sum(axis=1, dtype=np.int64) + UDP + size
+        asked = (field > 0) & (head[:, 2] == size) & ((pseudo - field) % _ONES != 0)
+        if asked.any():
+            some, sums = rows[asked], pseudo[asked] + head[asked].sum(axis=1)
+            sums += word_sums(batch.data, batch.offset[some], batch.length[some])
+            wrong[some] = sums % _ONES != 0
+        if version == 4:
+            words = read_at(batch.data, network[rows], _IPV4_WORDS)
+            plain = (words[:, 5] > 0) & (words[:, 0] >> 8 == 0x45)
+            wrong[rows] |= plain & (words.sum(axis=1, dtype=np.int64) % _ONES != 0)
+    return wrong

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.io.frames.build import internet_checksum, payload_sums, put_words, words_of
+from edoras_tools.io.frames.build import internet_checksum, put_words, words_of
 from edoras_tools.io.frames.network import TCP, IpPayloads
 from edoras_tools.wire.arrays.order import by_value
-from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather, read_at
+from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather, read_at, word_sums
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -182,5 +182,5 @@ def _put_headers(
     total = (
         words_of(addresses).sum(axis=1) + TCP + (whole & 0xFFFF) + (whole >> 16) + words_of(tcp).sum(axis=1)
     )
-    put_words(tcp, 16, internet_checksum(total + payload_sums(out, place + size, length)))
+    put_words(tcp, 16, internet_checksum(total + word_sums(out, place + size, length)))
     out[place[:, None] + np.arange(size)] = head

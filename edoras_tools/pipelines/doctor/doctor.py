@@ -258,6 +258,8 @@ def examine(
             host,
             unwrappers=bench.unwrappers,
             lacking=tuple(statistics.cut),
+            shared=statistics.shared,
+            astray=tuple(statistics.astray),
         )
         diagnosis, choice = examination.diagnose(capture), choices.choice()
         return diagnosis.limited(choice) if choice else diagnosis

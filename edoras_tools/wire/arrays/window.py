@@ -197,3 +197,25 @@ def any_nonzero(
         if size > 0:
             out[rows] = gather(data, offset[rows], size).any(axis=1)
     return out
+
+
+def word_sums(
+    data: NDArray[np.uint8], start: NDArray[np.int64], length: NDArray[np.integer[Any]]
+) -> NDArray[np.int64]:
+    """Return the sum of the big-endian 16-bit words of each stretch, modulo 0xFFFF; i64 (n,).
+
+    Behind an odd last byte is a zero. Bytes of 64 or more are behind the last stretch.
+    """
+    base = int(start.min(initial=len(data))) & ~3
+    data, start = data[base : int((start + length).max(initial=0)) + 4], start - base
+    end = start + length
+    # Four bytes at once: 0x10000 is 1 modulo 0xFFFF, and changed bytes are 256 times the sum.
+    words = data[: data.size // 4 * 4].view("<u4").astype(np.uint64)
+    running = np.concatenate((np.zeros(1, np.uint64), np.cumsum(words)))
+    inner, outer = ((place & 3).astype(np.uint64) * np.uint64(8) for place in (start, end))
+    sums = running[end >> 2] - running[start >> 2]
+    sums -= words[start >> 2] & ((np.uint64(1) << inner) - np.uint64(1))
+    sums += words[end >> 2] & ((np.uint64(1) << outer) - np.uint64(1))
+    sums *= np.where(start & 1, np.uint64(1), np.uint64(256))
+    folded: NDArray[np.int64] = (sums % np.uint64(0xFFFF)).astype(np.int64)
+    return folded

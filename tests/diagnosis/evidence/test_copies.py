@@ -1,7 +1,10 @@
+import random
 from dataclasses import replace
 
+import mutations
 import numpy as np
 import pytest
+import truth
 from hypothesis import given
 from hypothesis import strategies as st
 from places import CAPTURES
@@ -100,3 +103,71 @@ def test_a_glance_misses_no_two_within_20_ms(items, spread):
     near_enough = abs(time_ns[:, None] - time_ns) <= 40 * MILLISECOND
     may = near_enough & (number[:, None] == number) & ~np.eye(len(items), dtype=bool)
     assert again.any() <= _perhaps_again(number, time_ns) <= may.any()
+
+
+TELEMETRY, ROBOT, CI = 1235, 8585, 1234
+DAMAGED = {"a_rover": 92, "season3/q01_two_causes_one_counter": 258, "flights/queues_of_ten": 168}
+
+
+def changed(name, path, change):
+    items = mutations.frames(truth.FOLDER / f"{name}.pcap.zst")
+    after = change(items, random.Random(1))
+    mutations.write(path, after)
+    return sum(item not in items for item in after)
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_what_the_network_damaged_is_lost_by_that(name, tmp_path):
+    """Nothing that cFS sends comes back: what is damaged of it changes no counter."""
+    path = tmp_path / "damaged.pcap"
+    number = changed(name, path, mutations.damaged(0.05, TELEMETRY, ROBOT))
+    result = truth.diagnosed(path)
+    low, more = truth.bounds(result)
+    assert low <= DAMAGED[name] + number <= low + more
+    assert more <= 3
+    assert truth.causes(result)["damaged"] >= 0.9 * number > 10
+    assert truth.sums(result) == []
+
+
+def test_a_command_that_came_damaged_was_sent_and_lost(tmp_path):
+    def add(items, chance):
+        """Send a sixth of the commands again, damaged on their way: CI does not get them."""
+        more = []
+        for item in items:
+            if mutations.is_to(item.data, CI) and chance.random() < 1 / 6:
+                other = bytearray(item.data)
+                other[18] ^= 0x55
+                other[-9] ^= 0x55
+                more.append(
+                    item._replace(
+                        time_ns=item.time_ns + 40_000_000, data=mutations.flipped(other, chance, 60)
+                    )
+                )
+        return sorted([*items, *more], key=lambda item: item.time_ns)
+
+    path = tmp_path / "damaged.pcap"
+    number = changed("a_rover", path, add)
+    result = truth.diagnosed(path)
+    assert truth.bounds(result) == (92 + number, 0)
+    assert truth.causes(result) == {"limit": 92, "damaged": number}
+    assert sum(row["in"] for row in result["balance"] if row["hop"] == "CI") == 601 + number
+    told = [item for item in result["verdicts"] if item["rule"] == "damaged"]
+    assert sum(item["lost"] for item in told) == number
+
+
+@pytest.mark.parametrize("share", [0.5, 1])
+def test_a_network_card_that_makes_checksums_damages_nothing(share, tmp_path):
+    """Where it is asked to, the sender's kernel leaves anything in the field."""
+
+    def left(items, chance):
+        out = []
+        for item in items:
+            frame = mutations.summed(item.data)
+            if chance.random() < share:
+                frame[41] ^= 0x55
+            out.append(item._replace(data=bytes(frame)))
+        return out
+
+    path = tmp_path / "offload.pcap"
+    changed("a_rover", path, left)
+    assert truth.bounds(truth.diagnosed(path)) == (92, 0)

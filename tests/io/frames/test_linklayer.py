@@ -23,6 +23,7 @@ from scapy.packet import Raw
 
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.linklayer import Demux, demux, network_headers
+from edoras_tools.io.frames.network import wrong_checksums
 from edoras_tools.model import Finding
 
 PAYLOAD = b"\x18\x27\x00\x00\x00\x05payload"
@@ -361,3 +362,48 @@ def pcapng_of(link_types, frames):
         for number, frame in enumerate(frames)
     ]
     return b"".join([section, *interfaces, *packets])
+
+
+def damaged(frames):
+    batch = demux(batch_of([bytes(item) for item in frames]))
+    return wrong_checksums(batch, network_headers(batch)[0]).tolist()
+
+
+def turned(frame, at, mask=0x10):
+    data = bytearray(bytes(frame))
+    data[at] ^= mask
+    return bytes(data)
+
+
+@pytest.mark.parametrize("packet", [udp4(), udp6(), udp4(b"odd"), udp6(b"odd")])
+@pytest.mark.parametrize("tags", [0, 1])
+def test_a_bit_that_turned_over_shows_in_the_checksum(packet, tags):
+    frame = Ether(**MAC) / (Dot1Q(vlan=5) / packet if tags else packet)
+    last = len(frame)
+    assert damaged([frame, turned(frame, -1), turned(frame, last - 3, 1), frame]) == [
+        False,
+        True,
+        True,
+        False,
+    ]
+
+
+def test_an_ipv4_header_has_a_checksum_of_its_own():
+    frame = Ether(**MAC) / udp4(id=7)
+    assert damaged([turned(frame, 19), turned(frame, 22, 1)]) == [True, True]
+
+
+def test_what_has_no_checksum_or_leaves_it_to_the_network_card_is_not_damaged():
+    none = Ether(**MAC) / IP(**V4, chksum=0) / UDP(**PORTS, chksum=0) / Raw(PAYLOAD)
+    pseudo = bytes([10, 1, 2, 3, 10, 4, 5, 6, 0, 17]) + struct.pack(">H", 8 + len(PAYLOAD))
+    total = sum(struct.unpack(">6H", pseudo))
+    left = Ether(**MAC) / IP(**V4) / UDP(**PORTS, chksum=total % 0xFFFF) / Raw(PAYLOAD)
+    assert damaged([none, turned(none, -1), left, turned(left, -1)]) == [False] * 4
+
+
+def test_what_was_cut_or_put_together_has_no_checksum_to_judge():
+    frame = bytes(Ether(**MAC) / udp4())
+    batch = demux(batch_of([frame[:-2]], original=[len(frame)]))
+    assert not wrong_checksums(batch, network_headers(batch)[0]).any()
+    pieces = [Ether(**MAC) / item for item in fragment(udp4(bytes(range(64)), id=9), 24)]
+    assert not any(damaged(pieces))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at, spill_rows
+from edoras_tools.wire.arrays.window import PADDING, copy_rows, put_rows, read_at, spill_rows, word_sums
 
 LENGTHS = st.lists(
     st.one_of(st.integers(0, 40), st.integers(250, 260), st.sampled_from([1, 127, 128, 1024])), max_size=40
@@ -78,3 +78,12 @@ def test_read_at_reads_unaligned_structures_in_their_byte_order():
     assert header["a"].tolist() == [1, 6]
     assert header["b"].tolist() == [0x0203, 0x0708]
     assert header["c"].tolist() == [0x07060504, 0x0C0B0A09]
+
+
+@given(st.binary(max_size=200), st.integers(0, 200), st.integers(0, 200))
+def test_words_add_up_wherever_they_begin(data, first, last):
+    begin, end = sorted(min(place, len(data)) for place in (first, last))
+    part = data[begin:end] + bytes((end - begin) % 2)
+    total = sum(int.from_bytes(part[at : at + 2], "big") for at in range(0, len(part), 2))
+    buffer = np.frombuffer(data + bytes(PADDING), np.uint8)
+    assert word_sums(buffer, np.array([begin]), np.array([end - begin])).tolist() == [total % 0xFFFF]

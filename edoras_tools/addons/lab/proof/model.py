@@ -62,7 +62,7 @@ _POSE_BYTES: Final = 60
 """Of the CDR of an arm's command; a rover's Twist has 52."""
 _STATE_BYTES: Final = 100
 """Longer states are an arm's joints."""
-_NETWORK: Final = {"after", "network", "port_closed", "unreachable", "fragments", "proxy"}
+_NETWORK: Final = {"after", "network", "port_closed", "unreachable", "fragments", "damaged", "proxy"}
 _OUTSIDE: Final = {*_NETWORK, "bad_command", UNHEARD, PEER_RESTARTED}
 """Causes of losses outside cFS's queues."""
 _PIPES: Final = ("EDORAS", "CI_", "TO_", "SBN", "SCH_", "ES_", "EVS_", "SB_", "TBL_", "TIME_")

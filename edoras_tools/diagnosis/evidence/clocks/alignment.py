@@ -222,6 +222,7 @@ class Alignment:
         drift: not less than, and not more than, in ns per ns; None where it cannot be told.
         by: what it was told by.
         shared: i64, numbers of the second capture's frames that the first holds too.
+        here: i64, the numbers of these in the first.
     """
 
     line: ClockLine
@@ -230,6 +231,7 @@ class Alignment:
     drift: tuple[float, float] | None
     by: str
     shared: Integers
+    here: Integers
 
     def told(self, other: str) -> str:
         """Return it in words; ``other`` is the first capture."""
@@ -256,6 +258,7 @@ class _Told:
     loose_ns: int = 0
     near: Sequence[int] = ()
     shared: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
+    here: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
     def of(cls, pairs: Sequence[Ordered], by: str, loose_ns: int = 0) -> _Told | None:
@@ -288,7 +291,7 @@ class _Told:
         begin = line.set_back(np.array([start_ns]))
         line = ClockLine(int(begin[0]), int(line.ahead(begin)[0]), line.drift)
         drift = self.lines.drift if self.lines.drift_known or line.drift else None
-        return Alignment(line, *self.lines.offset(line.begin_ns), drift, self.by, self.shared)
+        return Alignment(line, *self.lines.offset(line.begin_ns), drift, self.by, self.shared, self.here)
 
 
 def align(first: Recorder, second: Recorder) -> Alignment | None:
@@ -382,7 +385,67 @@ def _shared(first: Recorder, second: Recorder) -> _Told | None:
     most_ns = int(np.abs(then[theirs] - times[0]).max())
     segment = pair_up(prints[0], a.time_ns, prints[1], then, most_ns)
     same = (segment.took_ns <= most_ns) & one(segment.into, segment.out)
-    return replace(best, shared=np.sort(b.number[segment.out[same]]))
+    here = np.sort(a.number[segment.into[same]])
+    return replace(best, shared=np.sort(b.number[segment.out[same]]), here=here)
+
+
+def _ways_between(ours: Integers, theirs: Integers, took_ns: Integers) -> list[tuple[list[int], list[int]]]:
+    """Return the ways of each of two places that lead to the other, and those that lead from it.
+
+    Args:
+        ours: the way of each datagram at the one place.
+        theirs: the same at the other.
+        took_ns: how much later it was there.
+    """
+    leads: list[tuple[list[int], list[int]]] = [([], []), ([], [])]
+    for way, at in by_value(ours):
+        for end, there in enumerate((took_ns[at] > 0, took_ns[at] < 0)):
+            if len(at) >= _MANY and there.mean() > _MOSTLY:
+                leads[0][end].append(way)
+                leads[1][end].append(int(theirs[at[0]]))
+    return leads
+
+
+_BY_CHANCE: Final = 0.001
+"""So seldom a capture that missed a share by chance would have missed none of those that surely passed it."""
+
+
+def lost_between(first: Recorder, second: Recorder, shift: Alignment) -> tuple[Places, Places]:
+    """Return which rows of each capture came to its place, and never to that of the other.
+
+    A way leads from one place to the other where what is in both is there later, and on the ways back
+    earlier. What one lacks of the ways to it was lost between them, where it has all that the other got by
+    the ways from it: it cannot have missed so large a share by chance.
+    """
+    sides = first.rows(), second.rows()
+    times = sides[0].time_ns, shift.line.set_back(sides[1].time_ns)
+    both = [
+        np.isin(rows.number, numbers) for rows, numbers in zip(sides, (shift.here, shift.shared), strict=True)
+    ]
+    shared = [np.flatnonzero(mask) for mask in both]
+    none = np.zeros(0, np.intp)
+    if len(shared[0]) != len(shared[1]) or any(rows.has(Finding.CAPTURE_CUT).any() for rows in sides):
+        return none, none
+    # Equal ones are paired in order of time.
+    ours, theirs = (
+        own[np.lexsort((when[own], rows.bytes_print[own]))]
+        for own, when, rows in zip(shared, times, sides, strict=True)
+    )
+    leads = _ways_between(sides[0].way(ours), sides[1].way(theirs), times[1][theirs] - times[0][ours])
+    numbers = [rows.identification[own] for rows, own in zip(sides, (ours, theirs), strict=True)]
+    bits = np.uint16(0xFFFF * bool((numbers[0] == numbers[1]).all()))
+    prints = [rows.bytes_print ^ rows.identification & bits for rows in sides]
+    begin_ns, end_ns = max(when.min() for when in times), min(when.max() for when in times)
+    found = []
+    for side, rows in enumerate(sides):
+        inside = (times[side] > begin_ns + SECOND) & (times[side] < end_ns - SECOND)
+        inside &= ~rows.streamed & ~rows.undelivered
+        to, back = (inside & np.isin(rows.way(), leads[side][end]) for end in (side, 1 - side))
+        lacking = to & ~both[side] & ~np.isin(prints[side], prints[1 - side])
+        chance = (1 - lacking.sum() / max(to.sum(), 1)) ** back.sum()
+        proven = both[side][back].all() and chance < _BY_CHANCE
+        found.append(np.flatnonzero(lacking) if proven else none)
+    return found[0], found[1]
 
 
 def _one(first: Recorder, second: Recorder) -> Callable[..., Mask]:
