@@ -125,7 +125,8 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
     others = not robot and 2 * late.sum() > (sent_ns >= 0).sum()
     if others or case.quality.missing > _LACKING * case.quality.checked:
         late[:] = False  # other messages had the same values, or what waited before them was not captured
-    odd = (sent_ns < 0) & ~_older(sent_ns, when)
+    begun = when > case.start_ns + _rounds(case, hops[0])
+    odd = (sent_ns < 0) & begun & ~_older(sent_ns, when)
     last_ns = _sent_before(rows, [hop.into for hop in hops], out, robot=robot)
     copy = odd & _once_more(rows, out)
     old = odd & (last_ns >= 0) & (copy | _old(case, hops, out, sent_ns, last_ns))
@@ -174,7 +175,8 @@ def _none_sent(case: Case, robot: Stream) -> WayContent | None:
     own = robot.rows[robot.time_ns > went_ns[0] + already * _DRAINS_NS]
     before = np.searchsorted(went_ns, rows.time_ns[own])
     own = own[np.arange(1, len(own) + 1) <= before]
-    if len(own) < _LEAST or len(np.unique(rows.body_print[into[0].rows])) < _LEAST:
+    own_values = len(np.unique(rows.body_print[into[0].rows]))
+    if min(len(own), own_values) < _LEAST or (_sent_before(rows, into, own, robot=True) >= 0).any():
         return None
     none = own[:0]
     return WayContent(into[0], robot, len(own), *_same(rows, own), none, none, 0, 0)
