@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
+from edoras_tools.addons.tables.arrow import arrow_batch, arrow_schema
 from edoras_tools.errors import ConfigError
-from edoras_tools.io.formats.arrow import arrow_batch, arrow_schema
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -87,7 +87,7 @@ class TopicTable:
             ConfigError: pyarrow is not installed.
         """
         try:
-            arrays = import_module("edoras_tools.io.formats.arrow")
+            arrays = doors.part("arrow_tables")
         except ImportError as error:
             raise ConfigError(
                 "to_arrow() needs pyarrow: pip install 'edoras-tools[analysis]'; to_numpy() does not"

@@ -21,7 +21,7 @@ def read_arrow(path):
     ("name", "read"), [("ParquetWriter", parquet.read_table), ("ArrowWriter", read_arrow)]
 )
 def test_every_kind_of_column(tmp_path, name, read):
-    from edoras_tools.io.formats import arrow
+    from edoras_tools.addons.tables import arrow
 
     path = tmp_path / "a"
     written(path, getattr(arrow, name), COLUMNS, COLUMNS)
@@ -63,7 +63,7 @@ def test_writing_does_not_import_pandas():
     code = """
 import sys, io
 from tables import COLUMNS, HEAD
-from edoras_tools.io.formats.arrow import ParquetWriter
+from edoras_tools.addons.tables.arrow import ParquetWriter
 writer = ParquetWriter(io.BytesIO(), HEAD, COLUMNS)
 writer.write(writer.piece(COLUMNS))
 writer.close()
