@@ -23,8 +23,7 @@ from mmap import mmap
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io import SourceDefaults
-from edoras_tools.io.formats.tee import Tee
+from edoras_tools.io import Sink, SourceDefaults
 from edoras_tools.io.frames.build import HEADER_BYTES, FramePage
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.outputs import Patience, waiting_for_room
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from edoras_tools.io import DisplaySink, Sink
+    from edoras_tools.io import DisplaySink
     from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.net.buffer import DatagramBuffer
     from edoras_tools.io.processes import Desk
@@ -78,6 +77,41 @@ class PushedSource(SourceDefaults):
 
     def close(self) -> None:
         """Do nothing: nothing is open."""
+
+
+class Tee(Sink):
+    """A ``Sink`` that forwards to others, in order; an error of one ends it for all.
+
+    Args:
+        sinks: the sinks to write to.
+
+    Raises:
+        CaptureError: from every method: a sink cannot be written.
+    """
+
+    def __init__(self, sinks: Sequence[Sink]) -> None:
+        self._sinks = tuple(sinks)
+
+    def write(self, batch: PacketBatch, columns: Columns) -> None:
+        """Write a batch to all sinks."""
+        for sink in self._sinks:
+            sink.write(batch, columns)
+
+    def write_faults(self, faults: Sequence[Fault]) -> None:
+        """Write injected faults to all sinks."""
+        for sink in self._sinks:
+            sink.write_faults(faults)
+
+    def flush(self) -> None:
+        """Flush all sinks."""
+        for sink in self._sinks:
+            sink.flush()
+
+    def close(self, statistics: SourceStatistics) -> None:
+        """Close all sinks, even if one fails."""
+        with ExitStack() as stack:
+            for sink in self._sinks:
+                stack.callback(sink.close, statistics)
 
 
 class Recorded(NamedTuple):

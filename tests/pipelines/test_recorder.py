@@ -13,11 +13,12 @@ from waiting import HOST, arrived_at, receive, until
 
 from edoras_tools.addons.proxy.plan import as_relayed
 from edoras_tools.errors import CaptureError
+from edoras_tools.io import Sink
 from edoras_tools.links.ci import CI
-from edoras_tools.model import Endpoint
+from edoras_tools.model import Endpoint, SourceStatistics
 from edoras_tools.pipelines import recorder as relay_recorder
 from edoras_tools.pipelines.capture.record import Target
-from edoras_tools.pipelines.recorder import Recorded, RelayRecorder
+from edoras_tools.pipelines.recorder import Recorded, RelayRecorder, Tee
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire import cfe
@@ -177,3 +178,45 @@ def test_a_second_process_that_cannot_flush_writes_no_more_and_closes(tmp_path):
     assert (tmp_path / "close").read_text() == "3"
     assert not (tmp_path / "write").exists()
     assert children() <= before
+
+
+class Written(Sink):
+    def __init__(self, failure=None):
+        self.calls = []
+        self._failure = failure
+
+    def write(self, batch, columns):
+        self.calls.append(("write", batch, columns))
+
+    def flush(self):
+        self.calls.append("flush")
+
+    def close(self, statistics):
+        self.calls.append(("close", statistics))
+        if self._failure:
+            raise self._failure
+
+
+class Faulty(Written):
+    def write_faults(self, faults):
+        self.calls.append(("faults", faults))
+
+
+def test_all_get_everything_that_they_can_hold():
+    plain, faulty, statistics = Written(), Faulty(), SourceStatistics()
+    tee = Tee([plain, faulty])
+    tee.write("batch", "columns")
+    tee.write_faults(["fault"])
+    tee.flush()
+    tee.close(statistics)
+    common = [("write", "batch", "columns"), "flush", ("close", statistics)]
+    assert plain.calls == common
+    assert faulty.calls == [common[0], ("faults", ["fault"]), *common[1:]]
+
+
+def test_all_are_closed_whatever_becomes_of_one():
+    one, other = Written(CaptureError("full")), Written(CaptureError("gone"))
+    with pytest.raises(CaptureError):
+        Tee([one, other]).close(SourceStatistics())
+    assert one.calls
+    assert other.calls
