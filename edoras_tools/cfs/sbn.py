@@ -74,9 +74,7 @@ OWN_NET: Final = (
 OTHER_PEER: Final = (
     EventText(NAME, 4, "peer is other processor: loading peer onto net 0"),
     EventText(
-        NAME,
-        258,
-        "configuring peer (SC={spacecraft_id:d}, CPU={processor_id:d}, Address={address}:{port:d})",
+        NAME, 258, "configuring peer (SC={spacecraft_id:d}, CPU={processor_id:d}, Address={address}:{port:d})"
     ),
 )
 ADDRESS: Final = (
@@ -123,10 +121,7 @@ UNLOADED: Final = EventText(NAME, 259, "unloaded peer: {index:d}\n")
 NET_ENDED: Final = EventText(NAME, 4, "Terminated net: 0")
 UNSUBSCRIBED: Final = EventText(NAME, 8, "unsubscribed 0 message id's from ProcessorID {processor_id:d}")
 ALREADY_DISCONNECTED: Final = EventText(
-    NAME,
-    5,
-    "ERROR: could not disconnect peer: already not connected to peer {peer}",
-    EventType.ERROR,
+    NAME, 5, "ERROR: could not disconnect peer: already not connected to peer {peer}", EventType.ERROR
 )
 RELOADED: Final = EventText(NAME, 4, "SBN re-initialized.")
 NOT_RELOADED: Final = (
@@ -140,9 +135,7 @@ WITHOUT_PIPE: Final = (
 )
 """What each wake-up says after a reload that failed: its pipes are gone."""
 NOT_SUBSCRIBED: Final = EventText(
-    NAME,
-    8,
-    "cannot process unsubscription from ProcessorID {processor_id:d}, msg 0x{msg_id:04X} not found",
+    NAME, 8, "cannot process unsubscription from ProcessorID {processor_id:d}, msg 0x{msg_id:04X} not found"
 )
 NOT_PROCESSED: Final = "ERROR: could not process peer message: "
 """``failure`` in the texts of this build."""

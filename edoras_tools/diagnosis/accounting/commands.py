@@ -107,10 +107,8 @@ class Commands:
         self._spans = {key: _spans(own) for key, own in self._by_packet.items()}
         for fate in fates:
             self._damaged(fate)
-            self._astray(fate.stream, fate)
         for stream in case.streams:
-            if id(stream) not in self.fates:
-                self._astray(stream)
+            self._astray(stream, self.fates.get(id(stream)))
         before_ci, pipes = BeforeCi(case, fates, self.losses), Pipes(case, self.losses)
         for account in case.ingests:
             before_ci.share(account)
@@ -174,7 +172,7 @@ class Commands:
                     text, to = "it came out damaged: its checksum is wrong", case.endpoints[hop.out.receiver]
                     self.losses.append(fate.loss("damaged", rows, [text], hop=f"{UDP_PORT} {to}"))
 
-    def _astray(self, stream: Stream, fate: Fate | None = None) -> None:
+    def _astray(self, stream: Stream, fate: Fate | None) -> None:
         """Tell lost what came to one capture and never to the next on its way."""
         chosen = np.flatnonzero(self._case.rows.undelivered[stream.rows])
         silent = self._case.unheard.get(id(stream))

@@ -266,12 +266,8 @@ def find_damaged(rows: Rows, hosts: NDArray[np.int32], *, shared: bool = False) 
     number, wrong = np.bincount(host), np.bincount(host[lost], minlength=int(host.max()) + 1)
     share = np.where(number < _MANY, lost.mean(), wrong / np.maximum(number, 1))
     lost &= share[host] <= _SELDOM
-    whole, way, standing = np.flatnonzero(~lost), rows.way(), []
-    taps = rows.identification[whole], way[whole], rows.tap[whole], rows.bytes_print[whole]
-    copy = find_copies(rows.time_ns[whole], *taps).copy
-    there, which = np.unique(way[whole], return_inverse=True)
-    twice = set(there[np.bincount(which, copy) >= _TWICE * np.bincount(which)].tolist())
-    shared |= bool(twice)
+    way, standing = rows.way(), []
+    shared |= _is_taken_twice(rows, way, np.flatnonzero(~lost))
     # A datagram keeps its IP identification; a packet, where there is none, its count.
     packet = rows.msg_id.astype(np.int64) << 16 | rows.sequence_count
     packet = np.where((rows.identification == 0) & rows.counted, packet, -1)
@@ -296,6 +292,13 @@ def find_damaged(rows: Rows, hosts: NDArray[np.int32], *, shared: bool = False) 
             standing.append(int(same[0]))
             lost[same] = True
     return lost, np.unique(np.array(standing, np.intp))
+
+
+def _is_taken_twice(rows: Rows, way: Integers, whole: Places) -> bool:
+    taps = rows.identification[whole], way[whole], rows.tap[whole], rows.bytes_print[whole]
+    copy = find_copies(rows.time_ns[whole], *taps).copy
+    which = np.unique(way[whole], return_inverse=True)[1]
+    return bool((np.bincount(which, copy) >= _TWICE * np.bincount(which)).any())
 
 
 BY_CAPTURE: Final = 1

@@ -47,7 +47,7 @@ _MOST_WAITING: Final = 64 << 20
 _TOGETHER: Final = 8 << 20
 """Bytes that wait for each other: taking few datagrams costs almost as much as taking many."""
 _MOST_LISTED: Final = 50
-FIGURES: Final = "datagrams", "lost", "unaccounted", "uncertain", "messages_lost", "messages_uncertain"
+JUDGED_FIGURES: Final = "datagrams", "lost", "unaccounted", "uncertain", "messages_lost", "messages_uncertain"
 """What a diagnosis sums up."""
 _SUMS: Final = "came", "out", "all_lost"
 _FIGURES: Final = ("duplicated", "superseded", "waiting", "unaccounted", "uncertain")
@@ -178,7 +178,7 @@ def _page_values(diagnosis: Diagnosis) -> dict[str, Any]:
     summary = summarize(diagnosis)
     return {
         "until_ns": diagnosis.end_ns,
-        **{name: getattr(diagnosis, name) for name in FIGURES},
+        **{name: getattr(diagnosis, name) for name in JUDGED_FIGURES},
         "worst": diagnosis.worst.label,
         "headline": summary.headline,
         "fine": summary.fine,

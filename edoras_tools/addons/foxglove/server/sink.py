@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.addons.foxglove.server.link_state import LinkState, route_from_key, route_keys
-from edoras_tools.addons.foxglove.server.live_diagnosis import FIGURES, LiveDiagnosis
+from edoras_tools.addons.foxglove.server.live_diagnosis import JUDGED_FIGURES, LiveDiagnosis
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.examination import Examination
@@ -160,7 +160,10 @@ class Diagnostics:
 
     def _doctor_statuses(self, judgement: Mapping[str, Any]) -> list[dict[str, Any]]:
         """Return what the doctor says in all, and of each problem."""
-        level, figures = _LEVELS.get(judgement["worst"], OK), {name: judgement[name] for name in FIGURES}
+        level, figures = (
+            _LEVELS.get(judgement["worst"], OK),
+            {name: judgement[name] for name in JUDGED_FIGURES},
+        )
         statuses = [self._entry(level, "doctor", judgement["headline"], figures)]
         for place, item in enumerate(judgement["problems"], 1):
             name = f"doctor: {', '.join(item['rules']) or 'loss'} {place}"
