@@ -64,10 +64,7 @@ ADDONS: Final = (
         "plot",
         commands={
             "plot": ListedCommand(
-                "Look",
-                "Plot fields over time, with rates, losses and events.",
-                "cli:plot",
-                before="host",
+                "Look", "Plot fields over time, with rates, losses and events.", "cli:plot", before="host"
             )
         },
     ),
@@ -135,9 +132,7 @@ ADDONS: Final = (
         "debug_info",
         commands={
             "structs": ListedCommand(
-                "Connect",
-                "Turn C structs of flight software into ROS messages.",
-                "cli:structs",
+                "Connect", "Turn C structs of flight software into ROS messages.", "cli:structs"
             )
         },
     ),
@@ -209,10 +204,7 @@ ADDONS: Final = (
     Addon(
         "ros_args",
         adds={
-            "parts": {
-                "ros_args": "arguments:RosArguments",
-                "ros_args_settings": "arguments:with_arguments",
-            }
+            "parts": {"ros_args": "arguments:RosArguments", "ros_args_settings": "arguments:with_arguments"}
         },
     ),
     Addon("racs2", adds={"links": {"racs2": "link:RACS2"}}),

@@ -142,18 +142,10 @@ def index_captures(
             "--jobs is for workers of this machine, --scheduler for those of a cluster; choose one"
         )
     update = Update(
-        tuple(places),
-        decoding.settings(),
-        work.jobs or 0,
-        work.scheduler or "",
-        again=again,
-        forget=forget,
+        tuple(places), decoding.settings(), work.jobs or 0, work.scheduler or "", again=again, forget=forget
     )
     json, quiet = printing
-    with (
-        open_index(index, write=True) as opened,
-        file_progress(places, quiet=quiet or json) as bar,
-    ):
+    with open_index(index, write=True) as opened, file_progress(places, quiet=quiet or json) as bar:
         report = bring_up_to_date(opened, update, bar, tell)
     summary = {"index": str(index), **report.summary()}
     if json:

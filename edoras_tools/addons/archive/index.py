@@ -159,8 +159,7 @@ class Index:
             if old:
                 for table in TABLES.values():
                     self._connection.execute(
-                        f"DELETE FROM {table.name} WHERE capture IN (SELECT unnest(?))",
-                        [old],
+                        f"DELETE FROM {table.name} WHERE capture IN (SELECT unnest(?))", [old]
                     )
             for part in parts:
                 for name, rows in part.items():

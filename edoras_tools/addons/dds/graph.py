@@ -11,12 +11,7 @@ from functools import partial
 from threading import Event, RLock, Thread, current_thread
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from cyclonedds.core import (
-    DDSException,
-    GuardCondition,
-    ReadCondition,
-    WaitSet,
-)
+from cyclonedds.core import DDSException, GuardCondition, ReadCondition, WaitSet
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter, Publisher
 from cyclonedds.qos import Policy, Qos

@@ -11,11 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 
-STRUCTS: Final = {
-    "DW_TAG_structure_type": False,
-    "DW_TAG_class_type": False,
-    "DW_TAG_union_type": True,
-}
+STRUCTS: Final = {"DW_TAG_structure_type": False, "DW_TAG_class_type": False, "DW_TAG_union_type": True}
 PLAIN: Final = frozenset(
     {
         *("DW_TAG_typedef", "DW_TAG_const_type", "DW_TAG_volatile_type", "DW_TAG_restrict_type"),

@@ -229,11 +229,7 @@ _TM_WITH_PACKETS: Final = {
 
 
 def read_ground_frames(
-    data: NDArray[np.uint8],
-    offset: NDArray[np.int64],
-    length: NDArray[np.int32],
-    *,
-    checked: bool = True,
+    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], *, checked: bool = True
 ) -> Frames:
     """Read many frames; nothing in them can make this raise.
 

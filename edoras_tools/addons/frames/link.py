@@ -18,12 +18,7 @@ from edoras_tools.wire import transfer_frames as headers
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16, crc16_rows
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.transfer_frames import (
-    FRAME_LAYOUTS,
-    FRAME_VERSIONS,
-    NO_FIRST,
-    FrameFormat,
-)
+from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FRAME_VERSIONS, NO_FIRST, FrameFormat
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -116,12 +111,7 @@ class TransferFramesLink(LinkProtocol):
     doc = "CCSDS transfer frames (TM, AOS, TC), which carry the packets of another link"
     to_cfs = True
     from_cfs = True
-    layouts = (
-        *FRAME_LAYOUTS.values(),
-        headers.TM_SECONDARY,
-        headers.AOS_PACKETS,
-        headers.TC_SEGMENT,
-    )
+    layouts = (*FRAME_LAYOUTS.values(), headers.TM_SECONDARY, headers.AOS_PACKETS, headers.TC_SEGMENT)
     port_decides = False
     sends = True
 

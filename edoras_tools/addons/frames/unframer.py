@@ -35,11 +35,7 @@ from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStre
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
-from edoras_tools.wire.transfer_frames import (
-    LATE,
-    FrameFormat,
-    count_modulus,
-)
+from edoras_tools.wire.transfer_frames import LATE, FrameFormat, count_modulus
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

@@ -6,11 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.mission_draft.constants import (
-    clean_rates,
-    joined_constants,
-    shown_constants,
-)
+from edoras_tools.addons.mission_draft.constants import clean_rates, joined_constants, shown_constants
 from edoras_tools.addons.mission_draft.draft import MissionDraft, each_draft, read_traffic
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.errors import CaptureError

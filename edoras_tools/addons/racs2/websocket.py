@@ -86,10 +86,7 @@ def read_headers(
 
 
 def unmask(
-    data: NDArray[np.uint8],
-    start: NDArray[np.int64],
-    length: NDArray[np.int64],
-    keys: NDArray[np.uint8],
+    data: NDArray[np.uint8], start: NDArray[np.int64], length: NDArray[np.int64], keys: NDArray[np.uint8]
 ) -> None:
     """Remove the masks of payloads, in place (section 5.3).
 

@@ -33,8 +33,7 @@ class WhichOptions(NamedTuple):
     topic: Annotated[str | None, Option(help="Draw the rounds of this topic; with --nth one message.")] = None
     nth: Annotated[int | None, Option(parser=options.count, metavar="N", help="N-th one of --topic.")] = None
     lost: Annotated[
-        int | None,
-        Option(parser=options.count, metavar="N", help="The N-th of doctor --list-lost."),
+        int | None, Option(parser=options.count, metavar="N", help="The N-th of doctor --list-lost.")
     ] = None
 
 
@@ -48,8 +47,7 @@ def trace(
     read: Annotated[list[Path] | None, Option("--read", "-r", hidden=True)] = None,
     which: WhichOptions,
     output: Annotated[
-        Path | None,
-        Option("--output", "-o", metavar="FILE", help="Write .svg, .html, or .mmd for Mermaid."),
+        Path | None, Option("--output", "-o", metavar="FILE", help="Write .svg, .html, or .mmd for Mermaid.")
     ] = None,
     force: recordings.Force = False,
     times: options.TimeOptions = options.TimeOptions(),

@@ -54,12 +54,7 @@ def show(
         selection.over(bench)
         _take_keyboard()
         choice = ViewOptions(
-            selection,
-            settings,
-            time_format=time,
-            follow=source.live,
-            limits=limits,
-            verbose=verbose,
+            selection, settings, time_format=time, follow=source.live, limits=limits, verbose=verbose
         )
         viewer = Viewer(source, bench, choice)
     except BaseException:

@@ -233,11 +233,7 @@ class ZenohGraph:
             )
         else:
             entity = self._declare(
-                topic_,
-                self._session.declare_subscriber,
-                key,
-                listener,
-                allowed_origin=zenoh.Locality.REMOTE,
+                topic_, self._session.declare_subscriber, key, listener, allowed_origin=zenoh.Locality.REMOTE
             )
         self._listening.append(listener)
         self._announce(entity, TokenKind.SUBSCRIPTION, topic_, qos)

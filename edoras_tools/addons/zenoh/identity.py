@@ -103,13 +103,7 @@ class NodeTokens:
             qos: as requested.
         """
         return "/".join(
-            [
-                self._token(kind, entity),
-                _mangled(topic.name),
-                topic.dds_type,
-                topic.type_hash,
-                qos_text(qos),
-            ]
+            [self._token(kind, entity), _mangled(topic.name), topic.dds_type, topic.type_hash, qos_text(qos)]
         )
 
     def _token(self, kind: TokenKind, entity: int) -> str:

@@ -20,16 +20,7 @@ from edoras_tools.addons.databases.placement import (
     scalar,
 )
 from edoras_tools.structs.messages import unique
-from edoras_tools.structs.shapes import (
-    BASIC,
-    Basic,
-    BasicKind,
-    ByteOrder,
-    Enumeration,
-    Member,
-    Range,
-    Struct,
-)
+from edoras_tools.structs.shapes import BASIC, Basic, BasicKind, ByteOrder, Enumeration, Member, Range, Struct
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -102,9 +102,7 @@ class FoxgloveClient:
     def __init__(self, address: Endpoint, *, publishes: bool, controls: bool) -> None:
         self.address, self._publishes, self._controls = address, publishes, controls
         self._websocket = ServerProtocol(
-            select_subprotocol=_choose_subprotocol,
-            max_size=_MOST_RECEIVED,
-            logger=_SILENT,
+            select_subprotocol=_choose_subprotocol, max_size=_MOST_RECEIVED, logger=_SILENT
         )
         self._response: Response | None = None
         self._plain = True

@@ -52,11 +52,7 @@ _DOMAINS: Final[dict[int, _Domain]] = defaultdict(_Domain)
 
 
 def open_graph(
-    store: TypeStore,
-    node: str,
-    *,
-    domain: int = 0,
-    options: Mapping[str, str] = {},
+    store: TypeStore, node: str, *, domain: int = 0, options: Mapping[str, str] = {}
 ) -> LocalGraph:
     """Join the graph of this process.
 

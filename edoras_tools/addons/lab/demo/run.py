@@ -21,13 +21,7 @@ from edoras_tools.addons.lab.demo.nodes import (
     commands,
     make_robot,
 )
-from edoras_tools.addons.lab.demo.scene import (
-    LAYOUTS,
-    free_ports,
-    lanes_of,
-    profile,
-    write_missions,
-)
+from edoras_tools.addons.lab.demo.scene import LAYOUTS, free_ports, lanes_of, profile, write_missions
 from edoras_tools.addons.lab.demo.trace import Leg, Trace
 from edoras_tools.addons.lab.emulator import BOOT_NS, Scenario, Served, Simulation
 from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp, TwoRobotApp

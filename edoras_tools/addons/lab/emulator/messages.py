@@ -146,10 +146,7 @@ def std_header(now: int, frame_id: str) -> dict[str, Any]:
 
 def pose(x: float, y: float, z: float = 0.0, qz: float = 0.0, qw: float = 1.0) -> dict[str, Any]:
     """Return a geometry_msgs/Pose turned about z."""
-    return {
-        "position": {"x": x, "y": y, "z": z},
-        "orientation": {"x": 0.0, "y": 0.0, "z": qz, "w": qw},
-    }
+    return {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": 0.0, "y": 0.0, "z": qz, "w": qw}}
 
 
 def pose_stamped(now: int, frame_id: str, x: float, y: float, heading: float) -> bytes:

@@ -37,8 +37,7 @@ class Guide:
     def begin(self, seconds: float, folder: Path) -> None:
         """Print the introduction: how long the link runs, and where its files will be."""
         self._title(
-            1,
-            f"A live link, {seconds:g} s of it: emulated cFS, two rovers, both bridges; one of each kind",
+            1, f"A live link, {seconds:g} s of it: emulated cFS, two rovers, both bridges; one of each kind"
         )
         rovers = f"{folder}/missions/two_rovers"
         self._say(f"$ edoras sniff -i lo -c {rovers}_ground.yaml -c {rovers}_flight.yaml")

@@ -161,10 +161,7 @@ def _show(demo: _Demo, moment: Moment) -> Group:
 
 
 def outcome(
-    summary: Mapping[str, Any],
-    lines: Sequence[Sequence[tuple[float, float]]],
-    width: int,
-    output: Path,
+    summary: Mapping[str, Any], lines: Sequence[Sequence[tuple[float, float]]], width: int, output: Path
 ) -> Group:
     """Return the result of a demo.
 

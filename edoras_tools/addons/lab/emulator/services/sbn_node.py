@@ -9,13 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.lab.emulator.messages import (
-    bus_id,
-    from_link,
-    link_id,
-    to_link,
-    whole_packet,
-)
+from edoras_tools.addons.lab.emulator.messages import bus_id, from_link, link_id, to_link, whole_packet
 from edoras_tools.addons.lab.emulator.services.events import Event
 from edoras_tools.cfs import sbn as facts
 from edoras_tools.model import Peer
