@@ -29,7 +29,7 @@ class Format:
         name: for the user.
         suffix: of its files; empty for a directory, which needs an option.
         reader: place of its source class, as ``module:class``, in this folder ``.module:class``, in a part of
-            an add-on ``part:class``; of rosbag2 that of messages; empty if the format is only written.
+            an add-on ``part/name:class``; of rosbag2 that of messages; empty if the format is only written.
         writer: place of its sink class or ``TableWriter``; empty if the format is only read.
         messages: whether its sink also writes messages by topic, and can be split.
         table: whether it holds a table of the messages of a topic, and is only written.
@@ -63,8 +63,8 @@ CFE: Final = Format("cFE file", "", ".cfe.reader:CfePacketSource", "")
 FILE_FORMATS: Final = (PCAP, PCAPNG, MCAP, ROSBAG2)
 
 TABLE_FORMATS: Final = (
-    Format("Parquet", ".parquet", "", "arrow_tables:ParquetWriter", table=True),
-    Format("Arrow", ".arrow", "", "arrow_tables:ArrowWriter", table=True),
+    Format("Parquet", ".parquet", "", "part/arrow_tables:ParquetWriter", table=True),
+    Format("Arrow", ".arrow", "", "part/arrow_tables:ArrowWriter", table=True),
     Format("CSV", ".csv", "", ".text:CsvWriter", table=True),
     Format("JSON Lines", ".jsonl", "", ".text:JsonLinesWriter", table=True),
 )
@@ -128,7 +128,7 @@ TABLES_WRITTEN: Final = _listed([item.suffix for item in TABLE_FORMATS], "or")
 
 
 def _imported(place: str) -> Any:
-    module, _, name = place.partition(":")
-    if module and "." not in module:
-        return getattr(doors.part(module), name)
+    if place.startswith("part/"):
+        name, _, written = place.removeprefix("part/").partition(":")
+        return getattr(doors.part(name), written)
     return doors.imported(f"edoras_tools.io.formats{place}" if place.startswith(".") else place)
