@@ -650,11 +650,10 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     way.end("not_captured", telemetry.ended(stream, "away"))
     way.end("unaccounted", telemetry.ended(stream, "untold"))
     way.end("uncertain", telemetry.ended(stream, "uncertain"))
-    astray = (
-        item.lost
-        for item in losses
-        if item.among and item.among.stream is stream and item.among.missing is None
-    )
+    # Seen here, and lost on the way to the next capture.
+    undelivered = case.rows.undelivered[stream.rows]
+    own = ((item.lost, item.among) for item in losses if item.among and item.among.stream is stream)
+    astray = (lost for lost, of in own if of.missing is None and undelivered[of.rows].all())
     way.close(len(stream) - sum(astray))
     return way
 
