@@ -104,8 +104,8 @@ class Capture:
         evidence: what links saw in it themselves.
         unwrappers: what took packets out of what carried them, and what its counts say.
         lacking: datagrams of which the first fragment is in it, and later ones are not.
-        shared: of ``SourceStatistics``, as the next.
-        astray: where they are known.
+        shared: datagrams that were left out, for another capture read with this one has them.
+        astray: time (ns) and fingerprint of each that never came to the place of another capture on its way.
     """
 
     drops: int | None = None
@@ -358,9 +358,9 @@ class Case:
             places.setdefault(min(own, default=(0, 0))[1], []).append(place)
         return {key: rows.take(np.array(own)) for key, own in places.items()}
 
-    def damaged_of(self, stream: Stream) -> Rows:
-        """Return the datagrams of a stream that the network damaged."""
-        return self.damaged.get(id(stream)) or self.prepared.damaged.take(slice(0))
+    def damaged_of(self, stream: Stream | None) -> Rows:
+        """Return the datagrams of a stream, or of none, that the network damaged."""
+        return self.damaged.get(0 if stream is None else id(stream)) or self.prepared.damaged.take(slice(0))
 
     def arrival(self, stream: Stream) -> Hashable:
         """Return all that decides what may come out of a stream; None where nobody took it."""

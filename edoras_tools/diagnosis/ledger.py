@@ -567,7 +567,7 @@ def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
 
 def _damaged(case: Case) -> Iterator[LedgerWay]:
     """Yield what came to cFS damaged so that nothing else of its MsgId is in the capture."""
-    rows = case.damaged.get(0, case.prepared.damaged.take(slice(0)))
+    rows = case.damaged_of(None)
     to_cfs = among(rows.link, lambda link: link.to_cfs and link.packets)
     to_cfs &= (rows.msg_id != NO_MSG_ID) | ~among(rows.link, lambda link: link.peers)
     to_cfs &= np.isin(rows.destination, [item.stream.receiver for item in case.commands.fates.values()])

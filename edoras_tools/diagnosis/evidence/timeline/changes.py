@@ -141,7 +141,7 @@ class SoftwareChanges:
         state = _APP_STATES.get(command.function_code)
         app = command.app
         sent_ns, words = pattern.not_before_ns, f"0x{command.msg_id:04X},  CC = {command.function_code}, Len"
-        said = [item.message for item in self._payloads.events if 0 <= item.time_ns - sent_ns < _SLACK_NS]
+        said = (item.message for item in self._payloads.events if 0 <= item.time_ns - sent_ns < _SLACK_NS)
         if state is None or not app or any(words in text for text in said):  # its length is wrong
             return
         change = replace(pattern, subject=StateOwner("app", app), state=state)
