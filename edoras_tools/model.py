@@ -112,8 +112,7 @@ UNKNOWABLE: Final = (
 NO_FINDINGS = Finding(0)
 
 
-@dataclass(frozen=True, slots=True)
-class Transport:
+class Transport(NamedTuple):
     """How the messages of a link travel.
 
     Attributes:
@@ -242,8 +241,7 @@ class Peer(NamedTuple):
         return f"{self.spacecraft_id}:{self.processor_id}"
 
 
-@dataclass(frozen=True, slots=True)
-class Datagram:
+class Datagram(NamedTuple):
     """One captured datagram, whole, or one message of a TCP stream.
 
     Attributes:
@@ -453,8 +451,7 @@ class Columns:
         return type(self)(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
 
 
-@dataclass(frozen=True, slots=True)
-class LayerField:
+class LayerField(NamedTuple):
     """One named value of a layer and the bytes it was read from.
 
     Attributes:
@@ -474,8 +471,7 @@ class LayerField:
     doc: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Layer:
+class Layer(NamedTuple):
     """One dissected header or body.
 
     Attributes:
@@ -497,8 +493,7 @@ class Layer:
         return {item.name: item.value for item in self.fields}
 
 
-@dataclass(frozen=True, slots=True)
-class RosMessage:
+class RosMessage(NamedTuple):
     """A decoded ROS message.
 
     Attributes:
@@ -555,8 +550,7 @@ class Decoded:
         return next((item for item in self.layers if item.name == name), None)
 
 
-@dataclass(frozen=True, slots=True)
-class CutDatagram:
+class CutDatagram(NamedTuple):
     """A datagram that never became whole: its first fragment came, and later ones did not.
 
     Attributes:

@@ -7,10 +7,9 @@ in order; :data:`NAMED` are those that are bare headers, and short forms of some
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import Enum
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.cfs import event_services, executive_services, sbn, telemetry_output
 from edoras_tools.cfs.arguments import ARGUMENTS, DEFAULTS, SERVICES, TAILS
@@ -38,8 +37,7 @@ class Argument(Enum):
     RESET = "processor or power_on"
 
 
-@dataclass(frozen=True, slots=True)
-class NamedCommand:
+class NamedCommand(NamedTuple):
     """A command.
 
     Attributes:
@@ -162,8 +160,7 @@ _MOST: Final = {"microseconds": 999_999}
 """What cFE takes at most, where its field holds more."""
 
 
-@dataclass(frozen=True, slots=True)
-class CommandArgument:
+class CommandArgument(NamedTuple):
     """One argument of a command, as it is typed.
 
     Attributes:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from edoras_tools.cfs.event_services import EventText, EventType
 
@@ -86,8 +85,7 @@ RESTARTED_APP: Final = EventText(NAME, RESTARTED, "Restart Application {name} Co
 RELOADED_APP: Final = EventText(NAME, RELOADED, "Reload Application {name} Completed, AppID={number:d}")
 
 
-@dataclass(frozen=True, slots=True)
-class Ending:
+class Ending(NamedTuple):
     """A command that ends an application.
 
     Attributes:

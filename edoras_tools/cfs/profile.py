@@ -7,7 +7,7 @@ over UDP). Times are integer nanoseconds.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.errors import ConfigError
@@ -45,8 +45,7 @@ class SbnPeerConfig:
     address: str = "127.0.0.1"
 
 
-@dataclass(frozen=True, slots=True)
-class Ports:
+class Ports(NamedTuple):
     """The UDP ports of one cFS and of the two bridges that it talks to.
 
     Attributes:

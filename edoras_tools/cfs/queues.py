@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -125,8 +125,7 @@ def peer_pipe(profile: SimProfile) -> Queue:
     return Queue(profile.sbn_wake_ns, profile.sbn_pipe_depth, profile.sbn_msg_limit)
 
 
-@dataclass(frozen=True, slots=True)
-class Passage:
+class Passage(NamedTuple):
     """What became of the messages that arrived at one queue, an element for each.
 
     Attributes:
@@ -232,8 +231,7 @@ def _read(
     return waiting[len(leaving) :]
 
 
-@dataclass(frozen=True, slots=True)
-class _Messages:
+class _Messages(NamedTuple):
     """The messages of one call, and how they enter.
 
     Attributes:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from edoras_tools.cfs.event_services import EventText, EventType
 
@@ -17,8 +16,7 @@ ADD_ADJUST, SUB_ADJUST, ADD_ONE_HZ, SUB_ONE_HZ = 11, 12, 13, 14
 LEAPS_SET: Final = EventText(NAME, 17, "Set Leap Seconds = {leap_seconds:d}")
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
+class Setting(NamedTuple):
     """A command that sets or adjusts the time.
 
     Attributes:

@@ -16,10 +16,9 @@ from __future__ import annotations
 import os
 import stat
 import sys
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.words import did_you_mean, listed
@@ -48,8 +47,7 @@ COMMAND_LINE_ONLY: Final = (
 _LARGEST: Final = 1 << 18
 
 
-@dataclass(frozen=True, slots=True)
-class SettingsFile:
+class SettingsFile(NamedTuple):
     """A settings file.
 
     Attributes:

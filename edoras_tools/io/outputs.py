@@ -13,12 +13,11 @@ import signal
 import stat
 import time
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from glob import escape
 from hashlib import sha256
 from itertools import count
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, ClassVar, Final
+from typing import IO, TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError, ConfigError, os_errors
 
@@ -318,8 +317,7 @@ def _is_for_all(folder: Path) -> bool:
     return bool(mode & stat.S_ISVTX and mode & (stat.S_IWGRP | stat.S_IWOTH))
 
 
-@dataclass(frozen=True, slots=True)
-class Patience:
+class Patience(NamedTuple):
     """How a recorder behaves while the disk is full.
 
     Attributes:

@@ -12,8 +12,7 @@ import pwd
 import sys
 import tempfile
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError, ConfigError
 
@@ -24,8 +23,7 @@ if TYPE_CHECKING:
 _PR_SET_NO_NEW_PRIVS: Final = 38
 
 
-@dataclass(frozen=True, slots=True)
-class User:
+class User(NamedTuple):
     """The account that a process changes to.
 
     Attributes:

@@ -5,8 +5,8 @@ No port carries them, so their port is 0, as that of stored packets. They are to
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -99,8 +99,7 @@ class IcmpLink(LinkProtocol):
         ]
 
 
-@dataclass(frozen=True, slots=True)
-class QuotedRows:
+class QuotedRows(NamedTuple):
     """The datagrams that errors quote, a row an error.
 
     Attributes:

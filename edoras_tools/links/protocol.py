@@ -10,8 +10,7 @@ Rules that every link keeps:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -58,8 +57,7 @@ _DOUBLES: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Form:
+class Form(NamedTuple):
     """One kind of datagram of a link, recognised by its length and by the doubles that it starts with.
 
     Attributes:

@@ -85,8 +85,7 @@ class Graph(Protocol):
         """Leave the graph. Nothing is heard after this returns; calling it again does nothing."""
 
 
-@dataclass(frozen=True, slots=True)
-class Middleware:
+class Middleware(NamedTuple):
     """A way to join a ROS 2 graph; nothing of it is imported before somebody joins.
 
     Attributes:

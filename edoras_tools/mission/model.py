@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 from edoras_tools.errors import RouteError
 from edoras_tools.mission.scalars import read_scalar
@@ -162,8 +162,7 @@ class TransferLink:
     line: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class StoredTopic:
+class StoredTopic(NamedTuple):
     """A topic whose messages EDORAS's ``data_transfer`` writes to a file, for CFDP.
 
     Attributes:
@@ -200,8 +199,7 @@ class RecordedTopic:
     unread: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class FramedPort:
+class FramedPort(NamedTuple):
     """One of ``frames``: a port of CCSDS transfer frames.
 
     Attributes:

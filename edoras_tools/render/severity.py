@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final
+from typing import Final, NamedTuple
 
 from edoras_tools.model import Finding
 
@@ -35,8 +34,7 @@ class Level(IntEnum):
         return (" ", "·", "!", "✗")[self]
 
 
-@dataclass(frozen=True, slots=True)
-class Explanation:
+class Explanation(NamedTuple):
     """The explanation of a finding.
 
     Attributes:

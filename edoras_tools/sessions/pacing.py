@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping  # noqa: TC003  Pacing's annotations are read by people and tools
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,7 @@ _STEPS: Final = 64
 _FOLD: Final = 1 << 16
 
 
-@dataclass(frozen=True, slots=True)
-class Timetable:
+class Timetable(NamedTuple):
     """The order and the deadlines of one pass over a recording.
 
     Attributes:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import re
 import reprlib
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
 from edoras_tools import doors
 from edoras_tools.errors import ConfigError
@@ -54,8 +53,7 @@ _HIGHEST: Final = 0x1FFF
 """The highest MsgId; tables by MsgId keep rows without a packet (-1) at 0xFFFF."""
 
 
-@dataclass(frozen=True, slots=True)
-class Database:
+class Database(NamedTuple):
     """A kind of file with message layouts, which an add-on or a package reads (``edoras.databases``).
 
     What it reads can stand wherever a layout file can: ``--set structs``, ``xtce``, ``wireshark``.

@@ -8,9 +8,8 @@ then the CDR. A 64-bit little-endian sender makes 8 + 8 bytes; a 32-bit one 4 + 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -26,8 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@dataclass(frozen=True, slots=True)
-class EnvelopeFormat:
+class EnvelopeFormat(NamedTuple):
     """The words of an envelope, and their byte order.
 
     Attributes:

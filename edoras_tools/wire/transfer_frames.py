@@ -5,8 +5,7 @@ Their headers, and what a mission lays down of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from edoras_tools.wire.arrays.crc import CRC16_BYTES
 from edoras_tools.wire.layout import Field, Layout
@@ -130,8 +129,7 @@ NO_FIRST: Final = -1
 """``FrameFields.first`` of a frame in which no packet starts."""
 
 
-@dataclass(frozen=True, slots=True)
-class FrameFormat:
+class FrameFormat(NamedTuple):
     """What the bytes of a frame do not say themselves.
 
     Attributes:

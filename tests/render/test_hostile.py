@@ -47,8 +47,7 @@ quick = settings(max_examples=examples(250), deadline=None)
 names = st.sampled_from(["ccsds", "sbn", "cfe_command", "ros", ""]) | anything
 layers = st.builds(Layer, names, anything, places, places, st.lists(fields, max_size=4).map(tuple))
 endpoints = st.builds(Endpoint, st.ip_addresses().map(str) | anything, st.integers(0, 65535))
-datagrams = st.builds(
-    Datagram,
+datagrams = st.tuples(
     st.integers(1, 10**9),
     st.integers(-(1 << 63), (1 << 63) - 1),
     st.just(1),
@@ -58,7 +57,7 @@ datagrams = st.builds(
     st.integers(0, 70000),
     endpoints,
     endpoints,
-)
+).map(lambda values: Datagram(*values))
 packets = st.builds(
     Decoded,
     datagrams,

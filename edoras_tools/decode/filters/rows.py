@@ -5,9 +5,8 @@ Both give the same series for every field.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -39,8 +38,7 @@ class ValueKind(Enum):
     STRUCT = "a group of fields"
 
 
-@dataclass(frozen=True, slots=True)
-class Series:
+class Series(NamedTuple):
     """The values of a field in ``rows`` packets.
 
     Attributes:

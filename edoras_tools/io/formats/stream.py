@@ -5,10 +5,9 @@ from __future__ import annotations
 import select
 import stat
 import zlib
-from dataclasses import dataclass
 from os import fstat
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -262,8 +261,7 @@ def _fresh(size: int) -> NDArray[np.uint8]:
 _COPIED_BYTES: Final = 1 << 20
 
 
-@dataclass(frozen=True, slots=True)
-class SettledFile:
+class SettledFile(NamedTuple):
     """A regular file.
 
     Attributes:

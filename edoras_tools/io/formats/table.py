@@ -7,8 +7,7 @@ fits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools import doors
 from edoras_tools.older import StrEnum
@@ -21,8 +20,7 @@ LONGEST_MAGIC: Final = 8
 """Bytes by which a file's format is told."""
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
+class Format(NamedTuple):
     """One format.
 
     Attributes:

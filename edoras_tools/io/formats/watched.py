@@ -20,7 +20,7 @@ from __future__ import annotations
 import time
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io import Sink
@@ -38,8 +38,7 @@ if TYPE_CHECKING:
 _LOOK_S: Final = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class OutputLoss:
+class OutputLoss(NamedTuple):
     """A file that was moved, deleted or changed by others, while it was written or later.
 
     Attributes:

@@ -103,8 +103,7 @@ class _Partial:
     ports: tuple[int, int] = (0, 0)
 
 
-@dataclass(frozen=True, slots=True)
-class Fragment:
+class Fragment(NamedTuple):
     """One captured fragment of a UDP datagram.
 
     Attributes:

@@ -7,7 +7,7 @@ from collections import deque
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -150,8 +150,7 @@ def judged_apart(examination: Examination, source: Source, jobs: int) -> Iterato
         yield
 
 
-@dataclass(frozen=True, slots=True)
-class Pace:
+class Pace(NamedTuple):
     """How often a live source is judged, and for how long.
 
     Attributes:

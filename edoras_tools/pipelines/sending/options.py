@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -119,8 +119,7 @@ class Receiver(StrEnum):
         return carrying("flight" if self is Receiver.SBN else "ground", to_cfs=self is not Receiver.GROUND)
 
 
-@dataclass(frozen=True, slots=True)
-class LinkReceiver:
+class LinkReceiver(NamedTuple):
     """Who receives the messages of a link that are sent as its door ``send`` says; of no link: bare payloads.
 
     Attributes:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -33,8 +32,7 @@ _AFTER_ASKING_NS: Final = 8300 * MILLISECOND
 """The same, and a second report that repeats it: CI has read what asked for telemetry."""
 
 
-@dataclass(frozen=True, slots=True)
-class Condition:
+class Condition(NamedTuple):
     """Something to wait for before the first datagram leaves.
 
     Attributes:

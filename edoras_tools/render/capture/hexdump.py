@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.render.terminal import palette
@@ -21,8 +20,7 @@ DUMP_WIDTH: Final = 75
 _ASCII: Final = "".join(chr(octet) if 32 <= octet < 127 else "·" for octet in range(256))
 
 
-@dataclass(frozen=True, slots=True)
-class Region:
+class Region(NamedTuple):
     """Bytes that belong together.
 
     Attributes:
@@ -129,8 +127,7 @@ def legend(coloured: Sequence[Region], width: int, paint: palette.Paint) -> list
     return out
 
 
-@dataclass(frozen=True, slots=True)
-class _Rows:
+class _Rows(NamedTuple):
     """Draws the lines of one dump.
 
     Attributes:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from rich.table import Table
 from rich.text import Text
@@ -43,8 +42,7 @@ def capture_summary(summary: Mapping[str, Any], *, explain: bool = True) -> Rend
     return _CaptureSummary(summary, explain)
 
 
-@dataclass(frozen=True, slots=True)
-class _CaptureSummary:
+class _CaptureSummary(NamedTuple):
     summary: Mapping[str, Any]
     explain: bool
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.model import NO_MSG_ID, Endpoint, Finding, Link
 from edoras_tools.render import units
@@ -62,8 +61,7 @@ class ColumnLines:
         return clip(line, self._width) if self._width else line
 
 
-@dataclass(frozen=True, slots=True)
-class _Widths:
+class _Widths(NamedTuple):
     """Cells of every column at one terminal width; 0 leaves the column out, and ``info`` has what is left."""
 
     number: int

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from edoras_tools.decode.lines import line_of
 from edoras_tools.decode.recorded import recorded_topic
@@ -81,8 +80,7 @@ _DOC_AT: Final = 64
 _LEAST_DOC: Final = 32
 
 
-@dataclass(frozen=True, slots=True)
-class TreeRow:
+class TreeRow(NamedTuple):
     """One row of the tree.
 
     Attributes:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools import __version__
 from edoras_tools.render import units
@@ -17,8 +16,7 @@ if TYPE_CHECKING:
 _HEADING: Final = re.compile(r'<section id="([\w-]+)"><h2>(.*?)</h2>')
 
 
-@dataclass(frozen=True, slots=True)
-class Made:
+class Made(NamedTuple):
     """How and when a page was made: its footer.
 
     Attributes:

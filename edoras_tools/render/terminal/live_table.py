@@ -17,8 +17,7 @@ import threading
 import time
 from collections import deque
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
-from typing import IO, TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar, cast
+from typing import IO, TYPE_CHECKING, Any, Final, Generic, NamedTuple, Protocol, TypeVar, cast
 
 from rich.live import Live
 
@@ -169,8 +168,7 @@ _T = TypeVar("_T")
 _R = TypeVar("_R", bound=LiveRun)
 
 
-@dataclass(frozen=True, slots=True)
-class Moment:
+class Moment(NamedTuple):
     """A run at one moment, as a view shows it.
 
     Attributes:

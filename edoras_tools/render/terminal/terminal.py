@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, TextIO
+from typing import TYPE_CHECKING, Final, NamedTuple, TextIO
 
 from rich.console import Console
 from rich.theme import Theme
@@ -46,8 +45,7 @@ FILE_WIDTH: Final = 1_000_000
 _DEFAULT_WIDTH: Final = 80
 
 
-@dataclass(frozen=True, slots=True)
-class Terminal:
+class Terminal(NamedTuple):
     """Where a view goes.
 
     Attributes:

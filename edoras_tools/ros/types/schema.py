@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -44,8 +43,7 @@ class Shape(Enum):
     SEQUENCE = "sequence"
 
 
-@dataclass(frozen=True, slots=True)
-class MessageField:
+class MessageField(NamedTuple):
     """One field of a message.
 
     Attributes:
@@ -73,8 +71,7 @@ class MessageField:
         return short_name(self.type) + bound + count
 
 
-@dataclass(frozen=True, slots=True)
-class Constant:
+class Constant(NamedTuple):
     """A named value of a message definition; it is not sent."""
 
     name: str
@@ -82,8 +79,7 @@ class Constant:
     value: Any
 
 
-@dataclass(frozen=True, slots=True)
-class Definition:
+class Definition(NamedTuple):
     """One message definition.
 
     Attributes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 from edoras_tools.cfs import limits
 from edoras_tools.cfs import sbn as facts
@@ -12,8 +12,7 @@ from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.sbn import MsgType
 
 
-@dataclass(frozen=True, slots=True)
-class PolledReading:
+class PolledReading(NamedTuple):
     """A receiver that polls its socket, and stops at the first datagram that is not a message.
 
     Attributes:

@@ -511,6 +511,6 @@ def test_faults_drop_and_delay_what_is_sent():
 
 def test_rows_go_in_the_order_of_their_deadlines():
     out = plain(3)
-    table = replace(Pacing().timetable(out.time_ns), order=np.array([2, 0, 1]))
+    table = Pacing().timetable(out.time_ns)._replace(order=np.array([2, 0, 1]))
     assert [in_order(out, table)[row][6] for row in range(3)] == [2, 0, 1]
     assert Counter(out.msg_id.tolist()) == {0x1827: 3}

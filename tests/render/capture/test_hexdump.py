@@ -74,7 +74,7 @@ def test_regions_follow_the_base(packets):
         ("headers", 0, 42),
         ("ccsds", 42, 48),
     ]
-    fragment = replace(twist, datagram=replace(twist.datagram, payload_offset=-1))
+    fragment = replace(twist, datagram=twist.datagram._replace(payload_offset=-1))
     assert hexdump.regions(fragment, "frame") == []
 
 

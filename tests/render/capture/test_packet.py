@@ -46,7 +46,7 @@ def test_points_into_the_frame(packets):
 
 
 def test_a_payload_of_fragments_has_no_place_in_its_frame(packets):
-    fragment = replace(packets["twist"], datagram=replace(packets["twist"].datagram, payload_offset=-1))
+    fragment = replace(packets["twist"], datagram=packets["twist"].datagram._replace(payload_offset=-1))
     shown = packet.packet_lines(fragment, 80, colour=False, highlight="cfe_command", base="frame")
     assert "Frame, 118 bytes" in shown
 

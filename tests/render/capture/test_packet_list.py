@@ -124,7 +124,7 @@ def test_date_where_there_is_room(packets):
 
 
 def test_long_numbers_take_room_from_the_message(packets):
-    decoded = replace(packets["twist"], datagram=replace(packets["twist"].datagram, number=123_456_789))
+    decoded = replace(packets["twist"], datagram=packets["twist"].datagram._replace(number=123_456_789))
     line = PacketList(80, colour=False).line(line_of(decoded))
     assert line.startswith("123456789 ")
     assert cells(line) <= 80
@@ -138,8 +138,8 @@ def test_why_it_stopped_stands_in_for_a_missing_summary(packets):
 
 def with_field(layer, name, **changed):
     """A layer whose field of that name is another."""
-    fields = [replace(item, **changed) if item.name == name else item for item in layer.fields]
-    return replace(layer, fields=tuple(fields))
+    fields = [item._replace(**changed) if item.name == name else item for item in layer.fields]
+    return layer._replace(fields=tuple(fields))
 
 
 def test_names_fill_in_where_decode_has_none(packets):
@@ -177,8 +177,8 @@ def test_a_packet_inside_sbn_keeps_the_outer_kind(packets):
         with_field(packets["disconnect"].layers[0], "msg_type", value=sbn.MsgType.APP),
     )
     data = sbn.emit(sbn.MsgType.APP, Peer(66, 1), twist.datagram.payload)
-    inner = replace(twist.layers[0], start=11, end=17)
-    decoded = replace(twist, datagram=replace(twist.datagram, payload=data), layers=(head, inner))
+    inner = twist.layers[0]._replace(start=11, end=17)
+    decoded = replace(twist, datagram=twist.datagram._replace(payload=data), layers=(head, inner))
     line = line_of(decoded)
     assert (line.kind, line.msg_id, line.name) == ("APP", 0x1827, "/cmd_vel")
 
@@ -187,5 +187,5 @@ def test_an_unknown_sbn_type_is_its_number(packets):
     data = sbn.emit(7, Peer(66, 3))
     decoded = packets["disconnect"]
     layers = (with_field(decoded.layers[0], "msg_type", value=7),)
-    decoded = replace(decoded, datagram=replace(decoded.datagram, payload=data), layers=layers)
+    decoded = replace(decoded, datagram=decoded.datagram._replace(payload=data), layers=layers)
     assert line_of(decoded).kind == "0x07"

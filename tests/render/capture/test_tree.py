@@ -97,7 +97,7 @@ def test_what_is_wrong_comes_last_the_gravest_first(packets):
 
 
 def test_a_frame_that_the_capture_cut_says_so(packets):
-    short = replace(packets["twist"].datagram, original_length=1000)
+    short = packets["twist"].datagram._replace(original_length=1000)
     assert "in a frame of 118 (882 more were cut off)" in text(replace(packets["twist"], datagram=short))
 
 

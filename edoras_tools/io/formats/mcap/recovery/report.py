@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
 from edoras_tools.older import UTC
@@ -90,8 +90,7 @@ _MOST = 12
 """Maximum losses that are listed."""
 
 
-@dataclass(frozen=True, slots=True)
-class LostStretch:
+class LostStretch(NamedTuple):
     """A range of the file that is not kept.
 
     Attributes:
