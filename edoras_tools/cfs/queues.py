@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.wire.arrays.order import Integers
 
 NO_LIMIT: Final = 1 << 62
 
@@ -79,6 +80,11 @@ class Queue:
     phase_ns: int = 0
     is_socket: bool = False
     keeps_newest: bool = False
+
+    @property
+    def full(self) -> QueueEnd:
+        """What becomes of a message that finds it full."""
+        return QueueEnd.SOCKET_FULL if self.is_socket else QueueEnd.PIPE_OVERFLOW
 
     def limit(self, msg_id: int) -> int:
         """Return how many messages of a MsgId may wait."""
@@ -150,8 +156,7 @@ class Passage(NamedTuple):
         """Return how many messages wait at some times, after the arrivals and wake-ups of that moment."""
         entered = self.time_ns[self.outcome <= QueueEnd.SUPERSEDED]
         gone = np.where(self.outcome == QueueEnd.SUPERSEDED, self.superseded_ns, self.left_ns)
-        gone = np.sort(gone[self.outcome != QueueEnd.WAITING])
-        gone = gone[gone >= 0]
+        gone = np.sort(gone[gone >= 0])
         return np.searchsorted(entered, at_ns, side="right") - np.searchsorted(gone, at_ns, side="right")
 
 
@@ -174,14 +179,11 @@ def pass_queue(
     """
     count = len(time_ns)
     reads = max(1, min(queue.reads, count))
-    if wakes_ns is not None:
-        wake = np.searchsorted(wakes_ns, time_ns)
-    elif not queue.round_ns or not count:
-        wake, wakes_ns = np.arange(count), time_ns
-    else:
+    if wakes_ns is None and queue.round_ns and count:
         rounds = -(-min(count, queue.depth) // reads)
         wakes_ns = queue.wakes(int(time_ns[0]), int(time_ns[-1]) + rounds * queue.round_ns)
-        wake = np.searchsorted(wakes_ns, time_ns)
+    wake = np.arange(count) if wakes_ns is None else np.searchsorted(wakes_ns, time_ns)
+    wakes_ns = time_ns if wakes_ns is None else wakes_ns
     first_of, kind = numbered(msg_id)
     limit = np.array([queue.limit(int(item)) for item in msg_id[first_of]], np.int64)[kind]
     messages = _Messages(queue, time_ns, kind, limit, np.full(count, -1, np.int64))
@@ -189,14 +191,19 @@ def pass_queue(
     left_ns = np.full(count, -1, np.int64)
 
     rounds_at, first, arrivals = np.unique(wake, return_index=True, return_counts=True)
-    is_calm = _calm(rounds_at, arrivals, reads)
-    rows = np.flatnonzero(np.repeat(is_calm, arrivals))
-    outcome[rows] = messages.enter(rows, wake[rows])
-    rows = rows[(outcome[rows] == QueueEnd.WAITING) & (wake[rows] < len(wakes_ns))]
-    left_ns[rows] = wakes_ns[wake[rows]]
+    ahead = _ahead(rounds_at, arrivals, reads, queue.depth)
+    is_free = limit.min(initial=NO_LIMIT) > queue.depth  # only the depth counts, so that ``ahead`` is exact
+    at_once = is_free | ((ahead == 0) & (arrivals <= reads))
+    rows = np.flatnonzero(np.repeat(at_once, arrivals))
+    place = (np.repeat(ahead - first, arrivals) + np.arange(count))[rows]
+    fits = np.where(place < queue.depth, QueueEnd.WAITING, queue.full)
+    outcome[rows] = fits if is_free else messages.enter(rows, wake[rows])
+    at = wake[rows] + place // reads
+    leaves = (outcome[rows] == QueueEnd.WAITING) & (at < len(wakes_ns))
+    left_ns[rows[leaves]] = wakes_ns[at[leaves]]
 
     waiting, next_wake = np.zeros(0, np.int64), 0
-    for number in np.flatnonzero(~is_calm):
+    for number in np.flatnonzero(~at_once):
         at, start = int(rounds_at[number]), int(first[number])
         waiting = _read(waiting, left_ns, wakes_ns[next_wake:at], reads)
         rows = np.concatenate((waiting, np.arange(start, start + arrivals[number])))
@@ -207,24 +214,21 @@ def pass_queue(
     return Passage(time_ns, outcome, left_ns, messages.superseded_ns)
 
 
-def _calm(rounds_at: NDArray[np.int64], arrivals: NDArray[np.int64], reads: int) -> NDArray[np.bool_]:
-    """Tell for which rounds the queue is empty before and after, even if it loses nothing.
+def _ahead(rounds_at: Integers, arrivals: Integers, reads: int, depth: int) -> Integers:
+    """Return how many wait at the most before the arrivals of each round; as many, where no limit counts.
 
     Args:
         rounds_at: numbers of the rounds in which something arrives.
         arrivals: how much.
     """
-    if not len(rounds_at):
-        return np.zeros(0, np.bool_)
-    surplus = np.cumsum(arrivals) - arrivals - reads * (rounds_at - rounds_at[0])
-    lowest: NDArray[np.int64] = np.minimum.accumulate(surplus)
-    is_calm: NDArray[np.bool_] = (surplus == lowest) & (arrivals <= reads)
-    return is_calm
+    ahead, waiting, before = [], 0, 0
+    for at, arriving in zip(rounds_at.tolist(), arrivals.tolist(), strict=True):
+        ahead.append(max(0, waiting - reads * (at - before)))
+        waiting, before = min(depth, ahead[-1] + arriving), at
+    return np.array(ahead, np.int64)
 
 
-def _read(
-    waiting: NDArray[np.int64], left_ns: NDArray[np.int64], wakes_ns: NDArray[np.int64], reads: int
-) -> NDArray[np.int64]:
+def _read(waiting: Integers, left_ns: Integers, wakes_ns: Integers, reads: int) -> Integers:
     """Write when messages leave at some wake-ups, and return those that stay."""
     leaving = waiting[: reads * len(wakes_ns)]
     left_ns[leaving] = wakes_ns[np.arange(len(leaving)) // reads]
@@ -262,11 +266,9 @@ class _Messages(NamedTuple):
         ahead = np.cumsum(below) - below if batch is None else _rank(batch, below)
         entered = below & (ahead < self.queue.depth)
         inside = np.bincount(group, entered)[group] if len(rows) else limit
-        full = QueueEnd.SOCKET_FULL if self.queue.is_socket else QueueEnd.PIPE_OVERFLOW
         over = ~entered & (inside >= limit)
-        outcome = np.where(entered, QueueEnd.WAITING, np.where(over, QueueEnd.MSG_LIMIT, full)).astype(
-            np.uint8
-        )
+        lost = np.where(over, QueueEnd.MSG_LIMIT, self.queue.full)
+        outcome = np.where(entered, QueueEnd.WAITING, lost).astype(np.uint8)
         if self.queue.keeps_newest and over.any():
             self._supersede(rows, group, entered | (over & (limit > 0)), outcome)
         return outcome

@@ -211,12 +211,11 @@ class _Ends:
         return self._prints(kind, self.streams[place].rows)
 
     def different(self, kind: str, some: Mask) -> tuple[Places, Prints]:
-        """Return the different fingerprints of some streams, in order, without 0: whose, and which."""
+        """Return the different fingerprints of some streams but 0, stream by stream: whose, and which."""
         mine = slice(None) if some.all() else some[self._owner]
         owner, prints = self._owner[mine], self._prints(kind, self._at[mine])
         there = np.flatnonzero(prints)
-        first = there[numbered(owner[there], prints[there])[0]]
-        once = first[np.lexsort((prints[first], owner[first]))]
+        once = there[numbered(owner[there], prints[there])[0]]
         if kind != _COUNT:
             return owner[once], prints[once]
         # A count says nothing but within one MsgId of one cFS.

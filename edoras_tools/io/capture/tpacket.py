@@ -58,8 +58,8 @@ _ADDRESSES: Final = 12
 _SOCKADDR: Final = 48
 _SLL2_LENGTH: Final = 20
 _ETHERNET_LENGTH: Final = 14
-_STEPS: Final = 24
-"""Packets of a part that is walked beside others, at the most."""
+_STEPS: Final = 12
+"""Packets of a part that is walked beside others, at the most: no more than are walked at once."""
 # Offset of each byte of an SLL2 header in a little-endian sockaddr_ll: protocol, 2 reserved bytes,
 # interface index, ARPHRD type, packet type, address length, address; _NOTHING means 0.
 _NOTHING: Final = 255

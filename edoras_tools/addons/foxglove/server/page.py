@@ -19,6 +19,9 @@ _STATE: Final = "/live.json"
 _SHARED_S: Final = 0.25
 _FLOWING_S: Final = 1.0
 """The same while traffic flows: the next batch brings news before."""
+_SOONEST_S: Final = 0.6
+_BEHIND_S: Final = 0.05
+"""How long behind a change browsers ask."""
 _BLOCK: Final = r"<{0}>(.*?)</{0}>"
 _REQUEST: Final = re.compile(rb"GET (/[!-~]*) HTTP/1\.1\r\n((?:[!#-'*+.0-9A-Z^-z|~-]+:[ -~]*\r\n)*)\r\n")
 _NOT_PLAIN: Final = {b"upgrade", b"content-length", b"transfer-encoding", b"expect"}
@@ -59,10 +62,24 @@ class SharedState:
         self._state, self._clock = state, clock
         self._text, self._until = "", -math.inf
         self._changes = self._shown = 0
+        self._changed = self._every_s = 0.0
 
     def changed(self) -> None:
         """Note that the state has changed; for any one thread."""
+        now = self._clock()
+        self._changed, self._every_s = now, now - self._changed
         self._changes += 1
+
+    def next_ms(self) -> int:
+        """Return in how many ms a browser asks again: in about a second, soon after the state has changed.
+
+        So all of them ask at once, which costs less than one by one, and show what has just come.
+        """
+        since_s = self._clock() - self._changed
+        if not 0 < self._every_s < _FLOWING_S + _BEHIND_S or since_s > 2 * self._every_s:
+            return 1000
+        times = math.ceil((_SOONEST_S + since_s - _BEHIND_S) / self._every_s)
+        return round(1000 * (times * self._every_s + _BEHIND_S - since_s))
 
     def text(self) -> str:
         """Return the state as JSON; for one thread."""
@@ -76,18 +93,18 @@ class SharedState:
         return self._text
 
 
-def answer(path: str, state: Callable[[], str]) -> HttpAnswer:
+def answer(path: str, state: SharedState) -> HttpAnswer:
     """Return the answer to a request.
 
     Args:
         path: without the query.
-        state: returns what is shown, as JSON.
+        state: what is shown.
     """
     if path in {"/", "/index.html"}:
         text, policy = _page()
         return _answer(200, "text/html", text, {"Content-Security-Policy": policy})
     if path == _STATE:
-        return _answer(200, "application/json", state(), {})
+        return _answer(200, "application/json", state.text(), {"Next-Ms": str(state.next_ms())})
     return _answer(404, "text/plain", f"There is / for people and {_STATE} for programs.\n", {})
 
 

@@ -316,9 +316,8 @@ class FoxgloveServer:
                 self._remove(oldest)
 
     def _accept(self) -> _Connection:
-        from edoras_tools.addons.foxglove.server.client import (
-            FoxgloveClient,  # websockets takes 30 ms to import
-        )
+        # ``websockets`` takes 30 ms to import.
+        from edoras_tools.addons.foxglove.server.client import FoxgloveClient
 
         accepted, address = self._listener.accept()
         accepted.setblocking(False)
@@ -390,7 +389,7 @@ class FoxgloveServer:
                     f"a page of http://{name} was refused; --allow-origin http://{name} allows that name"
                 )
             elif path:
-                client.serve(page.answer(path, self._shared.text))
+                client.serve(page.answer(path, self._shared))
                 connection.until = time.monotonic() + PATIENCE_S
             elif len(self._open) >= MOST_CLIENTS:
                 client.refuse(503, f"{MOST_CLIENTS} clients are connected, which is the maximum.")

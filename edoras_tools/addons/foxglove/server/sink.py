@@ -6,7 +6,7 @@ and link; and for the server's page the state of a link, its routes, rates, loss
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -81,7 +81,7 @@ class Diagnostics:
         levels: Mapping[Finding, int],
         statistics: SourceStatistics | None = None,
     ) -> None:
-        self._mission = mission
+        self._mission, self._mission_of = mission, cache(mission.of)
         self._routes = {(int(route.link), route.msg_id): place for place, route in enumerate(mission.routes)}
         self._types, self._name, self._levels, self._statistics = types, name, levels, statistics
         self._drops = (statistics.kernel_drops or 0) if statistics else 0
@@ -153,17 +153,15 @@ class Diagnostics:
         own = self._mission.own_name(f"{label}/{name}", spacecraft)
         topic = own if spacecraft != FIRST_SPACECRAFT else ""
         if place is not None:
-            topic = self._mission.of(spacecraft).routes[place].topic
+            topic = self._mission_of(spacecraft).routes[place].topic
         own_counts = {item.labels[0]: count for item, count in findings.items()}
         figures = {"msg_id": name, "datagrams": int(counts[_BITS]), **own_counts}
         return self._entry(level, f"{label}: {topic or name}", ", ".join(worst) if level else "OK", figures)
 
     def _doctor_statuses(self, judgement: Mapping[str, Any]) -> list[dict[str, Any]]:
         """Return what the doctor says in all, and of each problem."""
-        level, figures = (
-            _LEVELS.get(judgement["worst"], OK),
-            {name: judgement[name] for name in JUDGED_FIGURES},
-        )
+        level = _LEVELS.get(judgement["worst"], OK)
+        figures = {name: judgement[name] for name in JUDGED_FIGURES}
         statuses = [self._entry(level, "doctor", judgement["headline"], figures)]
         for place, item in enumerate(judgement["problems"], 1):
             name = f"doctor: {', '.join(item['rules']) or 'loss'} {place}"

@@ -124,7 +124,7 @@ def get(server, path="", **headers):
 
 
 def test_it_is_one_file_that_loads_nothing_else():
-    answer = page.answer("/", str)
+    answer = page.answer("/", page.SharedState(dict, float))
     text = answer.body.decode()
     assert answer.status == 200
     assert not re.findall(r"(?:src|href)\s*=\s*[\"'](?!data:)|@import|url\(", text)
@@ -264,6 +264,21 @@ def test_browsers_that_ask_at_once_share_an_answer(link, lasts):
     assert [number(), number()] == [2, 2]
     shared.changed()
     assert [number(), number()] == [3, 3]
+
+
+@pytest.mark.parametrize(
+    ("every_s", "since_s", "wait_ms"), [(0.95, 0.06, 940), (1, 0.8, 1250), (0.2, 0.1, 750)]
+)
+def test_browsers_ask_again_behind_a_later_change(every_s, since_s, wait_ms):
+    now = [5.0]
+    shared = page.SharedState(dict, lambda: now[0])
+    assert shared.next_ms() == 1000
+    for step in (every_s, since_s):
+        shared.changed()
+        now[0] += step
+    assert shared.next_ms() == wait_ms
+    now[0] += 3
+    assert shared.next_ms() == 1000
 
 
 BROWSER = b"GET /live.json?token=a HTTP/1.1\r\nHost: 127.0.0.1:8765\r\nConnection: keep-alive\r\n"
