@@ -198,9 +198,9 @@ def pass_queue(
     place = (np.repeat(ahead - first, arrivals) + np.arange(count))[rows]
     fits = np.where(place < queue.depth, QueueEnd.WAITING, queue.full)
     outcome[rows] = fits if is_free else messages.enter(rows, wake[rows])
-    at = wake[rows] + place // reads
-    leaves = (outcome[rows] == QueueEnd.WAITING) & (at < len(wakes_ns))
-    left_ns[rows[leaves]] = wakes_ns[at[leaves]]
+    leaves_at = wake[rows] + place // reads
+    leaves = (outcome[rows] == QueueEnd.WAITING) & (leaves_at < len(wakes_ns))
+    left_ns[rows[leaves]] = wakes_ns[leaves_at[leaves]]
 
     waiting, next_wake = np.zeros(0, np.int64), 0
     for number in np.flatnonzero(~at_once):
