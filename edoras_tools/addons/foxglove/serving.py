@@ -40,12 +40,11 @@ def usual_address(port: int | None = None) -> Endpoint:
     if port is None:
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            port = HERE.port
             try:
-                probe.bind((HERE.address, HERE.port))
+                probe.bind((HERE.address, port))
             except OSError:
                 port = 0
-            else:
-                port = HERE.port
     return replace(HERE, port=port)
 
 

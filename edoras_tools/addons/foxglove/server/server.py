@@ -323,11 +323,8 @@ class FoxgloveServer:
         accepted.setblocking(False)
         accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         accepted.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
-        client = FoxgloveClient(
-            Endpoint(*address[:2]),
-            publishes=self._options.publisher is not None,
-            controls=self._options.player is not None,
-        )
+        publishes, controls = self._options.publisher is not None, self._options.player is not None
+        client = FoxgloveClient(Endpoint(*address[:2]), publishes=publishes, controls=controls)
         connection = _Connection(accepted, client, time.monotonic() + PATIENCE_S)
         self._connections[accepted] = connection
         self._selector.register(accepted, selectors.EVENT_READ, connection)
@@ -413,8 +410,7 @@ class FoxgloveServer:
         player, clients = self._options.player, [client.summary() for client in self.clients]
         playback = None
         if player is not None:
-            start_ns, end_ns = player.range_ns
-            times = {"start_ns": start_ns, "end_ns": end_ns}
+            times = dict(zip(("start_ns", "end_ns"), player.range_ns, strict=True))
             playback = {**asdict(player.state), **times, "waiting": player.waiting}
         topics = zip(self._channels, self._counts.tolist(), strict=False)
         return {

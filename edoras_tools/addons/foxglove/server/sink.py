@@ -376,8 +376,7 @@ class RecordedSink(ServedSink):
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Send a batch to clients."""
         if len(batch) and self.server.clients:
-            prepared = self._streams.prepare(batch, columns)
-            messages = self._streams.prepared_messages(batch, columns, prepared)
+            messages = self._streams.prepared_messages(batch, columns, self._streams.prepare(batch, columns))
             self.server.publish(lay_out(messages, len(batch)))
             self.show_time(int(batch.time_ns[-1]))
 
