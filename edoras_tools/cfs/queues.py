@@ -190,7 +190,8 @@ def pass_queue(
     outcome = np.full(count, QueueEnd.WAITING, np.uint8)
     left_ns = np.full(count, -1, np.int64)
 
-    rounds_at, first, arrivals = np.unique(wake, return_index=True, return_counts=True)
+    first = np.flatnonzero(np.diff(wake, prepend=-1))
+    rounds_at, arrivals = wake[first], np.diff(first, append=count)
     ahead = _ahead(rounds_at, arrivals, reads, queue.depth)
     is_free = limit.min(initial=NO_LIMIT) > queue.depth  # only the depth counts, so that ``ahead`` is exact
     at_once = is_free | ((ahead == 0) & (arrivals <= reads))
