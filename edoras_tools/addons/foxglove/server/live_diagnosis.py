@@ -166,8 +166,7 @@ class LiveDiagnosis:
             self._examination.add(*join(parts))
 
     def _capture(self) -> Capture:
-        source = self._statistics
-        if source is None:
+        if (source := self._statistics) is None:
             return Capture()
         outages = tuple(source.outages)
         return Capture(source.kernel_drops, tuple(source.warnings), None, source.passed_over, outages)
