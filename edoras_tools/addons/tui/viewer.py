@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
     from rich.text import Text
+    from textual.driver import Driver
 
     from edoras_tools.addons.tui.data.store import PacketBlock, Part
     from edoras_tools.decode.filters.filter import Where
@@ -62,6 +63,40 @@ def open_in_wireshark(parts: Sequence[Part], row: int, settings: Settings) -> su
 __all__ = ["ViewOptions", "Viewer"]
 _BUILT: Final = {"rates", "graph", "sequence"}
 """Views that a thread works out from the packets of the list."""
+
+
+class TerminalOutput:
+    """Drops what is written to a terminal that was closed.
+
+    The thread of textual that writes would end with an error, and the view wait for it for ever.
+    """
+
+    def __init__(self, file: Any) -> None:
+        self.isatty, self.fileno = file.isatty, file.fileno
+        self._file = file
+
+    def write(self, text: str) -> None:
+        """Write as far as anything takes it."""
+        with suppress(OSError):
+            self._file.write(text)
+
+    def flush(self) -> None:
+        """Hand on what is buffered, likewise."""
+        with suppress(OSError):
+            self._file.flush()
+
+
+def _outliving(driver: type[Driver]) -> type[Driver]:
+    """Return a driver of textual whose output outlives its terminal."""
+
+    class Outliving(driver):  # type: ignore[valid-type,misc]
+        _file: Any
+
+        def __init__(self, *args: Any, **options: Any) -> None:
+            super().__init__(*args, **options)
+            self._file = TerminalOutput(self._file)
+
+    return Outliving
 
 
 class Viewer(Navigation):
@@ -119,6 +154,10 @@ class Viewer(Navigation):
             limits=choice.limits,
             size=0 if self.live else choice.limit,
         )
+
+    def get_driver_class(self) -> type[Driver]:
+        """Return the terminal's driver, which ends also where the terminal was closed."""
+        return _outliving(super().get_driver_class())
 
     def on_mount(self) -> None:
         """Start reading."""

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from fcntl import ioctl
+from io import FileIO
 from pathlib import Path
 from termios import TIOCSWINSZ
 
@@ -16,6 +17,7 @@ import pytest
 from places import ROOT
 from waiting import PATIENCE_S
 
+from edoras_tools.addons.tui.viewer import TerminalOutput
 from edoras_tools.cli import main
 
 EDORAS = Path(sys.executable).with_name("edoras")
@@ -90,6 +92,19 @@ class Terminal:
                     self.process.wait(PATIENCE_S)
         os.close(self._master)
         return self.process.returncode
+
+
+def test_what_goes_to_a_closed_terminal_is_dropped():
+    master, slave = pty.openpty()
+    with FileIO(slave, "w") as plain:
+        output = TerminalOutput(plain)
+        output.write(b"a")
+        assert os.read(master, 1) == b"a"
+        os.close(master)
+        with pytest.raises(OSError, match="Input/output"):
+            plain.write(b"b")
+        output.write(b"b")
+        output.flush()
 
 
 @pytest.fixture
