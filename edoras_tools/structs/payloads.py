@@ -35,9 +35,9 @@ class StructPayloads(NamedTuple):
     offset: NDArray[np.int64]
     length: NDArray[np.int32]
 
-    def take(self, mask: NDArray[Any]) -> StructPayloads:
-        """Return some of them."""
-        return StructPayloads(*(column[mask] for column in self))
+    def take(self, some: Any) -> StructPayloads:
+        """Return some of them: by indices, a mask or a slice."""
+        return StructPayloads(*(column[some] for column in self))
 
     def join(self, others: StructPayloads) -> StructPayloads:
         """Return these, then others."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import replace
 from functools import cache, cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, commanded, packets
-from edoras_tools.wire.arrays.order import by_value, groups
+from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, Key, commanded, packets
+from edoras_tools.wire.arrays.order import changes, order_by
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from edoras_tools.structs.bound import Bound, Held
     from edoras_tools.structs.entries import LayoutEntryTable
     from edoras_tools.structs.payloads import StructPayloads
-    from edoras_tools.structs.shapes import Key, StructLayout
+    from edoras_tools.structs.shapes import StructLayout
 
 _NONE: Final = 3
 """Keys behind the last: an entry that is not in a dictionary, bytes that are none, and ``NO_MSG_ID``."""
@@ -200,22 +201,26 @@ class Structs:
         Yields:
             the struct; what should hold it; bool, which of those are as long as it is.
         """
-        for value, members in by_value(payloads.key):
-            keys, rest = self._keys(value), members
-            if keys.keys() - {None}:
-                others = [members[:0]]
-                for code, rows in groups(payloads.code, members):
-                    if code in keys:
-                        yield self._part(keys[code], payloads.take(rows))
-                    else:
-                        others.append(rows)
-                rest = np.sort(np.concatenate(others))
-            if None in keys and (full := payloads.length[rest] > 0).any():
-                yield self._part(keys[None], payloads.take(rest[full]))
-
-    def _part(self, key: Key, part: StructPayloads) -> tuple[Bound, StructPayloads, NDArray[np.bool_]]:
-        item = self._bindings.bound(key)
-        return item, part, item.fits(part.length)
+        if not len(payloads.row):
+            return
+        order = order_by(payloads.key.astype(np.uint32), (payloads.code + 1).astype(np.uint32))
+        starts = np.flatnonzero(changes(order, payloads.key, payloads.code))
+        ranked, parts = payloads.take(order), dict[Key, list[slice]]()
+        kinds = zip(ranked.key[starts].tolist(), ranked.code[starts].tolist(), strict=True)
+        for (value, code), span in zip(kinds, pairwise([*starts.tolist(), len(order)]), strict=True):
+            keys = self._keys(value)
+            if (key := keys.get(code, keys.get(None))) is not None:
+                parts.setdefault(key, []).append(slice(*span))
+        for key in sorted(parts, key=lambda key: (key.msg_id, key.function_code is None)):
+            spans = parts[key]
+            part = ranked.take(spans[0])
+            if len(spans) > 1:
+                part = payloads.take(np.sort(np.concatenate([order[span] for span in spans])))
+            if key.function_code is None and not (full := part.length > 0).all():
+                part = part.take(full)
+            if len(part.row):
+                item = self._bindings.bound(key)
+                yield item, part, item.fits(part.length)
 
     def payloads_of(
         self, payloads: StructPayloads, columns: Callable[[str], NDArray[Any]], data: NDArray[np.uint8]
@@ -231,7 +236,7 @@ class Structs:
 
         for item, part, fits in self.split(payloads):
             if fits.any():
-                yield Held(item, part.take(fits), columns, data)
+                yield Held(item, part if fits.all() else part.take(fits), columns, data)
 
     def bound_to(self, msg_id: int) -> Sequence[Bound]:
         """Return the structs of a MsgId, in the order in which they are tried."""
