@@ -30,7 +30,7 @@ PUT_OFF = {
     ),
     "io/capture/interfaces.py": ("fcntl", "not there on Windows"),
     "io/formats/watched.py": ("concurrent.futures", "4 ms, and only to sync files"),
-    "io/outputs.py": ("fcntl", "not there on Windows"),
+    "io/outputs.py": ("fcntl hashlib", "not there on Windows; 5 ms, and only for long names"),
     "pipelines/sending/inject.py": ("ruamel", "9 ms, and only where a message has values"),
     "pipelines/interrupt.py": ("termios tty", "not there on Windows"),
     "io/capture/scapy_backend.py": ("scapy", "0.35 s, and only where there is no packet ring"),
@@ -65,7 +65,7 @@ PUT_OFF = {
     ),
     "addons/lab/demo/run.py": ("zenoh", "an extra"),
     "pipelines/capture/ledger.py": (
-        "edoras_tools.mission edoras_tools.ros.fitting",
+        "edoras_tools.mission edoras_tools.ros.fitting importlib",
         "20 ms, and only where no message is of its type",
     ),
     "pipelines/selection.py": (
@@ -194,6 +194,7 @@ except SystemExit:
         ("model", {"scapy", "mcap", "rosbags", "ruamel", "yaml", "typer", "rich", "zstandard"}),
         ("io.capture.live", {"scapy", "mcap", "rosbags", "ruamel", "yaml", "typer", "rich"}),
         ("pipelines.workbench", {"scapy", "mcap", "typer", "rich"}),
+        ("pipelines.capture.record", {"scapy", "mcap", "typer", "rich", "hashlib", "tempfile"}),
     ],
 )
 def test_what_libraries_a_room_brings_along(module, absent):

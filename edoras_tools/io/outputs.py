@@ -14,7 +14,6 @@ import stat
 import time
 from contextlib import contextmanager, suppress
 from glob import escape
-from hashlib import sha256
 from itertools import count
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, ClassVar, Final, NamedTuple
@@ -294,6 +293,8 @@ def name_that_fits(name: str, suffix: str) -> str:
     """Return a file name that file systems take: what is too long for them ends in a hash of the whole."""
     data = os.fsencode(name)
     if len(data) + len(os.fsencode(suffix)) > _LONGEST:
+        from hashlib import sha256
+
         name = data[: _LONGEST - 32].decode(errors="ignore") + "~" + sha256(data).hexdigest()[:16]
     return name + suffix
 

@@ -7,7 +7,6 @@ import math
 from collections import Counter
 from dataclasses import dataclass, field, fields
 from functools import cache
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -198,6 +197,8 @@ class _UnfitMessages:
 
 def _packaged(route: Route) -> dict[str, str]:
     """Return the types that the packaged missions have for a route's MsgId on its link, and their files."""
+    from importlib.resources import files
+
     from edoras_tools.mission import loads
 
     folder: Any = files("edoras_tools.samples") / "missions"
