@@ -251,7 +251,8 @@ class Variants:
         first = np.full(len(sample.length), _NOTHING)
         fitting = self._fitting(sample)
         for number, headers in enumerate(cfe.TOLD):
-            first[(first == _NOTHING) & fitting.by(headers)] = number
+            if (left := first == _NOTHING).any():
+                first[left & fitting.by(headers)] = number
         timed = np.flatnonzero((first == _EXTENDED) & ~_commands(sample))
         for _, members in by_value(conversation[timed]):
             first[timed[members[~_goes_on(sample.take(timed[members]))]]] = _NOTHING

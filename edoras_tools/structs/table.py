@@ -16,7 +16,7 @@ from edoras_tools.wire.arrays.order import changes, order_by
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -195,8 +195,13 @@ class Structs:
         bound = () if self._layouts is None else self.all
         return tuple((port, item) for item in bound if (port := item.key.port))
 
-    def split(self, payloads: StructPayloads) -> Iterator[tuple[Bound, StructPayloads, NDArray[np.bool_]]]:
+    def split(
+        self, payloads: StructPayloads, without: Container[Key] = ()
+    ) -> Iterator[tuple[Bound, StructPayloads, NDArray[np.bool_]]]:
         """Yield every struct that some of many packets should hold.
+
+        Args:
+            without: keys of structs that are not asked for.
 
         Yields:
             the struct; what should hold it; bool, which of those are as long as it is.
@@ -209,7 +214,7 @@ class Structs:
         kinds = zip(ranked.key[starts].tolist(), ranked.code[starts].tolist(), strict=True)
         for (value, code), span in zip(kinds, pairwise([*starts.tolist(), len(order)]), strict=True):
             keys = self._keys(value)
-            if (key := keys.get(code, keys.get(None))) is not None:
+            if (key := keys.get(code, keys.get(None))) is not None and key not in without:
                 parts.setdefault(key, []).append(slice(*span))
         for key in sorted(parts, key=lambda key: (key.msg_id, key.function_code is None)):
             spans = parts[key]

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.sequence import SequenceCounts
+    from edoras_tools.structs.shapes import Key
 
 
 _JUMP_NS = 5_000_000_000
@@ -320,7 +321,8 @@ class Streams:
         self._routes = np.array(ids[len(own) :], dtype=np.uint16)
         self.added: dict[str, int] = {}
         self._new = self.structs
-        """Those of which a topic is not added."""
+        """Those of which a topic is not added, but for ``_placed``."""
+        self._placed: set[Key] = set()
 
     def messages(
         self,
@@ -480,12 +482,11 @@ class Streams:
     def _place_structs(self, batch: PacketBatch, columns: Columns) -> None:
         """Add the topics of structs that come for the first time."""
         samples = payloads(self._new, partial(getattr, columns), partial(getattr, batch), batch.data)
-        placed = []
-        for bound, _, fits in self._new.split(samples):
+        for bound, _, fits in self._new.split(samples, self._placed):
             if fits.any():
                 self._place(Topic(bound.topic, bound.type, bound.metadata))
-                placed.append(bound.key.msg_id)
-        self._new = self._new.unclaimed(filter(self._new.is_one, placed))
+                self._placed.add(bound.key)
+        self._new = self._new.unclaimed(key.msg_id for key in self._placed if self._new.is_one(key.msg_id))
 
     @property
     def flows(self) -> dict[str, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -21,6 +21,11 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
     from edoras_tools.structs import Structs
     from edoras_tools.structs.bound import Held
+    from edoras_tools.wire.arrays.order import Integers
+
+
+_FEW: Final = 1024
+"""Of structs with fewer messages in a batch all are written at once: the calls would take longest."""
 
 
 def struct_messages(
@@ -41,8 +46,32 @@ def struct_messages(
         return values
 
     samples = payloads(structs, column, partial(getattr, batch), batch.data)
+    some: list[Held] = []
     for payload in structs.payloads_of(samples, column, batch.data):
-        yield _messages(payload, batch, columns, channel_ids[payload.bound.topic], published)
+        if len(payload.rows) < _FEW and not payload.repeats:
+            some.append(payload)
+        else:
+            yield _messages(payload, batch, columns, channel_ids[payload.bound.topic], published)
+    if some:
+        yield _joined(some, batch, columns, channel_ids, published)
+
+
+def _joined(
+    some: list[Held], batch: PacketBatch, columns: Columns, ids: Mapping[str, int], published: Integers
+) -> Messages:
+    """Return the messages of several structs, none of which is twice in a row."""
+    encoded = [payload.encode() for payload in some]
+    channels = np.array([ids[payload.bound.topic] for payload in some], np.uint16)
+    rows = np.concatenate([payload.rows for payload in some])
+    order = np.argsort(rows, kind="stable")
+    base = np.cumsum([0, *(len(item.data) for item in encoded)])
+    start = np.concatenate([item.start + at for item, at in zip(encoded, base.tolist(), strict=False)])
+    size = np.concatenate([item.size for item in encoded])
+    channels = np.repeat(channels, [len(payload.rows) for payload in some])
+    rest = np.concatenate([item.data for item in encoded]), start[order], size[order]
+    rows, heads = rows[order], np.empty(len(rows), RECORD)
+    times = batch.time_ns[rows], published[rows]
+    return whole_messages(rows, heads, channels[order], columns.sequence_count[rows], *times, rest)
 
 
 def _messages(
