@@ -315,11 +315,11 @@ class Ledger:
         # Of one link and MsgId only what has none is of several kinds.
         if not (named := columns.msg_id[order] != NO_MSG_ID).all():
             unnamed = order[~named]
-            kind = columns.link.astype(np.uint32) << 9 | (own + 1).astype(np.uint16)
-            kinds = columns.processor_id, kind, columns.spacecraft
-            unnamed = unnamed[order_by(*(item[unnamed] for item in kinds))]
-            order = np.concatenate((unnamed, order[named]))
-            fresh = np.concatenate((changes(unnamed, *kinds), fresh[named]))
+            kind = columns.link[unnamed].astype(np.uint32) << 9 | (own[unnamed] + 1).astype(np.uint16)
+            kinds = columns.processor_id[unnamed], kind, columns.spacecraft[unnamed]
+            ranked = order_by(*kinds)
+            order = np.concatenate((unnamed[ranked], order[named]))
+            fresh = np.concatenate((changes(ranked, *kinds), fresh[named]))
         starts = np.flatnonzero(fresh)
         first = order[starts]
         parts = columns.link, columns.processor_id, columns.msg_id, own, columns.spacecraft
