@@ -427,15 +427,6 @@ def value_limits(lab, tmp_path, msg_id):
 
 
 @case
-def telemetry_vanished(lab, tmp_path, msg_id):
-    sent, _ = lab.simulate(seconds=40)
-    ends_ns = lab.start_ns + 20 * 10**9
-    gone = [item for item in sent if not (msg_id(item) == 0x826 and item.time_ns > ends_ns)]
-    words = "Send Err:Invalid MsgId(0x6f72)in msg,App EDORAS_APP"
-    return lab.examine(lab.merged(gone, lab.event(21, "CFE_SB", 21, words)))
-
-
-@case
 def topic_silent(lab, tmp_path, msg_id):
     sent, _ = lab.simulate(seconds=40)
     ends_ns = lab.start_ns + 20 * 10**9

@@ -65,7 +65,6 @@ RULES: Final[dict[str, Rule]] = {
         content.old_values,
         content.old_states,
         content.value_limits,
-        silence.telemetry_vanished,
         silence.topic_silent,
         pipes.ci_cut,
         messages.ground_bridge_buffer,

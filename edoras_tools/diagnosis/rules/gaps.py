@@ -89,9 +89,6 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
             f"{behind:,} of them were sent after the last count of CI here, at {case.at(last_ns)}: whether "
             "CI, cFS or the application was away then, nothing tells"
         )
-    if fate.doubled and (extra := sum(item.not_captured for item in accounts)):
-        more = f"and CI counted {extra:,} more than were sent here: the network may have lost these before it"
-        evidence.append(f"{fate.doubled:,} came out more than once, {more}")
     unaccounted = fate.ends["unaccounted"]
     went_in = f"{unaccounted or fate.ends['beyond']:,} of {len(stream):,} messages that went into cFS"
     proven = "are not accounted for" if unaccounted else "may be lost"

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from dataclasses import replace
-from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reasons_for
 from edoras_tools.diagnosis.matching.streams import Span, steady_rate
-from edoras_tools.diagnosis.rules.messages import struct_overrun
 from edoras_tools.diagnosis.rules.pipes import START_AGAIN, revival
-from edoras_tools.diagnosis.verdict import Severity, Verdict, error, verdict
+from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
 from edoras_tools.links.table import among
-from edoras_tools.links.to import TO
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
@@ -32,134 +27,14 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.wire.arrays.order import Integers
 
-_FIRST: Final = itemgetter(0)
 _FEW: Final = 2
 _NAMED: Final = 4
-_ABOUT: Final = 0.25
 _LEAST: Final = 5
 _WAIT_NS: Final = 5 * SECOND
 _WAIT_PERIODS: Final = 6
 _NEAR_NS: Final = 3 * SECOND
 _EVENTS: Final = frozenset({cfe.EVENT_MSG_ID, cfe.SHORT_EVENT_MSG_ID})
 """They come as there is something to say, and no more of one kind once cFS has said it 16 times."""
-
-
-def telemetry_vanished(case: Case) -> Iterator[Verdict]:
-    """A telemetry MsgId came steadily and then never again, while the rest goes on.
-
-    Look for a stream that ended for good, and for what happened just then.
-    """
-    stops, overruns = _stops(case), None
-    strange = _strange(case)
-    for stream in case.streams:
-        if stream.link is not TO or len(stream) < _LEAST or stream.known_id in _EVENTS:
-            continue
-        if stream.instance == NOBODY or stream.instance != case.owner(stream):
-            continue  # handed on for a peer, which may be gone
-        first_ns, last_ns = case.span(stream.rows)
-        usual = (last_ns - first_ns) / (len(stream) - 1)
-        if (np.isin(stops[0], (-1, stream.msg_id)) & (np.abs(stops[1] - last_ns) < _NEAR_NS)).any():
-            continue  # another rule tells of it
-        # Its own cFS goes on: another boot behind the same address would be a restart.
-        alive_ns = case.instances.items[stream.instance].last_ns
-        if alive_ns - last_ns < max(_WAIT_NS, _WAIT_PERIODS * usual):
-            continue
-        overruns = list(struct_overrun(case)) if overruns is None else overruns
-        size = int(case.rows.packet_length[stream.rows[-1]])
-        soon = slice(*(bisect_right(strange, when, key=_FIRST) for when in (last_ns, last_ns + _NEAR_NS - 1)))
-        alike = [other for _, other in strange[soon] if case.rows.packet_length[other.rows[0]] == size]
-        signs = list(_signs(case, stream, (last_ns, alive_ns), overruns, alike))
-        if not signs:
-            continue  # topic_silent tells of it
-        signs += _longer(case, last_ns)
-        yield error(
-            f"{case.name(stream.msg_id)} came every {usual / SECOND:.1f} s until {case.at(last_ns)} and "
-            "never again, while other telemetry goes on: its header in the application's memory was "
-            "overwritten",
-            *signs,
-            msg_id=stream.msg_id,
-            place=("to", "flight application"),
-            span=(last_ns, alive_ns),
-            remedy="make the struct in front of it large enough (see struct_overrun), and restart the "
-            "application: the MsgId does not come back by itself",
-            confidence="high" if len(signs) > 1 else "medium",
-        )
-
-
-def _stops(case: Case) -> Integers:
-    """Return what may have ended telemetry: MsgId, -1 for all of them, and time, each a row of the array.
-
-    A MsgId was removed from Telemetry Output, or an application was stopped.
-    """
-    removed = case.payloads.outputs(*telemetry_output.STOPS)
-    stops = [(item.entry, int(case.rows.time_ns[item.row])) for item in removed]
-    stops += [(-1, item.start_ns) for item in case.outages]
-    return np.array(stops, np.int64).reshape(-1, 2).T
-
-
-def _strange(case: Case) -> list[tuple[int, Stream]]:
-    """Return the streams from Telemetry Output that are nobody's, and when each came first, in that order."""
-    found = [
-        (int(item.time_ns[0]), item)
-        for item in case.streams
-        if item.link is TO and item.msg_id not in MSG_ID_NAMES and case.route(item.msg_id) is None
-    ]
-    return sorted(found, key=_FIRST)
-
-
-def _signs(
-    case: Case, stream: Stream, span: tuple[int, int], overruns: Sequence[Verdict], alike: Sequence[Stream]
-) -> Iterator[str]:
-    """Yield what happened when it stopped: a message too long, a MsgId that is garbage.
-
-    Args:
-        span: when it did, and until when its cFS went on.
-        overruns: messages that were too long for their structs.
-        alike: streams of nobody's that began just then, of the same size.
-    """
-    last_ns, alive_ns = span
-    for item in overruns:
-        if abs(item.start_ns - last_ns) < _NEAR_NS and item.msg_id is not None:
-            yield f"{case.name(item.msg_id)} overran its struct at {case.at(item.start_ns)}"
-    for reported, said in case.reported_losses.items():
-        internal = not reported.sender.startswith(("CI_LAB", "SBN"))
-        told = internal and not reported.at_pipe
-        if told and -_NEAR_NS < said.first_ns - last_ns < 2 * _NEAR_NS:
-            yield f"event at {case.at(said.first_ns)}: {said.records[0]}"
-    for other in alike:
-        first_ns = int(other.time_ns[0])
-        yield f"0x{other.msg_id:04x}, of the same size and nobody's, came first at {case.at(first_ns)}"
-    owner = case.instances.owner(stream.sender, last_ns)
-    track = case.tracks.get(owner)
-    if track:
-        errors = track.growth("send_errors", last_ns, last_ns + 2 * _NEAR_NS)
-        losses = sum(
-            track.growth(name, last_ns, last_ns + 2 * _NEAR_NS) for name in ("msg_limits", "pipe_overflows")
-        )
-        if errors > losses:
-            yield f"0x803: {errors - losses} sends failed just after, and no pipe was to blame"
-        before_ns = last_ns - max(track.times[0], 2 * last_ns - alive_ns)
-        before = track.growth("no_subscribers", last_ns - before_ns, last_ns)
-        more = track.growth("no_subscribers", last_ns, alive_ns)
-        more -= round(before * (alive_ns - last_ns) / before_ns) if before_ns > 0 else 0
-        missed = (alive_ns - last_ns) / float(np.median(np.diff(stream.time_ns)))
-        if more > _FEW and abs(more - missed) < _ABOUT * missed:
-            yield f"0x803: from then on {more} more have no subscriber, about as many as are missing here"
-
-
-def _longer(case: Case, last_ns: int) -> Iterator[str]:
-    """Yield messages into cFS that were longer than all before, just when it stopped."""
-    for stream in case.streams:
-        if stream.link is TO:
-            continue
-        rows = case.rows
-        times, sizes = stream.time_ns, rows.cdr_length[stream.rows]
-        near = (times > last_ns - _NEAR_NS) & (times < last_ns + _NEAR_NS)
-        before = sizes[times <= last_ns - _NEAR_NS]
-        if near.any() and len(before) and int(sizes[near].max()) > int(before.max()):
-            at = int(times[near][int(sizes[near].argmax())])
-            text = f"{int(sizes[near].max())} bytes of CDR at {case.at(at)}, longer than any before"
-            yield f"{case.name(stream.msg_id)} into cFS: {text} ({int(before.max())})"
 
 
 _IRREGULAR: Final = 3
@@ -231,15 +106,13 @@ def note_silences(case: Case) -> None:
 
 def _every(case: Case) -> list[Silence]:
     """Return every silence of what cFS or an SBN peer publishes steadily."""
-    told = {item.msg_id for item in case.verdicts if item.rule == "telemetry_vanished"}
     found: list[Silence] = []
     for stream in case.streams:
         published = stream.link.from_cfs or stream.link.peers
         # Of packets without a time nothing tells whether their cFS ran on.
         dated = stream.instance != NOBODY or not (stream.counted or stream.known_id in MSG_ID_NAMES)
         dated &= "untold" not in case.telemetry.ends[id(stream)]
-        told_of = stream.known_id in _EVENTS or stream.msg_id in told
-        if published and dated and len(stream) >= _LEAST and not told_of:
+        if published and dated and len(stream) >= _LEAST and stream.known_id not in _EVENTS:
             found += _silences(case, stream)
     return found
 
@@ -282,12 +155,18 @@ def _together(found: Sequence[Silence]) -> Iterator[list[Silence]]:
 
 
 def _causes(case: Case, members: Sequence[Silence]) -> list[str]:
-    """Return what was stopped, or closed, just before they fell silent: a half sentence each."""
+    """Return what was stopped, closed or overwritten just before they fell silent: a half sentence each."""
     first, last = members[0].start_ns, members[-1].start_ns
+    overruns = [item for item in case.verdicts if item.rule == "struct_overrun" and item.msg_id is not None]
     closed = [
         f"nobody listened on {span.port} from {case.at(span.start_ns)} on"
         for span in case.unreachable.spans
         if first - _NEAR_NS < span.start_ns < last + _NEAR_NS
+    ]
+    closed += [
+        f"{case.name(item.msg_id or 0)} overran its struct at {case.at(item.start_ns)}, and what is behind"
+        for item in overruns
+        if abs(item.start_ns - first) < _NEAR_NS
     ]
     return closed + [
         f"{item.app} was {'restarted' if item.restarted else 'stopped'} at {case.at(item.start_ns)}"
