@@ -2,6 +2,7 @@
 
 from collections import Counter
 
+import mutations
 import pytest
 import truth
 from places import ROOT
@@ -260,3 +261,35 @@ def test_a_command_that_was_refused_changes_no_application():
     text = first_screen(examined("refused_starts"))
     assert "started again" not in text
     assert "length that its function code does not take" in text
+
+
+def never_loaded(tmp_path, uneven):
+    """Return the diagnosis of a flight until an application was started that is not there before."""
+    items = mutations.frames(FOLDER / "never_started.pcap.zst")
+    items = [item for item in items if item.time_ns - items[0].time_ns < 20_100_000_000]
+    bus = [at for at, item in enumerate(items) if item.data[36:38] + item.data[42:44] == b"\x04\xd3\x08\x03"]
+    for nth, at in enumerate(bus[1:4] if uneven else ()):
+        data = bytearray(items[at].data)
+        data[NO_SUBSCRIBERS] += nth % 2  # what else nobody takes is published unevenly
+        items[at] = items[at]._replace(data=bytes(data))
+    return truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+
+
+NO_SUBSCRIBERS = 60
+COMMANDS = 56
+
+
+def test_commands_that_nobody_takes_are_lost_beside_what_else_nobody_takes(tmp_path):
+    """The scheduler's wake-ups of the application that was not loaded have no subscriber either."""
+    found = never_loaded(tmp_path, uneven=False)
+    assert by_cause(found) == {"no_subscriber": 49}
+    (row,) = (row for row in found.balance if (row.msg_id, row.hop) == (0x1827, "CI"))
+    assert row.out == 49
+    assert row.came == COMMANDS
+
+
+def test_commands_that_perhaps_nobody_takes_did_not_arrive_surely(tmp_path):
+    found = never_loaded(tmp_path, uneven=True)
+    assert by_cause(found) == {}
+    assert 49 <= found.uncertain <= COMMANDS
+    assert "Up to 49 messages may be lost" in summarize(found).headline

@@ -70,6 +70,7 @@ _WRAPPED: Final = 128
 """A counter of 8 bits that falls by more began again from 0, by itself."""
 _BURST_NS: Final = 4 * SECOND
 """What is missing within so long of the next that is missing is of one time."""
+_MOSTLY: Final = 0.67
 _UNEXPLAINED: Final = frozenset({"after", "unknown"})
 
 
@@ -383,11 +384,27 @@ class Commands:
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True
 
     def _follow_on(self, fates: Sequence[Fate]) -> None:
-        """Tell unaccounted what was sent after an application stopped, and may not be taken by another."""
+        """Tell unaccounted what was sent after an application stopped, and may not be taken by another.
+
+        Likewise where 0x803 may have counted all of them as messages without a subscriber.
+        """
         for fate in fates:
+            known = fate.seen or fate.stream.is_housekeeping or not fate.stream.link.only_to_cfs
+            if not known and fate.unfollowed is None:
+                self._leave_to_nobody(fate)
             if fate.unfollowed is not None:
                 open_ = int((fate.open & fate.unfollowed).sum())
                 fate.ends["unaccounted"] = min(open_, self._untold(fate))
+
+    def _leave_to_nobody(self, fate: Fate) -> None:
+        case, sent_ns = self._case, fate.stream.time_ns
+        for track in (own for at, own in case.tracks.items() if case.goes_to(fate.stream, at)):
+            grown, spread = track.beyond_steady("no_subscribers", sent_ns, TAIL_NS)
+            inside = fate.open & (sent_ns >= track.times[0]) & (sent_ns < track.times[-1])
+            more = int(grown[-1] - grown[max(0, np.searchsorted(track.times, sent_ns[0]) - 1)])
+            if _MOSTLY * more <= inside.sum() <= more and inside.sum() > spread:
+                fate.unfollowed = fate.open.copy()
+                fate.unfollowed_since = f"0x803: {more:,} more messages without a subscriber meanwhile"
 
     def _untold(self, fate: Fate) -> int:
         """Return of how many messages nothing has told what became of them."""

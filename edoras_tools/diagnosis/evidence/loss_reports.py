@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 
 _BYTE: Final = 1 << 8
+_LEAST_IDLE: Final = 3
 _WIDTHS: Final = {"pipe_overflows": 16, "msg_limits": 16, "no_subscribers": 8, "send_errors": 8}
 
 
@@ -59,6 +60,23 @@ class Track:
         )
         totals = self.totals[name]
         return max(0, totals[high] - totals[low])
+
+    def beyond_steady(self, name: str, sent_ns: Integers, late_ns: int) -> tuple[Integers, int]:
+        """Return a counter's growth less what it grows by evenly while none of some messages can be counted.
+
+        Args:
+            sent_ns: when they were sent, in order.
+            late_ns: they are counted so long after at the most.
+
+        Returns:
+            growth up to each sample, and by how much a step of it differs while none of them can be counted.
+        """
+        times, totals = np.array(self.times), np.array(self.totals[name])
+        free = np.searchsorted(sent_ns, times[1:]) == np.searchsorted(sent_ns, times[:-1] - late_ns)
+        idle = np.diff(totals)[free]
+        if len(idle) < _LEAST_IDLE:
+            return totals, 0
+        return totals - int(np.median(idle)) * np.arange(len(totals)), int(np.ptp(idle))
 
     def watches(self, time_ns: int) -> bool:
         """Tell whether samples lie on both sides of a time."""

@@ -111,7 +111,7 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
 
 
 def _unfollowed(case: Case, fate: Fate) -> Verdict:
-    """Say that nobody can follow what was sent after an application stopped."""
+    """Say that nobody can follow what was sent after an application stopped, or if none subscribed to it."""
     stream = fate.stream
     times = stream.time_ns
     if fate.reached is not None:
@@ -121,7 +121,7 @@ def _unfollowed(case: Case, fate: Fate) -> Verdict:
         why = f"Telemetry Output counted {fate.commanded:,} commands meanwhile"
         evidence = ["0x880: its counters of commands taken and refused, between the first and the last here"]
     else:
-        why = "they were sent after an application was stopped, and nothing here shows whether one took them"
+        why = "nothing here shows whether an application took them"
         evidence = [fate.unfollowed_since]
         times = times[fate.unfollowed]
     open_ = fate.reached is None and fate.commanded is None

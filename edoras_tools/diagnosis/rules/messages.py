@@ -200,7 +200,9 @@ def _without_subscriber(case: Case) -> dict[tuple[int, int], list[int]]:
     arriving = arriving[~np.isin(rows.msg_id[arriving], [*MSG_ID_NAMES, *taken]) & ~of_cfs]
     found: dict[tuple[int, int], list[int]] = {}
     for instance, track in case.tracks.items():
-        counts = np.array(track.totals["no_subscribers"]) - track.totals["no_subscribers"][0]
+        counts, spread = track.beyond_steady("no_subscribers", np.sort(times[arriving]), _COUNTED_NS)
+        if spread:
+            counts = np.array(track.totals["no_subscribers"])
         seen_ns = np.array(track.times)
         inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
         own = dict(by_value(rows.msg_id[inside])) if counts[-1] else {}
@@ -213,7 +215,10 @@ def _without_subscriber(case: Case) -> dict[tuple[int, int], list[int]]:
                 if _may_be(times[inside[np.concatenate([own[at] for at in chosen])]], seen_ns, counts, lag_ns)
             ]
         if fits and len(fits[0]) not in map(len, fits[1:]):
-            found |= {(instance, msg_id): inside[own[msg_id]].tolist() for msg_id in fits[0]}
+            sent = np.sort(inside[np.concatenate([own[at] for at in fits[0]])])
+            # What the last sample does not have may be on its way.
+            told = sent[: counts[-1] + np.searchsorted(times[sent], seen_ns[0])]
+            found |= {(instance, msg_id): own_rows.tolist() for msg_id, own_rows in groups(rows.msg_id, told)}
     return found
 
 
