@@ -493,7 +493,7 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     traffic = LedgerTraffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
     entered = len(stream) + len(dropped) - doubled
     entered += relayed.more if relayed else 0
-    entered += len(case.damaged_of(stream))
+    entered += len(case.damaged_of(stream)) + case.commands.never_came.get(id(stream), 0)
     way = LedgerWay(traffic, entered, doubtful=case.perhaps_doubled(stream))
     if relayed:
         losses = _by_relay(way, relayed, losses)

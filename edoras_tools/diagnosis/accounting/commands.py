@@ -33,6 +33,7 @@ from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, UDP_PORT, Stop
 from edoras_tools.diagnosis.accounting.ingest import BeforeCi
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
+    BEFORE_CI,
     BEHIND,
     COUNTERS,
     SBN_SOCKET,
@@ -45,8 +46,8 @@ from edoras_tools.diagnosis.accounting.losses import (
     regroup,
 )
 from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes
-from edoras_tools.diagnosis.matching.streams import bursts, full_rounds
-from edoras_tools.diagnosis.quality import CONFIDENCE, binomial_tail, largest_number
+from edoras_tools.diagnosis.matching.streams import bursts, counted_gaps, full_rounds
+from edoras_tools.diagnosis.quality import CONFIDENCE, binomial_tail, largest_number, overlapping
 from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
@@ -70,7 +71,6 @@ _WRAPPED: Final = 128
 """A counter of 8 bits that falls by more began again from 0, by itself."""
 _BURST_NS: Final = 4 * SECOND
 """What is missing within so long of the next that is missing is of one time."""
-_MOSTLY: Final = 0.67
 _UNEXPLAINED: Final = frozenset({"after", "unknown"})
 
 
@@ -85,6 +85,7 @@ class Commands:
         placed: id of a refusal to how many of its messages are of a stream, and of which of that.
         refused_of: id of a stream to the refusals of its messages, each with what ``placed`` has.
         relayed: id of a stream to what a relay in front of cFS did to it, of which both sides were captured.
+        never_came: id of a stream to how many counts of its sender the capture lacks.
         uncaptured: instance to what it counted lost while the capturing interface was away, and is told of
             nothing that was captured.
     """
@@ -94,6 +95,7 @@ class Commands:
         self.losses: list[Loss] = []
         self.unplaced: dict[int, int] = {}
         self.relayed: dict[int, LostInRelay] = {}
+        self.never_came: dict[int, int] = {}
         self.placed: dict[int, tuple[int, Among]] = {}
         self.fates = {
             id(stream): follow(case, stream)
@@ -108,6 +110,7 @@ class Commands:
         self._spans = {key: _spans(own) for key, own in self._by_packet.items()}
         for fate in fates:
             self._damaged(fate)
+            self._count(fate)
         for stream in case.streams:
             self._astray(stream, self.fates.get(id(stream)))
         before_ci, pipes = BeforeCi(case, fates, self.losses), Pipes(case, self.losses)
@@ -172,6 +175,35 @@ class Commands:
                 if fate.claim(rows := np.flatnonzero(inside)[:1]):
                     text, to = "it came out damaged: its checksum is wrong", case.endpoints[hop.out.receiver]
                     self.losses.append(fate.loss("damaged", rows, [text], hop=f"{UDP_PORT} {to}"))
+
+    def _count(self, fate: Fate) -> None:
+        """Tell lost what a sender that counts sent, and neither the capture nor CI has.
+
+        What CI counted more than is here the capture missed; without CI's counts, what it may have missed.
+        """
+        case, stream = self._case, fate.stream
+        if not (stream.link.only_to_cfs and stream.counted):
+            return
+        missing = counted_gaps(case.rows, stream)
+        times = np.append(stream.time_ns, stream.time_ns[-1])
+        missing[overlapping(times[:-1], times[1:], [*case.away, *case.quiet])] = 0
+        if not (number := int(missing.sum())):
+            return
+        at, accounts = np.flatnonzero(missing), case.ingests_at(stream.receiver)
+        ends = stream.time_ns[[at[0], at[-1] + 1]].tolist()
+        may = _allowance(case, len(stream), number)
+        evidence = [f"sequence count: {number:,} of {len(stream) + number:,} never came"]
+        counted = [own.not_captured for own in accounts if own.first_ns < ends[0] and ends[1] < own.last_ns]
+        if counted and not accounts[0].lost:
+            may = min(number, counted[0])
+            evidence.append(f"0x884: CI took {may:,} more than the capture shows")
+        self.never_came[id(stream)] = number
+        fate.ends["crowded"] += may
+        if number > may:
+            loss = Loss("network", BEFORE_CI, number - may, ends[0], ends[1], "high", msg_id=stream.msg_id)
+            loss.stream, loss.of, loss.evidence = stream, len(stream) + number, evidence
+            loss.among = Among(stream, at, missing[at])
+            self.losses.append(loss)
 
     def _astray(self, stream: Stream, fate: Fate | None) -> None:
         """Tell lost what came to one capture and never to the next on its way."""
@@ -402,7 +434,7 @@ class Commands:
             grown, spread = track.beyond_steady("no_subscribers", sent_ns, TAIL_NS)
             inside = fate.open & (sent_ns >= track.times[0]) & (sent_ns < track.times[-1])
             more = int(grown[-1] - grown[max(0, np.searchsorted(track.times, sent_ns[0]) - 1)])
-            if _MOSTLY * more <= inside.sum() <= more and inside.sum() > spread:
+            if 2 * more <= 3 * inside.sum() <= 3 * more and inside.sum() > spread:
                 fate.unfollowed = fate.open.copy()
                 fate.unfollowed_since = f"0x803: {more:,} more messages without a subscriber meanwhile"
 

@@ -32,11 +32,14 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.wire.arrays.order import Integers
 
 
 _PAUSE_NS: Final = 2 * SECOND
 _PAUSE_FACTOR: Final = 4
 _LEAST_FELL: Final = 3
+_LEAST_ONES: Final = 20
+_MOST_MISSING: Final = 64
 
 
 @dataclass(eq=False)
@@ -333,6 +336,25 @@ def _count_moves(rows: Rows, members: NDArray[np.intp], missing: NDArray[np.int3
         ahead[step] -= len(np.unique(late[late < ahead[step]]))  # the first one overtook them
     # A step back is no wrap: whoever publishes it started again too.
     missing[moved] = np.where(rows.counted[members[moved]] & (ahead < FORWARD), ahead, 0)
+
+
+def counted_gaps(rows: Rows, stream: Stream) -> Integers:
+    """Return how many counts of its one sender are missing behind each row, i64; 0 where that does not count.
+
+    Most of its steps are by one. What that sender counts together with other MsgIds is not missing.
+    """
+    own = stream.rows
+    count, source = rows.sequence_count[own].astype(np.int64), rows.source[own]
+    ones = int((np.diff(count) % MODULUS == 1).sum())
+    if ones < _LEAST_ONES or 2 * ones < len(own) or (source != source[0]).any():
+        return np.zeros(len(own), np.int64)
+    missing = np.where(stream.missing <= _MOST_MISSING, stream.missing, 0)
+    others = np.flatnonzero((rows.source == source[0]) & (rows.msg_id != stream.msg_id))
+    for at in np.flatnonzero(missing).tolist() if len(others) else ():
+        near = others[slice(*np.searchsorted(rows.time_ns[others], stream.time_ns[at : at + 2]))]
+        ahead = (rows.sequence_count[near].astype(np.int64) - count[at]) % MODULUS
+        missing[at] -= len(np.unique(ahead[(ahead > 0) & (ahead <= missing[at])]))
+    return missing
 
 
 def _pauses(times: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -11,6 +11,7 @@ from edoras_tools.cfs.limits import BRIDGE_BUFFER
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
+from edoras_tools.diagnosis.accounting.pipes import most_at_once
 from edoras_tools.diagnosis.rules.about import of_messages, packet, stream_subject
 from edoras_tools.diagnosis.verdict import About, Confidence, Severity, Verdict, error, note, warning
 from edoras_tools.links import table
@@ -207,13 +208,14 @@ def _without_subscriber(case: Case) -> dict[tuple[int, int], list[int]]:
         inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
         own = dict(by_value(rows.msg_id[inside])) if counts[-1] else {}
         every = list(chain.from_iterable(combinations(own, size) for size in _UNKNOWN))
-        fits: list[tuple[int, ...]] = []
-        for lag_ns in (_COUNTED_NS, DRAINS_NS):  # what waits in CI's socket is counted late
-            fits = fits or [
-                chosen
-                for chosen in every
-                if _may_be(times[inside[np.concatenate([own[at] for at in chosen])]], seen_ns, counts, lag_ns)
-            ]
+        most = most_at_once(np.sort(times[arriving]), case.profile.ci_wake_ns) if len(arriving) else 0
+        crowded = most > case.profile.ci_datagrams_per_wake  # what waits in CI's socket is counted late
+        lag_ns = DRAINS_NS if crowded else _COUNTED_NS
+        fits = [
+            chosen
+            for chosen in every
+            if _may_be(times[inside[np.concatenate([own[at] for at in chosen])]], seen_ns, counts, lag_ns)
+        ]
         if fits and len(fits[0]) not in map(len, fits[1:]):
             sent = np.sort(inside[np.concatenate([own[at] for at in fits[0]])])
             # What the last sample does not have may be on its way.
