@@ -672,7 +672,7 @@ class SourceStatistics:
         cut: datagrams that never became whole, at most 16,384 and those that still wait; filled at the end.
         shared: datagrams that are left out, for another capture that is read with this one has them.
         astray: time (ns since 1970) and fingerprint of each datagram that never came to the place of another
-            capture that is read with this one, where that is on its way.
+            capture that is read with this one, where that is on its way; and whether that is sure.
     """
 
     frames: int = 0
@@ -687,7 +687,7 @@ class SourceStatistics:
     outages: list[InterfaceOutage] = field(default_factory=list)
     cut: list[CutDatagram] = field(default_factory=list)
     shared: int = 0
-    astray: list[tuple[int, int]] = field(default_factory=list)
+    astray: list[tuple[int, int, bool]] = field(default_factory=list)
 
     @property
     def ended(self) -> bool:

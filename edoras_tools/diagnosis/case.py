@@ -105,7 +105,8 @@ class Capture:
         unwrappers: what took packets out of what carried them, and what its counts say.
         lacking: datagrams of which the first fragment is in it, and later ones are not.
         shared: datagrams that were left out, for another capture read with this one has them.
-        astray: time (ns) and fingerprint of each that never came to the place of another capture on its way.
+        astray: time (ns) and fingerprint of each that never came to the place of another capture on its way,
+            and whether that is sure.
     """
 
     drops: int | None = None
@@ -118,7 +119,7 @@ class Capture:
     unwrappers: Mapping[Link, Unwrapper] = field(default_factory=dict)
     lacking: tuple[CutDatagram, ...] = ()
     shared: int = 0
-    astray: tuple[tuple[int, int], ...] = ()
+    astray: tuple[tuple[int, int, bool], ...] = ()
 
     def evidence_of(self, link: Link, kind: type[OfLink]) -> OfLink | None:
         """Return what a link saw in it, or took packets out with; None where that is of no such kind."""

@@ -127,7 +127,7 @@ def open_aligned(
     alone: list[Source] = []
     notes = []
     set_back: dict[int, list[ClockLine]] = {0: []}
-    astray: list[tuple[int, int]] = []
+    astray: list[tuple[int, int, bool]] = []
     for at, (path, table) in enumerate(zip(paths[1:], tables[1:], strict=True), 1):
         if progress is not None:
             progress.step("aligning clocks", at, len(paths))
@@ -166,11 +166,12 @@ def open_aligned(
         set_back[at] = set_back[to] if is_one_clock else [shift.line, *set_back[to]]
         sources.append(Aligned(open_file(path), set_back[at], shift.shared))
         sources[0].statistics.shared += len(shift.shared)
-        for side, chosen in zip((to, at), lost_between(tables[to], table, shift), strict=True):
+        for side, (chosen, sure) in zip((to, at), lost_between(tables[to], table, shift), strict=True):
             rows = tables[side].rows().take(chosen)
             for line in set_back[side]:
                 rows = replace(rows, time_ns=line.set_back(rows.time_ns))
-            astray += zip(rows.time_ns.tolist(), rows.bytes_print.tolist(), strict=True)
+            own = zip(rows.time_ns.tolist(), rows.bytes_print.tolist(), strict=True)
+            astray += [(when, value, sure) for when, value in own]
         if not is_one_clock:
             some = f"; {len(shift.shared):,} datagrams are in both, counted once" if len(shift.shared) else ""
             notes.append(f"{path}: its clock is {shift.told(str(paths[to]))}{some}")

@@ -2,7 +2,9 @@
 
 import itertools
 import re
+from operator import attrgetter
 
+import mutations
 import pytest
 from effort import every, long_but
 from places import CAPTURES, MISSIONS, ROOT
@@ -223,3 +225,21 @@ def test_boots_in_two_files_that_follow_each_other_are_of_one_clock(tmp_path, tu
     found, notes = diagnosed(*(paths[::-1] if turned else paths))
     assert notes == []
     assert totals(found) == totals(diagnosed(write(tmp_path / "whole.pcap", traffic))[0])
+
+
+@pytest.mark.parametrize(("number", "sure"), [(3, False), (40, True)])
+def test_what_the_other_host_lacks_it_may_have_missed_unless_that_is_too_much(tmp_path, number, sure):
+    flight = mutations.frames(ROOT / "tests/captures/flights/sender_that_counts.pcap.zst")
+    down = [at for at, item in enumerate(flight) if mutations.is_to(item.data, 1235)]
+    gone = set(down[100 : 100 + number])
+    way = {True: 5_000_000, False: -5_000_000}
+    ground = [
+        item._replace(time_ns=item.time_ns + way[mutations.is_to(item.data, 1235)])
+        for at, item in enumerate(flight)
+        if at not in gone
+    ]
+    ground.sort(key=attrgetter("time_ns"))
+    found, _ = diagnosed(
+        mutations.write(tmp_path / "ground.pcap", ground), mutations.write(tmp_path / "flight.pcap", flight)
+    )
+    assert (found.lost, found.uncertain) == ((17 + number, 0) if sure else (17, number))

@@ -112,13 +112,14 @@ class Part:
     evidence: list[str] = field(default_factory=list)
 
 
-GapEnd = Literal["closed", "proxied", "damaged", "untold", "away", "uncertain"]
+GapEnd = Literal["closed", "proxied", "damaged", "untold", "away", "uncertain", "astray"]
 """How counts end that are missing and in no loss.
 
 Those that were published while the way out was ``closed``, and are in no counter; that a proxy dropped on
 purpose; ``damaged``: they came with a wrong checksum; ``untold``: cut frames do not tell whose they are, or
 nothing tells whether Telemetry Output was to send them; that are missing while the capturing interface was
-``away``; ``uncertain``: the capture itself may have missed them."""
+``away``; ``uncertain``: the capture itself may have missed them; ``astray``: they are here, and the next
+capture on their way may have missed them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -206,17 +206,22 @@ class Commands:
             self.losses.append(loss)
 
     def _astray(self, stream: Stream, fate: Fate | None) -> None:
-        """Tell lost what came to one capture and never to the next on its way."""
-        chosen = np.flatnonzero(self._case.rows.undelivered[stream.rows])
+        """Tell lost what came to one capture and never to the next; leave open what that may lack."""
+        masks = self._case.rows.undelivered, self._case.prepared.perhaps_astray
         silent = self._case.unheard.get(id(stream))
-        if silent is not None:
-            chosen = np.setdiff1d(chosen, silent.unheard)
+        chosen, perhaps = (
+            np.setdiff1d(np.flatnonzero(mask[stream.rows]), silent.unheard if silent else [])
+            for mask in masks
+        )
         text = f"{plural(len(chosen), 'datagram')} came to one capture, and not to the next on their way"
         if fate is not None:
             # What a CI counted tells of those before it.
             if not self._case.ingests_at(stream.receiver):
                 self._lose(fate, "network", chosen, text)
-        elif len(chosen):
+                fate.ends["crowded"] += fate.claim(perhaps[: len(perhaps) * stream.link.only_to_cfs])
+            return
+        self.telemetry.ends[id(stream)]["astray"] = len(perhaps)
+        if len(chosen):
             first_ns, last_ns = stream.time_ns[chosen[[0, -1]]].tolist()
             loss = Loss("after", BEHIND, len(chosen), first_ns, last_ns, "high", msg_id=stream.msg_id)
             loss.stream, loss.of = stream, len(stream)

@@ -61,6 +61,7 @@ class Prepared:
         duplicates: i64, rows that the network doubled.
         damaged: rows that stand for datagrams that the network damaged: nobody got them. They are left out.
         doubled: rows that were captured twice, or sent twice: nothing tells. They are left out.
+        perhaps_astray: rows that came to one capture, and that the next one on their way lacks, or missed.
         disordered: records that stood behind a later one.
         translated: address to the address that it is another name of.
     """
@@ -75,6 +76,7 @@ class Prepared:
     duplicates: Places
     damaged: Rows
     doubled: Rows
+    perhaps_astray: Mask
     disordered: int
     translated: Mapping[str, str]
 
@@ -82,7 +84,7 @@ class Prepared:
 def prepare(
     recorder: Recorder,
     proxied: Mapping[RouteWay, Proxied],
-    astray: Sequence[tuple[int, int]] = (),
+    astray: Sequence[tuple[int, int, bool]] = (),
     *,
     shared: bool = False,
 ) -> Prepared:
@@ -90,7 +92,7 @@ def prepare(
 
     Args:
         proxied: what a proxy did on purpose.
-        astray: time and fingerprint of each that was lost between two captures.
+        astray: time and fingerprint of each that was lost between two captures, and whether that is sure.
         shared: there are several captures, and what two of them have is there once.
     """
     rows, payloads, disordered = in_time_order(recorder)
@@ -133,7 +135,7 @@ def prepare(
     stranger = kind[left.places] == _PLACE[ConversationKind.STRANGER]
     if len(left.places) < len(rows) or stranger.any():
         payloads = payloads.over(np.where(stranger, -1, left.places), len(rows))
-    left.rows = replace(left.rows, undelivered=_find_astray(left.rows, astray))
+    left.rows = replace(left.rows, undelivered=_find_astray(left.rows, astray, sure=True))
     return Prepared(
         rows=_emptied(left.rows, stranger) if stranger.any() else left.rows,
         payloads=payloads,
@@ -145,6 +147,7 @@ def prepare(
         duplicates=np.flatnonzero(duplicate[~copy]),
         damaged=damaged,
         doubled=doubled,
+        perhaps_astray=_find_astray(left.rows, astray, sure=False),
         disordered=disordered,
         translated={
             endpoints[index].address: endpoints[name].address
@@ -167,12 +170,9 @@ class _Left:
             self.rows, self.places = self.rows.take(some), self.places[some]
 
 
-def _find_astray(rows: Rows, astray: Sequence[tuple[int, int]]) -> Mask:
-    if not astray:
-        return np.zeros(len(rows), bool)
-    times = np.array([when for when, _ in astray])
-    near = np.flatnonzero(np.isin(rows.time_ns, times))
-    out, pairs = np.zeros(len(rows), bool), set(astray)
+def _find_astray(rows: Rows, astray: Sequence[tuple[int, int, bool]], *, sure: bool) -> Mask:
+    out, pairs = np.zeros(len(rows), bool), {(when, value) for when, value, known in astray if known is sure}
+    near = np.flatnonzero(np.isin(rows.time_ns, [when for when, _ in pairs]))
     key = zip(rows.time_ns[near].tolist(), rows.bytes_print[near].tolist(), strict=True)
     out[near] = [item in pairs for item in key]
     return out

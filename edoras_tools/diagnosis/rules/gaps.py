@@ -202,7 +202,9 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
     """
     missed = [(item, item.ends["missed"]) for item in case.commands.fates.values()]
     found = [(item.stream, number) for item, number in missed if number]
-    found += [(item, number) for item in case.streams if (number := case.telemetry.ended(item, "uncertain"))]
+    ends = case.telemetry.ended
+    open_ = [(item, ends(item, "uncertain") + ends(item, "astray")) for item in case.streams]
+    found += [(item, number) for item, number in open_ if number]
     if not found:
         return
     quality, most = case.quality, 100 * case.quality.upper_share()

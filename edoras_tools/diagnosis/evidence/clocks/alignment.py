@@ -410,12 +410,12 @@ _BY_CHANCE: Final = 0.001
 """So seldom a capture that missed a share by chance would have missed none of those that surely passed it."""
 
 
-def lost_between(first: Recorder, second: Recorder, shift: Alignment) -> tuple[Places, Places]:
-    """Return which rows of each capture came to its place, and never to that of the other.
+def lost_between(first: Recorder, second: Recorder, shift: Alignment) -> tuple[tuple[Places, bool], ...]:
+    """Return which rows of each capture came to its place and never to that of the other; and if it is sure.
 
     A way leads from one place to the other where what is in both is there later, and on the ways back
     earlier. What one lacks of the ways to it was lost between them, where it has all that the other got by
-    the ways from it: it cannot have missed so large a share by chance.
+    the ways from it: it cannot have missed so large a share by chance. Else it may have missed them.
     """
     sides = first.rows(), second.rows()
     times = sides[0].time_ns, shift.line.set_back(sides[1].time_ns)
@@ -425,7 +425,7 @@ def lost_between(first: Recorder, second: Recorder, shift: Alignment) -> tuple[P
     shared = [np.flatnonzero(mask) for mask in both]
     none = np.zeros(0, np.intp)
     if len(shared[0]) != len(shared[1]) or any(rows.has(Finding.CAPTURE_CUT).any() for rows in sides):
-        return none, none
+        return (none, True), (none, True)
     # Equal ones are paired in order of time.
     ours, theirs = (
         own[np.lexsort((when[own], rows.bytes_print[own]))]
@@ -444,8 +444,11 @@ def lost_between(first: Recorder, second: Recorder, shift: Alignment) -> tuple[P
         lacking = to & ~both[side] & ~np.isin(prints[side], prints[1 - side])
         chance = (1 - lacking.sum() / max(to.sum(), 1)) ** back.sum()
         proven = both[side][back].all() and chance < _BY_CHANCE
-        found.append(np.flatnonzero(lacking) if proven else none)
-    return found[0], found[1]
+        # Of a way of which it lacks most it was not to have all.
+        found.append(
+            (np.flatnonzero(lacking) if proven or 2 * lacking.sum() < to.sum() else none, bool(proven))
+        )
+    return tuple(found)
 
 
 def _one(first: Recorder, second: Recorder) -> Callable[..., Mask]:
