@@ -1,5 +1,6 @@
 """What the doctor says of flights of the public applications, held to what was counted at their bridges."""
 
+import random
 from collections import Counter
 
 import mutations
@@ -302,3 +303,32 @@ def test_what_the_capture_may_have_missed_of_a_sender_that_counts_is_not_proven(
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
     assert found.lost + found.unaccounted <= 17
     assert (change == "5 % doubled") == (found.uncertain == 0)
+
+
+def two_places(tmp_path, apart_ms, gone=range(0)):
+    """Return the diagnosis of one file of two places: the second has a clock of its own, and lacks some."""
+    first = mutations.frames(FOLDER / "sender_that_counts.pcap.zst")
+    down = [at for at, item in enumerate(first) if mutations.is_to(item.data, 1235)]
+    lacking = {down[place] for place in gone}
+    second = [
+        item._replace(time_ns=item.time_ns + apart_ms * 1_000_000)
+        for at, item in enumerate(first)
+        if at not in lacking
+    ]
+    items = sorted([*first, *second], key=lambda item: item.time_ns)
+    return truth.examined(mutations.write(tmp_path / f"{apart_ms}.pcap", items))
+
+
+@pytest.mark.parametrize("apart_ms", [-2300, 5, 137])
+def test_two_places_in_one_file_are_one_capture_whatever_their_clocks(tmp_path, apart_ms):
+    found = two_places(tmp_path, apart_ms, range(50, 90))
+    assert found.lost + found.unaccounted == (0 if apart_ms < -1000 else 17)
+    assert found.lost + found.uncertain == 57
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_what_a_network_doubles_much_later_is_no_second_place(tmp_path, share):
+    items = mutations.frames(FOLDER / "losing_network.pcap.zst")
+    change = mutations.doubled_later(share, 60_000_000)
+    found = truth.examined(mutations.write(tmp_path / "one.pcap", change(items, random.Random(share))))
+    assert not [item for item in found.verdicts if item.rule == "captured_twice"]

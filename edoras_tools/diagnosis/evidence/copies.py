@@ -12,6 +12,9 @@ one another identification. So:
    groups of equal datagrams within 5 ms, nearly all of exactly two. A burst of 50 equal datagrams is one
    group, and stays 50.
 
+Two captures in one file have most datagrams of all ways twice, far apart where their clocks differ. These are
+copies; what is there once came to one of the two places, or the other missed it.
+
 The receiver of a duplicate gets twice what the network doubled, and once what the capture did. So, in this
 order:
 
@@ -65,6 +68,8 @@ _STEADY: Final = 0.8
 _NEARLY_ALL: Final = 0.95
 _LEAST_GROUPS: Final = 8
 _LEAST_BYTES: Final = 16
+_LEAST_PAIRS: Final = 20
+_MOST_AGAIN: Final = 1.5
 _WINDOW_BITS: Final = 20
 """For some hours in one batch; what is later counts as being at one time."""
 _NEVER_NS: Final = (1 << 63) - 1
@@ -78,11 +83,13 @@ class Copies:
         copy: bool (n,), captured before: not to be counted.
         duplicate: bool (n,), captured before as well, at one place.
         at_once: bool (n,), at the same time as the one before it that is equal.
+        alone: bool (n,), captured at one of two places that are in one file, and not at the other.
     """
 
     copy: Mask
     duplicate: Mask
     at_once: Mask
+    alone: Mask
 
 
 def find_copies(
@@ -102,7 +109,7 @@ def find_copies(
         prints: fingerprints of the datagrams.
     """
     count = len(time_ns)
-    out = Copies(*(np.zeros(count, bool) for _ in range(3)))
+    out = Copies(*(np.zeros(count, bool) for _ in range(4)))
     if count < 2:
         return out
     key = (prints ^ conversation.astype(np.uint64) * MIX) * MIX ^ identification
@@ -110,6 +117,11 @@ def find_copies(
     key, when, numbered = key[order], time_ns[order], identification[order] != 0
     step = np.abs(np.diff(when))
     near = (key[1:] == key[:-1]) & (step <= np.where(numbered[1:], _WITHIN_NS, _UNNUMBERED_NS))
+    same = np.concatenate(([False], (key[1:] == key[:-1]) & numbered[1:]))
+    far = same & (np.append(0, step) > _WITHIN_NS)
+    two_places = _of_most(same, numbered & ~same, conversation[order])
+    far &= two_places  # their clocks differ
+    near |= far[1:]
     if not near.any():
         return out
     # A group is a run of equal ones, each near the one before it.
@@ -117,12 +129,17 @@ def find_copies(
     again = order[1:][near]
     out.at_once[order[1:]] = near & (step == 0)
     elsewhere = np.zeros(count, bool)
-    elsewhere[order[1:]] = near & (tap[order][1:] != tap[order][:-1])
+    elsewhere[order[1:]] = near & (far[1:] | (tap[order][1:] != tap[order][:-1]))
     repeated = np.zeros(count, bool)
     repeated[again] = True
     size = np.bincount(group)
     group_size = np.zeros(count, np.int64)
     group_size[order] = size[group]
+    if two_places:
+        edge_ns = int(step[same[1:]].max())
+        inside = (time_ns > time_ns[0] + edge_ns) & (time_ns < time_ns[-1] - edge_ns)
+        both = np.isin(conversation, np.unique(conversation[order[same]]))
+        out.alone[:] = (group_size == 1) & (identification != 0) & both & inside
     first = np.zeros(count, bool)
     first[order[np.concatenate(([True], ~near))]] = True
     for _, rows in by_value(conversation.astype(np.int64)):
@@ -142,6 +159,19 @@ def find_copies(
             if known:
                 out.duplicate[twice[~copied]] = True
     return out
+
+
+def _of_most(twice: Mask, first: Mask, conversation: NDArray[np.integer[Any]]) -> bool:
+    """Tell whether most datagrams are there twice, on most ways: no network does that, two places do.
+
+    Args:
+        twice: which are equal to the one before.
+        first: which are the first of equal ones.
+    """
+    if not max(_LEAST_PAIRS, 0.5 * first.sum()) <= twice.sum() <= _MOST_AGAIN * first.sum():
+        return False
+    ways, every = (len(np.unique(conversation[rows])) for rows in (twice, first))
+    return ways > 1 and 2 * ways >= every
 
 
 class Once:

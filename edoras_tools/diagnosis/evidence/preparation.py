@@ -129,7 +129,7 @@ def prepare(
     relayed = before_proxy(left.rows, proxied)
     left.keep(~relayed)
     sources = names[rows.source[payloads.ingest["row"]]]
-    copy, duplicate, perhaps = _doubled(left.rows, payloads, sources, endpoints, proxied)
+    copy, duplicate, perhaps, alone = _doubled(left.rows, payloads, sources, endpoints, proxied)
     doubled = left.rows.take(np.flatnonzero(perhaps))
     left.keep(~copy)
     stranger = kind[left.places] == _PLACE[ConversationKind.STRANGER]
@@ -147,7 +147,7 @@ def prepare(
         duplicates=np.flatnonzero(duplicate[~copy]),
         damaged=damaged,
         doubled=doubled,
-        perhaps_astray=_find_astray(left.rows, astray, sure=False),
+        perhaps_astray=_find_astray(left.rows, astray, sure=False) | alone[~copy],
         disordered=disordered,
         translated={
             endpoints[index].address: endpoints[name].address
@@ -184,20 +184,20 @@ def _doubled(
     sources: NDArray[np.int32],
     endpoints: Sequence[Endpoint],
     proxied: Mapping[RouteWay, Proxied],
-) -> tuple[Mask, Mask, Mask]:
-    """Tell which rows are not to be counted, which the network doubled, and of which nothing tells.
+) -> tuple[Mask, Mask, Mask, Mask]:
+    """Tell which rows not to count, which the network doubled, of which nothing tells, which one place lacks.
 
     Args:
         sources: who sent each count of CI, as an index of ``endpoints``.
     """
     copies = find_copies(rows.time_ns, rows.identification, rows.way(), rows.tap, rows.bytes_print)
     if not copies.duplicate.any():
-        return copies.copy, copies.duplicate, copies.duplicate
+        return copies.copy, copies.duplicate, copies.duplicate, copies.alone
     who = who_doubled(rows, copies, payloads.ingest, sources, endpoints)
     if any(item.doubled for item in proxied.values()):
         who[copies.duplicate & (who == 0)] = BY_NETWORK  # a proxy says that it sent some again
     perhaps = copies.duplicate & (who == 0)
-    return copies.copy | perhaps | (who == BY_CAPTURE), who == BY_NETWORK, perhaps
+    return copies.copy | perhaps | (who == BY_CAPTURE), who == BY_NETWORK, perhaps, copies.alone
 
 
 def in_time_order(recorder: Recorder) -> tuple[Rows, Payloads, int]:
