@@ -130,11 +130,9 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
 
 def _named(case: Case, period_ns: int) -> bool:
     """Tell whether a period is that of a task that wakes up now and then."""
-    return any(_is_period(period_ns, own) for own in (case.profile.to_wake_ns, case.profile.sbn_wake_ns))
-
-
-def _is_period(period_ns: int, own_ns: int) -> bool:
-    return abs(period_ns - own_ns) < own_ns // _ROUND
+    return any(
+        abs(period_ns - own) < own // _ROUND for own in (case.profile.to_wake_ns, case.profile.sbn_wake_ns)
+    )
 
 
 def _delay(case: Case, stream: Stream) -> Latency | None:

@@ -284,7 +284,7 @@ def check_inputs(
         sole, captured = np.zeros((2, len(leaving)), bool)
         for hop in members:
             place = np.searchsorted(leaving, hop.out.rows)
-            sole[place] |= hop.sole & (_distinct(hop) >= _MOSTLY_ONCE)
+            sole[place] |= hop.sole & (hop.single.sum() >= _MOSTLY_ONCE * max(len(hop.single), 1))
             captured[place] |= hop.origin >= 0
         when = rows.time_ns[leaving]
         early = when - start_ns <= _START_NS + 2 * longest_ns
@@ -297,11 +297,6 @@ def check_inputs(
             if evidence.checked > (found[id(into)].checked if id(into) in found else 0):
                 found[id(into)] = evidence
     yield from found.values()
-
-
-def _distinct(hop: Hop) -> float:
-    """Return what part of the messages that went in have a value of their own."""
-    return float(hop.single.mean()) if len(hop.single) else 0.0
 
 
 def check_ci_counts(

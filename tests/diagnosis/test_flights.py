@@ -62,6 +62,7 @@ FLIGHTS = {
     "never_started": (57, {"stopped": 57}),
     "refused_starts": (111, {"stopped": 109, "bad_command": 2}),
     "sender_that_counts": (17, {"network": 17}),
+    "refused_by_length": (42, {"bad_command": 42}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {

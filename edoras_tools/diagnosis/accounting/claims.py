@@ -344,10 +344,8 @@ def _pass_on(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
     for (instance, kind), table in tables.items():
         for second in np.flatnonzero(table.left).tolist():
             flows = {claims[at].flow for at in _reached(tables, claims, (instance, kind, second))}
-            while len(flows) == 1 and table.left[second]:
-                path = _path(tables, claims, (instance, kind, second), set())
-                if path is None:
-                    break
+            place = instance, kind, second
+            while len(flows) == 1 and table.left[second] and (path := _path(tables, claims, place, set())):
                 _shift(table, claims, path)
 
 
@@ -466,10 +464,7 @@ def _improve(tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Cla
     dead: set[int] = set()
     for (instance, kind), table in tables.items():
         for second in np.flatnonzero(table.left).tolist():
-            while table.left[second]:
-                path = _path(tables, claims, (instance, kind, second), dead)
-                if path is None:
-                    break
+            while table.left[second] and (path := _path(tables, claims, (instance, kind, second), dead)):
                 _shift(table, claims, path)
 
 

@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.relays import LostInRelay
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Verdict
+    from edoras_tools.wire.arrays.order import Places
 
 _COUNTS: Final = 256
 _WRAPPED: Final = 128
@@ -357,9 +358,21 @@ class Commands:
             first = next(self._alike(item), None) if left else None
             if first is not None:
                 fate, within = first
+                if within.sum() == 1 and item.confidence == "high":
+                    self._give_way(fate, np.flatnonzero(within & fate.arrived))
                 self._place(item, fate, np.flatnonzero((fate.open | fate.blind) & within), left)
                 left = 0  # what is not open arrived, or is told of by another verdict
             self.unplaced[id(item)] = left
+
+    @staticmethod
+    def _give_way(fate: Fate, rows: Places) -> None:
+        """Let what came out be of equal messages that nobody refused, or of some without values."""
+        for row in rows.tolist() if len(fate.hops) == 1 else ():
+            prints = fate.hops[0].prints
+            if len(others := np.flatnonzero(fate.blind | (fate.open & (prints == prints[row])))):
+                other = min(others.tolist(), key=lambda at: abs(at - row))
+                fate.blind[other] = fate.arrived[row] = fate.open[other] = False
+                fate.arrived[other] = fate.open[row] = True
 
     def _spare_refused(self) -> None:
         """Take refusals back of what a full pipe lost before the application that would have refused it."""
@@ -426,8 +439,7 @@ class Commands:
         Likewise where 0x803 may have counted all of them as messages without a subscriber.
         """
         for fate in fates:
-            known = fate.seen or fate.stream.is_housekeeping or not fate.stream.link.only_to_cfs
-            if not known and fate.unfollowed is None:
+            if fate.unfollowed is None and fate.stream.link.only_to_cfs:
                 self._leave_to_nobody(fate)
             if fate.unfollowed is not None:
                 open_ = int((fate.open & fate.unfollowed).sum())
@@ -435,7 +447,8 @@ class Commands:
 
     def _leave_to_nobody(self, fate: Fate) -> None:
         case, sent_ns = self._case, fate.stream.time_ns
-        for track in (own for at, own in case.tracks.items() if case.goes_to(fate.stream, at)):
+        known = fate.seen or fate.stream.is_housekeeping
+        for track in [own for at, own in case.tracks.items() if case.goes_to(fate.stream, at) and not known]:
             grown, spread = track.beyond_steady("no_subscribers", sent_ns, TAIL_NS)
             inside = fate.open & (sent_ns >= track.times[0]) & (sent_ns < track.times[-1])
             more = int(grown[-1] - grown[max(0, np.searchsorted(track.times, sent_ns[0]) - 1)])

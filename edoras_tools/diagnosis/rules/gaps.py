@@ -72,8 +72,6 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
     missing = stream.time_ns[np.flatnonzero(fate.open)]
     visible = bool(case.tracks)
     evidence = [f"{int(fate.arrived.sum()):,} came out {', '.join(ways)} with the same values"]
-    if superseded := fate.ends["superseded"]:
-        evidence.append(f"{superseded:,} more gave way to a newer one, and are not counted here")
     accounts = case.ingests_at(stream.receiver)
     last_ns = max((item.last_ns for item in accounts), default=case.end_ns)
     behind = int((missing > last_ns).sum())
@@ -203,8 +201,7 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
     missed = [(item, item.ends["missed"]) for item in case.commands.fates.values()]
     found = [(item.stream, number) for item, number in missed if number]
     ends = case.telemetry.ended
-    open_ = [(item, ends(item, "uncertain") + ends(item, "astray")) for item in case.streams]
-    found += [(item, number) for item, number in open_ if number]
+    found += [(it, n) for it in case.streams if (n := ends(it, "uncertain") + ends(it, "astray"))]
     if not found:
         return
     quality, most = case.quality, 100 * case.quality.upper_share()
