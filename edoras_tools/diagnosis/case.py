@@ -13,6 +13,7 @@ import numpy as np
 from edoras_tools.cfs import command_ingest, sbn, telemetry_output
 from edoras_tools.cfs.commands import inject_line
 from edoras_tools.cfs.names import message_name
+from edoras_tools.decode.conversations import ConversationKind, Flow, Unnamed, unnamed
 from edoras_tools.diagnosis.accounting import closed, ingest
 from edoras_tools.diagnosis.accounting.bus import Telemetry
 from edoras_tools.diagnosis.accounting.claims import Counts
@@ -308,6 +309,23 @@ class Case:
         return assess_quality(
             self.rows, self.payloads, self.instances, self.streams, self.hops, self.tracks, holes, drops
         )
+
+    @cached_property
+    def shut(self) -> list[tuple[Flow, int]]:
+        """What looks like a link's on ports that nobody named, and for how many nobody listened there."""
+        errors = self._errors.errors()
+        errors = errors.take(errors.closed)
+        which = np.where(errors.identification != 0, errors.identification, errors.time_ns)
+        quoted = set(zip(errors.source.tolist(), errors.destination.tolist(), which.tolist(), strict=True))
+        number = Counter((self.endpoints[a], self.endpoints[b]) for a, b, _ in quoted)
+        flows = [item for item in self.prepared.flows if item.kind is ConversationKind.UNNAMED]
+        return [(item, many) for item in flows if (many := number[item.source, item.destination])]
+
+    @property
+    def unnamed(self) -> list[Unnamed]:
+        """The same, where not all of it reached nobody."""
+        closed = {id(flow) for flow, number in self.shut if number >= flow.datagrams}
+        return unnamed(flow for flow in self.prepared.flows if id(flow) not in closed)
 
     @cached_property
     def unreachable(self) -> Unreachable:

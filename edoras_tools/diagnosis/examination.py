@@ -9,7 +9,6 @@ from itertools import chain
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from edoras_tools.decode.conversations import Conversations, Flow, Unnamed, unnamed
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.accounts import accounts
 from edoras_tools.diagnosis.balance import Chain, Headline, WaySum, chains, headlines, not_counted, sent, ways
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
+    from edoras_tools.decode.conversations import Conversations, Flow, Unnamed
     from edoras_tools.links.doors import LinkEvidence
     from edoras_tools.sessions.faults.fault import Fault
 
@@ -492,7 +492,7 @@ class Examination:
                 ),
                 *capture.rows(),
             ),
-            unnamed=tuple(unnamed(case.prepared.flows)),
+            unnamed=tuple(case.unnamed),
             left_out=recorder.left_out + case.prepared.foreign,
             topics={index: route.topic for index, route in enumerate(case.mission.routes)},
             missing=self._missing(case),

@@ -467,6 +467,12 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
             way = LedgerWay(LedgerTraffic(link=item.stream.link.label), len(item.stream))
             _to_port(case, way, item)
             yield way
+    for flow, number in case.shut:
+        way = LedgerWay(LedgerTraffic(link=flow.looks_like.label), number)
+        way.hop(f"{UDP_PORT} {flow.destination}", dict.fromkeys(("in", "lost"), "ICMP errors"))
+        text, times = _UNREACHED[PORT_CLOSED].format(flow.destination), (flow.first_ns, flow.last_ns)
+        way.end("lost", number, PORT_CLOSED, text=text, times_ns=times)
+        yield way
     yield from (_unseen(case, loss) for loss in case.losses if loss.stream is None)
     for instance, number in case.commands.uncaptured.items():
         way = LedgerWay(LedgerTraffic(instance=case.label(instance)), number)

@@ -369,7 +369,7 @@ def _lost(found: Diagnosis, proven: int) -> str:
     if proven == 1:
         noun, were = noun.removesuffix("s"), "was"
     routes, of = {_route(row) for row in rows}, sent_of(found, rows)
-    if len(routes) == 1 and rows[0].link and of > 1:
+    if len(routes) == 1 and rows[0].link and of > 1 and rows[0].msg_id is not None:
         harmed = any(cause in _HARM for row in rows for cause in row.lost)
         arrived = "never arrived whole" if harmed else "never arrived"
         name = _name(found, rows[0])

@@ -63,6 +63,7 @@ FLIGHTS = {
     "refused_starts": (111, {"stopped": 109, "bad_command": 2}),
     "sender_that_counts": (17, {"network": 17}),
     "refused_by_length": (42, {"bad_command": 42}),
+    "sent_to_another_port": (36, {"port_closed": 36}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -333,3 +334,26 @@ def test_what_a_network_doubles_much_later_is_no_second_place(tmp_path, share):
     change = mutations.doubled_later(share, 60_000_000)
     found = truth.examined(mutations.write(tmp_path / "one.pcap", change(items, random.Random(share))))
     assert not [item for item in found.verdicts if item.rule == "captured_twice"]
+
+
+def test_commands_to_a_port_that_nobody_named_are_not_examined_unless_errors_quote_each():
+    found = examined("sent_to_another_port")
+    assert not found.unnamed
+    assert "nobody listened on 127.0.0.1:1334" in first_screen(found)
+    assert summarize(found).headline == "36 commands were lost: an unknown MsgId."
+
+
+def test_those_of_them_that_no_error_quotes_are_not_examined(tmp_path):
+    items = mutations.frames(FOLDER / "sent_to_another_port.pcap.zst")
+    errors = [at for at, item in enumerate(items) if item.data[23] == 1 and item.data[64:66] == b"\x05\x36"]
+    left_out = set(errors[10:])
+    kept = [item for at, item in enumerate(items) if at not in left_out]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", kept))
+    assert by_cause(found) == {"port_closed": 10}
+    assert [item.datagrams for item in found.unnamed] == [36]
+
+
+def test_an_error_that_a_network_doubles_is_about_one_datagram(tmp_path):
+    items = mutations.frames(FOLDER / "sent_to_another_port.pcap.zst")
+    items = mutations.doubled_later(0.3, 3_000_000)(items, random.Random(1))
+    assert by_cause(truth.examined(mutations.write(tmp_path / "flight.pcap", items)))["port_closed"] == 36

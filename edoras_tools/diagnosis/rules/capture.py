@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.decode.conversations import ConversationKind, foreign, unnamed
+from edoras_tools.decode.conversations import ConversationKind, foreign
 from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
 from edoras_tools.diagnosis.ledger import ON_PURPOSE
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, verdict, warning
@@ -29,7 +29,7 @@ def not_examined(case: Case) -> Iterator[Verdict]:
 
     Say so first: what is below is not the whole link.
     """
-    for item in unnamed(case.prepared.flows):
+    for item in case.unnamed:
         yield error(
             item.advice,
             "lengths, types and MsgIds in it agree as only that link's do",

@@ -412,6 +412,16 @@ def port_closed(case: Case) -> Iterator[Verdict]:
             remedy="start the program that listens there before what sends to it; if it ended, its own log "
             "says why",
         )
+    for flow, number in case.shut:
+        yield error(
+            f"nobody listened on {flow.destination}: {plural(number, 'datagram')} that look like "
+            f"{flow.looks_like.name} traffic reached nobody",
+            f"{plural(number, 'ICMP error')} (port unreachable) from {case.at(flow.first_ns)} on",
+            hop=f"{UDP_PORT} {flow.destination}",
+            lost=number,
+            span=(flow.first_ns, flow.last_ns),
+            remedy="send to the port where that link's receiver listens",
+        )
 
 
 def unreachable(case: Case) -> Iterator[Verdict]:
