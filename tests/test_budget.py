@@ -39,15 +39,15 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(57_916, 150, 58_000),
-    "lines with code, all": Limit(94_029, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(57_979, 150, 58_000),
+    "lines with code, all": Limit(94_112, 150, 84_000),  # with what is still to come
     "files": Limit(612, 10, 450),
     "files below 170 lines, of 1,000": Limit(420, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
     "files that record runs through": Limit(122, 2, 80),
     "files that sniff --where runs through": Limit(117, 2, 80),
     "modules that host loads": Limit(119, 2, 40),
-    "bare participles among 1,000 names": Limit(13.7, 1, 3),
+    "bare participles among 1,000 names": Limit(13.6, 1, 3),
     "functions of complexity over 25": Limit(0, 0, 0),
 }
 
