@@ -531,8 +531,7 @@ def _lost_copies(case: Case, fate: Fate, doubled: int) -> tuple[int, int]:
     stream, relayed = fate.stream, case.commands.relayed.get(id(fate.stream))
     copied = np.isin(stream.rows, case.prepared.duplicates) | find_echoes(case.rows, stream.rows)
     number = relayed.figures["duplicated"] if relayed else int(copied.sum())
-    # Else those that are lost are datagrams of the capture, or those that it lacks.
-    if not fate.seen and not case.quality.missing:
+    if not fate.seen:  # else those that are lost are datagrams of the capture
         doubled += sum(item.not_captured for item in case.ingests_at(stream.receiver))
     if len(fate.hops) != 1 or doubled:
         return 0, number + doubled

@@ -229,7 +229,7 @@ def _problem(
     rows, lost = [row for row, _ in members], sum(number for _, number in members)
     remedy, advice = (_useful(own[0].remedy), own[0].advice) if own else ("", None)
     if cause not in CAUSES:
-        text = _more(own[0].reason, own) if own else cause.replace("_", " ")
+        text = _more(own[0].reason, own) if own else f"{_names(found, rows)}: {cause.replace('_', ' ')}"
         text = text.removeprefix(f"{lost:,} ")
     else:
         of = sent_of(found, rows)

@@ -9,6 +9,9 @@ import truth
 from places import ROOT
 
 from edoras_tools.diagnosis.summary import summarize
+from edoras_tools.pipelines.clocks import open_aligned
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.workbench import Settings
 
 FOLDER = ROOT / "tests/captures/flights"
 TOGETHER = "diagnoses"
@@ -25,7 +28,7 @@ FLIGHTS = {
     "nobody_subscribes": (477, {"no_subscriber": 160, "limit": 317}),
     "killed_with_peers": (125, {"down": 81, "disabled": 44}),
     "stood_still": (49, {"limit": 49}),
-    "killed_with_backlog": (129, {"limit": 39, "down": 67, "unaccounted": 23}),
+    "killed_with_backlog": (129, {"limit": 39, "down": 90}),
     "bursts": (160, {"limit": 160}),
     "slow_downlink": (56, {"after": 56}),
     "processor_restarted": (56, {"down": 56}),
@@ -64,6 +67,10 @@ FLIGHTS = {
     "sender_that_counts": (17, {"network": 17}),
     "refused_by_length": (42, {"bad_command": 42}),
     "sent_to_another_port": (36, {"port_closed": 36}),
+    "restarted_with_full_socket": (293, {"restart": 179, "limit": 114}),
+    "flood_of_four_kinds": (470, {"socket": 362, "no_subscriber": 108}),
+    "three_losses_flight": (270, {"socket": 108, "limit": 162}),
+    "once_a_second": (0, {}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -74,6 +81,7 @@ RANGES = {
     "relay_of_peers": 46,
     "peer_restarts_at_once": 7,
     "another_list": 20,
+    "peer_off_three_times": 76,
     "route_to_peer_disabled": 40,
 }
 
@@ -85,6 +93,12 @@ def examined(name):
 def by_cause(found):
     lost = sum((Counter(row.lost) for row in found.balance), Counter())
     return lost + Counter(unaccounted=found.unaccounted)
+
+
+def together(*names):
+    """The diagnosis of captures of both hosts as one."""
+    source, _ = open_aligned([FOLDER / f"{name}.pcap.zst" for name in names], Settings([]))
+    return examine(source, Settings([]).workbench(source.info)).diagnosis
 
 
 def first_screen(found):
@@ -111,6 +125,7 @@ def first_screen(found):
     ),
     *("stood_still_when_idle", "uplink_alone", "ci_restarted_*", "entry_*"),
     *("slow_uplink", "turned_*", "link_down", "route_*", "losing_*", "never_*", "added_*", "sender_*"),
+    *("restarted_with_*", "flood_*", "three_*", "once_*"),
 )
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_the_doctor_says_how_many_were_lost_and_why(name):
@@ -357,3 +372,26 @@ def test_an_error_that_a_network_doubles_is_about_one_datagram(tmp_path):
     items = mutations.frames(FOLDER / "sent_to_another_port.pcap.zst")
     items = mutations.doubled_later(0.3, 3_000_000)(items, random.Random(1))
     assert by_cause(truth.examined(mutations.write(tmp_path / "flight.pcap", items)))["port_closed"] == 36
+
+
+def test_what_came_to_the_ground_side_alone_was_lost_on_the_network_also_where_ci_was_flooded():
+    found = together("three_losses_ground", "three_losses_flight")
+    assert by_cause(found) == {"network": 76, "socket": 108, "limit": 162}
+
+
+def test_two_captures_of_a_far_link_are_one():
+    """Of what went up and of what came down one has each 1.3 s later, and the other the other."""
+    found = together("far_link_ground", "far_link_flight")
+    assert by_cause(found) == {"network": 10}
+    assert not found.superseded
+
+
+def test_of_what_is_lost_behind_a_network_that_doubles_some_may_be_copies():
+    found = examined("doubled_uplink")
+    assert found.lost == 11
+    assert found.messages_lost <= 5 <= found.messages_lost + found.messages_uncertain
+
+
+def test_of_a_flood_that_nobody_takes_ci_lost_what_was_not_counted():
+    rows = {(row.msg_id, row.hop): row.all_lost for row in examined("flood_of_four_kinds").balance}
+    assert (rows[0x18EE, "CI"], rows[0x18EE, "software bus"]) == (92, 108)

@@ -222,7 +222,7 @@ class Unheard:
 def unheard(case: Case) -> dict[int, Unheard]:
     """Return it by the id of the stream; a stream is there if its peer was silent at all."""
     found: dict[int, Unheard] = {}
-    party = case.network.party
+    party, closed = case.network.party, case.unreachable.closed
     for ends, connection in case.network.connections.items():
         silences = list(connection.silences(case.end_ns))
         for stream in case.streams if silences or connection.restarts else ():
@@ -233,14 +233,17 @@ def unheard(case: Case) -> dict[int, Unheard]:
             for silence in silences:
                 inside = np.flatnonzero((times > silence.start_ns) & (times < silence.until_ns)).tolist()
                 if silence.given_up:
-                    item.lost += inside
+                    # Until its port was closed, as an error says, it may have heard them.
+                    first = next((row for row in inside if closed[stream.rows[row]]), 0)
+                    item.lost += [row for row in inside if row >= first]
+                    item.uncertain += sum(row < first for row in inside)
                 else:
                     item.unaccounted += len(inside)
             for restart in connection.restarts:
                 gone = (times > restart.dead_ns) & (times < restart.back_ns)
                 item.restarted += np.flatnonzero(gone).tolist()
                 unread = (times > restart.read_ns) & (times <= restart.dead_ns)
-                item.uncertain += int((unread & ~case.unreachable.closed[stream.rows]).sum())
+                item.uncertain += int((unread & ~closed[stream.rows]).sum())
     return found
 
 

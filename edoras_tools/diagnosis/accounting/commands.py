@@ -115,9 +115,10 @@ class Commands:
         for stream in case.streams:
             self._astray(stream, self.fates.get(id(stream)))
         before_ci, pipes = BeforeCi(case, fates, self.losses), Pipes(case, self.losses)
+        self._refuse(counted=True)
         for account in case.ingests:
             before_ci.share(account)
-        self._refuse([item for item in case.refused if not item.by_type])
+        self._refuse(counted=False)
         stops = Stops(case, fates)
         for fate in fates:
             self._not_taken(fate)
@@ -136,6 +137,7 @@ class Commands:
         for fate in fates:
             self._over_limit(fate)
         for account in case.ingests:
+            before_ci.rest(account)
             before_ci.wait(account)
         self._end(fates, tails, shared)
         for account in case.ingests:
@@ -216,9 +218,8 @@ class Commands:
         )
         text = f"{plural(len(chosen), 'datagram')} came to one capture, and not to the next on their way"
         if fate is not None:
-            # What a CI counted tells of those before it.
+            self._lose(fate, "network", chosen, text)
             if not self._case.ingests_at(stream.receiver):
-                self._lose(fate, "network", chosen, text)
                 fate.ends["crowded"] += fate.claim(perhaps[: len(perhaps) * stream.link.only_to_cfs])
             return
         self.telemetry.ends[id(stream)]["astray"] = len(perhaps)
@@ -351,7 +352,13 @@ class Commands:
             self.placed[id(item)] = number, Among(fate.stream, inside)
         return number
 
-    def _refuse(self, refused: Sequence[Verdict]) -> None:
+    def _refuse(self, *, counted: bool) -> None:
+        """Give refusals their messages: those first of which a counter has how many CI read."""
+        refused = [
+            item
+            for item in self._case.refused
+            if not item.by_type and counted == (item.rule == "no_subscriber" and item.lost != item.of)
+        ]
         # One datagram that is named is that one; what many of a span may be comes after.
         for item in sorted(refused, key=lambda item: item.end_ns - item.start_ns):
             left = item.lost or 0

@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
 
+    _May = tuple[Fate, NDArray[np.bool_]]
+    """What became of messages, and which of these may be lost."""
+
 QUOTED: Final = "ICMP errors about "
 """Evidence that begins so names messages that a router or a firewall turned away."""
 Cause = Literal["socket", "network", "down", "restart", "ci_stopped"]
@@ -153,7 +156,8 @@ class Ingest:
 def ingests(case: Case) -> list[Ingest]:
     """Return the account of every CI that is counted: by itself, or by the kernel of the recording host."""
     rows = case.rows
-    to_ci = np.flatnonzero(among(rows.link, lambda link: link.only_to_cfs) & (rows.length > 0))
+    came = among(rows.link, lambda link: link.only_to_cfs) & ~rows.undelivered & (rows.length > 0)
+    to_ci = np.flatnonzero(came)
     samples = _samples(case)
     places = {system: _endpoint(case, to_ci, own, alone=len(samples) == 1) for system, own in samples.items()}
     taken = Counter(places.values())
@@ -266,13 +270,20 @@ class _Counted:
             np.array([getattr(item, name) for item in own]) for name in ("seen_ns", "made_ns", "count")
         )
         hops = [hop for hop in case.hops if hop.into.link.only_to_cfs and hop.into.receiver == endpoint]
-        sent = [hop.into.time_ns[hop.arrived] for hop in hops]
-        self._arrived = np.sort(np.concatenate(sent)) if sent else None
-        """When commands to it were sent that came out of cFS again, in order; None where nothing shows it."""
+        self._read = []
+        for hop in hops:
+            wait_ns = 0 if hop.out.link.last_hop else _HELD_NS
+            self._read.append((hop.into.time_ns[hop.in_rows], hop.out.time_ns[hop.out_rows] - wait_ns))
+        """When commands to it were sent that came out of cFS again, and when it surely had not read them yet.
+
+        A robot is sent them at once; before they leave elsewhere the application and the link may keep them.
+        """
+        self._arrived = np.sort(np.concatenate([sent for sent, _ in self._read])) if hops else None
         self._all_out = all(hop.out.link.last_hop for hop in hops)
         """Whether all that is read comes out: what is rewritten for others may give way."""
         self._read_ns = _read_by(hops)
-        self._first_out = min((_first_read(hop) for hop in hops if hop.first is not None), default=(0, 0))
+        firsts = ((int(out.min()), int(sent[out.argmin()])) for sent, out in self._read)
+        self._first_out = min(firsts, default=(0, 0))
         """Until when CI surely had not read the first of those, and when it had been sent."""
 
     def account(self, under_way_ns: int = 0) -> Ingest:
@@ -341,12 +352,16 @@ class _Counted:
         """
         sooner, later = self._own[first - 1], self._own[first]
         ended_ns = self._ended_ns(sooner, later)
-        most_read = before + self._most_read(self._own[last:first], ended_ns)
+        # What was sent by then had waited in its socket, where it came out later.
+        read_ns = max([ended_ns, *(int(out[sent <= ended_ns].max(initial=0)) for sent, out in self._read)])
+        read = self._most_read(self._own[last:first], read_ns)
+        most_read = before + read
         before = int(self._sent_until(ended_ns)) - lost
         if before > most_read:
             # What waited in its socket is gone with it.
             cause: Cause = "restart" if sooner.instance == later.instance else "down"
-            account.losses.append(Before(cause, before - most_read, self._own[last].seen_ns, ended_ns))
+            span = self._own[last].seen_ns, ended_ns
+            account.losses.append(Before(cause, before - most_read, *span, more=read - sooner.count))
             lost, before = lost + before - most_read, most_read
         down = sooner.instance != later.instance or any(
             item.instance == later.instance
@@ -514,15 +529,6 @@ def _read_by(hops: Sequence[Hop]) -> tuple[NDArray[np.int64], NDArray[np.int64]]
     return every[order], np.maximum.accumulate(until[order])
 
 
-def _first_read(hop: Hop) -> tuple[int, int]:
-    """Return before when CI had not read the first message of a hop that came out, and when that was sent.
-
-    A robot is sent it at once; before it leaves elsewhere the application and the link may keep it.
-    """
-    out_ns, sent_ns = hop.first or (0, 0)
-    return out_ns - (0 if hop.out.link.last_hop else _HELD_NS), sent_ns
-
-
 def _anew(before: _Sample, after: _Sample) -> bool:
     """Tell whether a count began anew between two samples."""
     return before.instance != after.instance or after.count < before.count
@@ -660,18 +666,12 @@ class BeforeCi:
     def _before_ci(self, account: Ingest, before: Before) -> None:
         """Share out what was lost before CI: to what did not come out, else by how much was sent."""
         left, fates = before.lost, self._to(account)
-        seen = [fate for fate in fates if fate.seen]
+        # Of those of which a counter has what was read, or all comes out, the others were not.
+        seen = [fate for fate in fates if fate.refused or (fate.seen and not fate.keeps_newest)]
         evidence = _evidence(account, before)
         if before.cause in _OUTAGES:
-            closed = self._case.unreachable.closed
-            refused = [fate.open & closed[fate.stream.rows] & self._within(fate, before) for fate in fates]
-            left = max(left, sum(int(own.sum()) for own in refused))
-            # Of what an application keeps the newest of, others than lost ones did not come out.
-            all_out = [fate for fate in seen if not fate.keeps_newest]
-            missing = sum(int((fate.open & self._within(fate, before)).sum()) for fate in all_out)
-            if more := max(0, min(before.lost + before.more, missing) - left):
-                left += more
-                evidence.append(f"{more:,} more did not come out, and its counts leave room for them")
+            closed, may = self._case.unreachable.closed, self._open(fates, before, before.since_ns)
+            left = max(left, sum(int((own & closed[fate.stream.rows]).sum()) for fate, own in may))
         if before.said:
             for fate in fates:  # nor will it come
                 never = fate.waits & (fate.stream.time_ns > before.since_ns)
@@ -681,68 +681,42 @@ class BeforeCi:
         spans = [(seen, before.since_ns), (fates, before.since_ns), (fates, 0)][: 2 if before.said else None]
         if before is account.losses[0] and not before.said:
             spans.insert(1, (seen, 0))
-        if before.cause == "restart":
-            before = self._just_before(before, fates, left)
-            spans.insert(0, (fates, before.start_ns))
         # What an ICMP error quotes is that one.
-        quoted = self._spread(fates, before, before.since_ns, left, evidence, quoted=True)
+        errors = self._case.unreachable.closed | self._case.unreachable.refused
+        may = self._open(fates, before, before.since_ns)
+        may = [(fate, own & errors[fate.stream.rows]) for fate, own in may]
+        quoted = self._spread(may, before, left, evidence)
         left -= quoted
         if quoted and before.cause == "network":
             evidence.append(f"{QUOTED}{quoted:,} of them came back")
         for those, since_ns in spans:
-            left -= self._spread(those, before, since_ns, left, evidence)
+            left -= self._spread(self._open(those, before, since_ns), before, left, evidence)
         if left:  # of no stream, as those without a MsgId
             span = before.start_ns, before.end_ns
             hop = LOST_AT[before.cause]
             self.losses.append(Loss(before.cause, hop, left, *span, "medium", evidence=evidence))
 
-    def _just_before(self, before: Before, fates: Sequence[Fate], number: int) -> Before:
-        """Return the time in which a CI that was started again lost so many: just before it had a socket."""
-        ends = [item.end_ns for item in self._case.outages if item.app in command_ingest.NAMES]
-        until_ns = max((end for end in ends if end and before.since_ns < end < before.end_ns), default=None)
-        if until_ns is None:
-            return before
-        times = [fate.stream.time_ns[fate.open & self._within(fate, before)] for fate in fates]
-        sent = np.sort(np.concatenate(times))
-        sent = sent[sent < until_ns]
-        if len(sent) < number:
-            return before
-        return replace(before, start_ns=int(sent[-number]) - 1, end_ns=until_ns)
+    def _open(self, fates: Sequence[Fate], before: Before, since_ns: int) -> list[_May]:
+        """Return which messages nothing has told of were sent since a time, until all was lost."""
+        times = [fate.stream.time_ns for fate in fates]
+        inside = ((sent_ns > since_ns) & (sent_ns <= before.end_ns) for sent_ns in times)
+        return [(fate, fate.open & own) for fate, own in zip(fates, inside, strict=True)]
 
-    def _within(self, fate: Fate, before: Before, since_ns: int | None = None) -> NDArray[np.bool_]:
-        """Tell which messages were sent while something was lost, or since a time."""
-        times = fate.stream.time_ns
-        since_ns = before.since_ns if since_ns is None else since_ns
-        return np.asarray((times > since_ns) & (times <= before.end_ns))
-
-    def _spread(
-        self,
-        fates: Sequence[Fate],
-        before: Before,
-        since_ns: int,
-        number: int,
-        evidence: list[str],
-        *,
-        quoted: bool = False,
-    ) -> int:
+    def _spread(self, may: Sequence[_May], before: Before, number: int, evidence: list[str]) -> int:
         """Tell up to so many messages of some streams lost before CI; return how many were.
 
         Args:
-            quoted: only those that an ICMP error quotes.
+            may: which they can be.
         """
-        may = [fate.open & self._within(fate, before, since_ns) for fate in fates]
-        if quoted:
-            errors = self._case.unreachable.closed | self._case.unreachable.refused
-            may = [own & errors[fate.stream.rows] for own, fate in zip(may, fates, strict=True)]
-        windows = [np.flatnonzero(own) for own in may]
+        windows = [np.flatnonzero(own) for _, own in may]
         most = [len(inside) for inside in windows]
         parts = shares(number, most, most)
-        for fate, inside, share in zip(fates, windows, parts, strict=True):
+        for (fate, _), inside, share in zip(may, windows, parts, strict=True):
             if not share:
                 continue
             # Behind the last one that came out there is no newer one that they could have given way to.
             last = int(np.flatnonzero(fate.arrived)[-1]) if fate.arrived.any() else inside[-1]
-            sure = inside[inside > last][:share]
+            sure = inside[(inside > last) | (fate.keeps_newest & ~fate.newer[inside])][:share]
             others = np.setdiff1d(inside, sure)
             chosen = np.union1d(sure, _spread_evenly(others, share - len(sure)))
             fate.claim(chosen)
@@ -769,6 +743,14 @@ class BeforeCi:
                 rows = _spread_evenly(inside, number)
                 fate.ends["unaccounted"] -= fate.claim(rows)
                 self.losses.append(fate.loss("network", rows, [text], among=inside))
+
+    def rest(self, account: Ingest) -> None:
+        """Tell lost with a socket what did not come out and no pipe lost, as far as counts leave room."""
+        # Of what an application keeps the newest of, others than lost ones did not come out.
+        all_out = [fate for fate in self._to(account) if fate.seen and not fate.keeps_newest]
+        for before in (item for item in account.losses if item.cause in _OUTAGES):
+            text = "so many did not come out, and its counts leave room for them"
+            self._spread(self._open(all_out, before, before.since_ns), before, before.more, [text])
 
     def wait(self, account: Ingest) -> None:
         """Tell which messages may wait in CI's socket at its last count, once all else is told: the latest.

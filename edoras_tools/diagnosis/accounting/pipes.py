@@ -6,6 +6,7 @@ name, else to what is sent faster than a pipe takes; what is left is lost, and n
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Mapping  # noqa: TC003  _TICKS is annotated with it
 from dataclasses import dataclass, replace
@@ -352,26 +353,28 @@ class _Candidate:
     queue: queues.Queue | None = None
     counted_ns: int = DRAINS_NS
 
-    def active(self, start_ns: int, end_ns: int) -> int | None:
-        """Return which of its spans can be counted in a second; None where none can, or another may be."""
+    def active(self, start_ns: int, end_ns: int) -> range:
+        """Return which of its spans can be counted in a second: none where another may be."""
         if end_ns <= self.since_ns:
-            return None
+            return range(0)
         if not self.spans:
-            return 0 if self.said is not None and self.said.first_ns - TAIL_NS <= end_ns else None
-        before = [index for index, item in enumerate(self.spans) if item.start_ns - LEAD_NS <= end_ns]
+            return range(self.said is not None and self.said.first_ns - TAIL_NS <= end_ns)
         # What waits in a socket is delivered, and counted, long after it was sent.
-        return before[-1] if before and start_ns - self.spans[before[-1]].end_ns <= self.counted_ns else None
+        first = bisect_left(self.spans, start_ns - self.counted_ns, key=lambda item: item.end_ns)
+        return range(first, bisect_right(self.spans, end_ns + LEAD_NS, key=lambda item: item.start_ns))
 
-    def most(self, span: int) -> int:
-        """Return how many of a span can have been lost: of each round what fits is taken."""
+    def most(self, spans: range) -> int:
+        """Return how many of some spans can have been lost: of each round what fits is taken."""
         if not self.spans:
             return int(np.iinfo(np.int32).max)
+        own = self.spans[spans.start : spans.stop]
+        count = sum(item.count for item in own)
         if self.queue is None or self.sent_ns is None:
-            return self.spans[span].count
-        sent = self.sent_ns[self.spans[span].first : self.spans[span].last + 1]
+            return count
+        sent = self.sent_ns[own[0].first : own[-1].last + 1]
         _, in_round = np.unique((sent - sent[0]) // self.queue.round_ns, return_counts=True)
         over = int(np.maximum(in_round - self.queue.limit(self.msg_id), 0).sum())
-        return min(self.spans[span].count, int(_LATE * over) + self.queue.limit(self.msg_id))
+        return min(count, int(_LATE * over) + self.queue.limit(self.msg_id))
 
     @property
     def named(self) -> tuple[str, int, str]:
@@ -506,18 +509,19 @@ class Leftover:
             if fate is not None and not fate.seen:
                 sent = fate.stream.time_ns[fate.open]
                 fate.ends["earlier"] += min(counts.first.get(kind, 0), int((sent < counts.times[0]).sum()))
-        groups: dict[tuple[tuple[int, int], ...], list[int]] = {}
+        groups: dict[tuple[tuple[int, range], ...], list[int]] = {}
         for second in np.flatnonzero(left).tolist():
             times = counts.span([second])
             active = ((index, item.active(*times)) for index, item in enumerate(candidates))
-            key = tuple((index, span) for index, span in active if span is not None)
+            key = tuple((index, spans) for index, spans in active if spans)
             groups.setdefault(key, []).append(second)
         for active_, seconds in groups.items():
             number, times = int(left[seconds].sum()), counts.span(seconds)
             rivals = [candidates[index] for index, _ in active_]
-            share = min(number, sum(item.most(span) for item, (_, span) in zip(rivals, active_, strict=True)))
+            most = sum(item.most(spans) for item, (_, spans) in zip(rivals, active_, strict=True))
+            share = min(number, most)
             if len(rivals) == 1:
-                self._blame(rivals[0], active_[0][1], instance, kind, share, times)
+                self._blame(rivals[0], active_[0][1][-1], instance, kind, share, times)
             elif rivals:
                 for item in rivals:
                     if (fate := self._fates.get(id(item.stream))) is not None:

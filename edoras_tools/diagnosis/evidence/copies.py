@@ -494,8 +494,8 @@ def _echoes(rows: Rows, own: Places) -> str:
         return ""
     late_ms = np.median(steps[echo[1:]]) / MILLISECOND
     return (
-        f"{int(echo.sum()):,} of them are copies that came {late_ms:.0f} ms after an equal one, the others "
-        f"at {SECOND / _usual(steps):.1f} Hz, so the network or a relay doubles them"
+        f"{int(echo.sum()):,} of {len(own):,} datagrams are copies that came {late_ms:.0f} ms after an equal "
+        f"one, the others at {SECOND / _usual(steps):.1f} Hz, so the network or a relay doubles them"
     )
 
 

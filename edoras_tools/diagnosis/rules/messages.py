@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import chain, combinations
+from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.loss_reports import Track
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.mission import Route
     from edoras_tools.wire.arrays.order import Integers, Places
@@ -161,81 +162,95 @@ def no_subscriber(case: Case) -> Iterator[Verdict]:
 
     Say which, where an event or the only command before a count tells.
     """
-    rows = case.rows
+    rows, counted = case.rows, {}
+    for instance, track in case.tracks.items():
+        for msg_id, members, number in _unwanted(case, track):
+            counted[instance, msg_id] = members, number
     said = {item: events for item, events in case.reported_losses.items() if item.kind == "no_subscriber"}
     sent = [item for item in said if item.sender.startswith(_HANDS_IN)]
     for item in sent:
-        link = CI if item.sender.startswith("CI") else SBN
-        members = np.flatnonzero((rows.link == link) & (rows.msg_id == item.msg_id)).tolist()
-        yield _not_taken(case, item.msg_id, link, members, f"cFS said: {said[item].records[0]}")
-    named = {(item.instance, item.msg_id) for item in sent}
+        link: Link = CI if item.sender.startswith("CI") else SBN
+        members = np.flatnonzero((rows.link == link) & (rows.msg_id == item.msg_id))
+        _, number = counted.pop((item.instance, item.msg_id), (members, len(members)))
+        text = f"cFS said: {said[item].records[0]}"
+        yield _not_taken(case, item.msg_id, link, members.tolist(), text, number)
     # Where an application of a cFS itself publishes what nobody takes, its counter tells nothing.
     others = {item.instance for item in said if not item.sender.startswith(_HANDS_IN)}
-    for (instance, msg_id), members in _without_subscriber(case).items():
-        if (instance, msg_id) not in named and instance not in others:
+    for (instance, msg_id), (members, number) in counted.items():
+        if instance not in others:
             text = "0x803: NoSubscribers grew by these, and nothing else fits it (the event stops after 4)"
-            yield _not_taken(case, msg_id, table.link(rows.link[members[0]]), members, text)
+            link = table.link(rows.link[members[0]])
+            yield _not_taken(case, msg_id, link, members.tolist(), text, number)
 
 
-def _without_subscriber(case: Case) -> dict[tuple[int, int], list[int]]:
-    """Find the MsgIds whose messages alone can be what the counter counted.
+def _unwanted(case: Case, track: Track) -> Iterator[tuple[int, Places, int]]:
+    """Yield the MsgIds whose messages alone can be what a counter counted, these, and how many it did.
 
     Of those that are not seen to be taken, and in the fewest of them that fit: at each count it has what was
     sent before it, but for what may still be on its way.
     """
-    rows, times = case.rows, case.rows.time_ns
     if case.peers_unseen:
-        return {}  # what one cFS sends another comes in unseen
-    arriving = np.flatnonzero(
-        ((rows.link == CI) | (rows.link == SBN))
-        & (rows.function_code >= 0)
-        & ~rows.has(Finding.INVALID_MSG_ID | Finding.OVER_SOFTWARE_BUS)
-    )
-    taken = {hop.into.msg_id for hop in case.hops} | {
-        item.msg_id for item in case.reported_losses if item.kind != "no_subscriber"
-    }
+        return  # what one cFS sends another comes in unseen
+    arriving, times, seen_ns = _perhaps_unwanted(case), case.rows.time_ns, np.array(track.times)
+    counts, spread = track.beyond_steady("no_subscribers", np.sort(times[arriving]), _COUNTED_NS)
+    if spread:
+        counts = np.array(track.totals["no_subscribers"])
+    published = (item.time_ns - SECOND for item in case.streams if item.link.only_from_cfs)
+    if counts[-1] <= 0 or any(_may_be(sent_ns, seen_ns, counts, _COUNTED_NS, 0) for sent_ns in published):
+        return  # what cFS does as often it may do for nobody: a scheduler wakes those that are not there
+    inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
+    own = {msg_id: inside[at] for msg_id, at in by_value(case.rows.msg_id[inside])}
+    lost = sum(item.lost for item in case.ingests)
+    most = most_at_once(np.sort(times[arriving]), case.profile.ci_wake_ns) if len(arriving) else 0
+    crowded = most > case.profile.ci_datagrams_per_wake  # what waits in CI's socket is counted late
+    lag_ns = DRAINS_NS if crowded else _COUNTED_NS
+    for size in _UNKNOWN:
+        every = (np.sort(np.concatenate([own[at] for at in chosen])) for chosen in combinations(own, size))
+        fits = [item for item in every if _may_be(times[item], seen_ns, counts, lag_ns, lost)]
+        for sent in fits if len(fits) == 1 else ():
+            # What the last sample does not have may be on its way, where CI lost nothing.
+            until = len(sent) if lost else counts[-1] + int(np.searchsorted(times[sent], seen_ns[0]))
+            part = counts[-1] / len(sent) if lost else 1
+            for msg_id, members in groups(case.rows.msg_id, sent[:until]):
+                yield msg_id, members, round(part * len(members))
+        if fits:
+            return
+
+
+def _perhaps_unwanted(case: Case) -> Places:
+    """Return the rows of messages into cFS that are not seen to be taken."""
+    rows = case.rows
+    named = {item.msg_id for item in case.reported_losses if item.kind != "no_subscriber"}
+    taken = MSG_ID_NAMES.keys() | named | {hop.into.msg_id for hop in case.hops}
     # A cFS sends its peer what that has subscribed to: a counter alone does not say otherwise.
     names = [item.name for item in case.instances.items]
     senders = [place for place, name in case.network.identity_of.items() if name in names]
-    of_cfs = np.isin(rows.source[arriving], senders)
-    arriving = arriving[~np.isin(rows.msg_id[arriving], [*MSG_ID_NAMES, *taken]) & ~of_cfs]
-    found: dict[tuple[int, int], list[int]] = {}
-    for instance, track in case.tracks.items():
-        counts, spread = track.beyond_steady("no_subscribers", np.sort(times[arriving]), _COUNTED_NS)
-        if spread:
-            counts = np.array(track.totals["no_subscribers"])
-        seen_ns = np.array(track.times)
-        inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
-        own = dict(by_value(rows.msg_id[inside])) if counts[-1] else {}
-        every = list(chain.from_iterable(combinations(own, size) for size in _UNKNOWN))
-        most = most_at_once(np.sort(times[arriving]), case.profile.ci_wake_ns) if len(arriving) else 0
-        crowded = most > case.profile.ci_datagrams_per_wake  # what waits in CI's socket is counted late
-        lag_ns = DRAINS_NS if crowded else _COUNTED_NS
-        fits = [
-            chosen
-            for chosen in every
-            if _may_be(times[inside[np.concatenate([own[at] for at in chosen])]], seen_ns, counts, lag_ns)
-        ]
-        if fits and len(fits[0]) not in map(len, fits[1:]):
-            sent = np.sort(inside[np.concatenate([own[at] for at in fits[0]])])
-            # What the last sample does not have may be on its way.
-            told = sent[: counts[-1] + np.searchsorted(times[sent], seen_ns[0])]
-            found |= {(instance, msg_id): own_rows.tolist() for msg_id, own_rows in groups(rows.msg_id, told)}
-    return found
+    return np.flatnonzero(
+        ((rows.link == CI) | (rows.link == SBN))
+        & (rows.function_code >= 0)
+        & ~rows.has(Finding.INVALID_MSG_ID | Finding.OVER_SOFTWARE_BUS)
+        & ~np.isin(rows.msg_id, list(taken))
+        & ~np.isin(rows.source, senders)
+    )
 
 
-def _may_be(sent_ns: Integers, seen_ns: Integers, counts: Integers, lag_ns: int) -> bool:
-    """Tell whether a counter has all that was sent until so long before each of its samples, and no more."""
+def _may_be(sent_ns: Integers, seen_ns: Integers, counts: Integers, lag_ns: int, lost: int) -> bool:
+    """Tell whether a counter has all that was sent until so long before each of its samples, and no more.
+
+    Args:
+        lost: so many at most were lost before CI.
+    """
     sent_ns = np.sort(sent_ns)
     least, most = (np.searchsorted(sent_ns, seen_ns - before_ns) for before_ns in (lag_ns, 0))
     first = int(least[0])  # what was sent before it was counted in it, or after
-    return bool((counts >= least - int(most[0])).all() and (counts <= most - first).all())
+    least = least - most[0]
+    return bool(least[-1] > 0 and (counts >= least - lost).all() and (counts <= most - first).all())
 
 
-def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], witness: str) -> Verdict:
+def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], witness: str, number: int) -> Verdict:
     span = case.span(members) if members else (case.start_ns, case.start_ns)
     packets = listed([str(case.rows.number[row]) for row in members[: _FEW + 1]], _FEW)
-    what = f"{plural(len(members), 'message') if members else 'messages'} on {case.name(msg_id)}"
+    what = f"{plural(number, 'message') if members else 'messages'} on {case.name(msg_id)}"
     remedy = "correct the MsgId in the mission file, or have the application subscribe to it"
     certain = "cFS said" in witness
     if not certain and any(hop.out.link.peers for hop in case.hops):
@@ -248,7 +263,7 @@ def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], witness:
         witness,
         msg_id=msg_id,
         place=(link.label, "software bus"),
-        lost=len(members) or None,
+        lost=number or None,
         of=len(members) or None,
         span=span,
         remedy=remedy,

@@ -361,12 +361,14 @@ def _shared(first: Recorder, second: Recorder) -> _Told | None:
     step = b.time_ns[theirs] - a.time_ns[ours]
     if len(step) < _LEAST:
         return None
-    near = np.abs(step - np.median(step)) < _SAME_NS + np.ptp(a.time_ns) * MOST_DRIFT
+    senders = np.array([first.endpoints[row].address for row in a.source[ours].tolist()])
+    middles = {host: np.median(step[senders == host]) for host in set(senders.tolist())}
+    apart = np.abs(step - [middles[host] for host in senders.tolist()])  # each way has its own delay
+    near = apart < _SAME_NS + np.ptp(a.time_ns) * MOST_DRIFT
     if near.mean() < _MOSTLY:
         return None
-    ours, theirs = ours[near], theirs[near]
+    ours, theirs, senders = ours[near], theirs[near], senders[near]
     times = a.time_ns[ours], b.time_ns[theirs]
-    senders = np.array([first.endpoints[row].address for row in a.source[ours].tolist()])
     best: _Told | None = None
     for host in sorted(set(senders.tolist())):
         there = senders == host
