@@ -79,10 +79,10 @@ class Addition(NamedTuple):
 
     def error(self, why: str) -> ConfigError:
         """Return the error that it cannot be used, in one line that names it and where it comes from."""
-        what = f"{KINDS[self.kind]} {self.name!r} of"
+        subject = f"{KINDS[self.kind]} {self.name!r} of"
         if self.package:
-            return ConfigError(f"{what} the installed package {self.package}: {why}")
-        return ConfigError(f"{what} the add-on {self._folder}: {why}")
+            return ConfigError(f"{subject} the installed package {self.package}: {why}")
+        return ConfigError(f"{subject} the add-on {self._folder}: {why}")
 
     @property
     def _folder(self) -> str:
@@ -92,8 +92,8 @@ class Addition(NamedTuple):
 def imported(place: str) -> Any:
     """Import what ``module:name`` names; the module itself where no name is given."""
     module, _, name = place.partition(":")
-    found = import_module(module)
-    return attrgetter(name)(found) if name else found
+    target = import_module(module)
+    return attrgetter(name)(target) if name else target
 
 
 def later(package: str, **homes: str) -> Callable[[str], Any]:
@@ -143,8 +143,8 @@ def installed(kind: str) -> list[Addition]:
 
 def find(kind: str, name: str) -> Addition | None:
     """Return what has a name, an add-on's before a package's; None where nothing has."""
-    found = shipped(kind).get(name)
-    return found or next((item for item in installed(kind) if item.name == name), None)
+    addition = shipped(kind).get(name)
+    return addition or next((item for item in installed(kind) if item.name == name), None)
 
 
 def part(name: str) -> Any:
@@ -160,15 +160,15 @@ def part(name: str) -> Any:
 @cache
 def _kinds(paths: tuple[str, ...]) -> frozenset[str]:
     """Return the kinds of which packages in these folders may add something; a file, such as a zip, may."""
-    found: set[str] = set()
+    kinds: set[str] = set()
     for path in map(Path, paths):
         if not path.is_dir():
-            found |= KINDS.keys() if path.exists() else set()
+            kinds |= KINDS.keys() if path.exists() else set()
             continue
         try:
             for file in path.glob("*-info/entry_points.txt"):
                 text = file.read_bytes()
-                found |= {kind for kind in KINDS if f"edoras.{kind}".encode() in text}
+                kinds |= {kind for kind in KINDS if f"edoras.{kind}".encode() in text}
         except OSError:
             return frozenset(KINDS)
-    return frozenset(found)
+    return frozenset(kinds)

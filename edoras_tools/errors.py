@@ -113,7 +113,7 @@ class NoDatagramsError(CaptureError):
 
 
 @contextmanager
-def os_errors(what: str) -> Iterator[None]:
+def os_errors(failure: str) -> Iterator[None]:
     """Tell an ``OSError`` inside as what could not be done, and the system's reason.
 
     Raises:
@@ -122,4 +122,4 @@ def os_errors(what: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise CaptureError(f"{what}: {error.strerror or error}") from error
+        raise CaptureError(f"{failure}: {error.strerror or error}") from error

@@ -340,8 +340,8 @@ def arguments_of(
         ends = slot.field.kind == "text" and (b"\0" in part or (bool(part) and not cut))
         return slot.end <= len(payload) or ends
 
-    there = takewhile(is_there, layout.slots)
-    return {slot.field.name: layout.read(slot, payload) for slot in there if slot.field.name != "spare"}
+    slots = takewhile(is_there, layout.slots)
+    return {slot.field.name: layout.read(slot, payload) for slot in slots if slot.field.name != "spare"}
 
 
 def argument_text(field: Field, value: Any) -> str:

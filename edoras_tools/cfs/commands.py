@@ -101,8 +101,8 @@ class NamedCommand(NamedTuple):
         """Return the fields of the command that starts an application."""
         app, *rest = (item.strip() for item in text.split(","))
         if not rest and app not in executive_services.STARTS:
-            known = ", ".join(executive_services.STARTS)
-            raise ConfigError(f"knows file and entry point of {known}; of {app!r} write NAME,FILE,ENTRY")
+            apps = ", ".join(executive_services.STARTS)
+            raise ConfigError(f"knows file and entry point of {apps}; of {app!r} write NAME,FILE,ENTRY")
         file, entry, *numbers = rest if rest[1:] else executive_services.STARTS.get(app, ("", ""))
         values = [executive_services.USUAL_PRIORITY, executive_services.USUAL_STACK_BYTES]
         values[: len(numbers)] = [_number(item) for item in numbers]

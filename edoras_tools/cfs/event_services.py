@@ -75,8 +75,8 @@ SET_FILTER, RESET_FILTER, RESET_ALL_FILTERS, ADD_FILTER, DELETE_FILTER = 10, 13,
 APP_NAME_BYTES: Final = 20
 
 DONE: Final = {
-    code: EventText(NAME, event_id, f"{what} Command Received with {with_what}", EventType.DEBUG)
-    for code, event_id, what, with_what in (
+    code: EventText(NAME, event_id, f"{title} Command Received with {with_what}", EventType.DEBUG)
+    for code, event_id, title, with_what in (
         (ENABLE_TYPE, 20, "Enable Event Type", "Event Type Bit Mask = 0x{mask:02x}"),
         (DISABLE_TYPE, 21, "Disable Event Type", "Event Type Bit Mask = 0x{mask:02x}"),
         (ENABLE_APP_TYPE, 23, "Enable App Event Type", "AppName = {app}, EventType Bit Mask = 0x{mask:02x}"),

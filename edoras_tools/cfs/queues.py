@@ -155,9 +155,9 @@ class Passage(NamedTuple):
     def depth(self, at_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return how many messages wait at some times, after the arrivals and wake-ups of that moment."""
         entered = self.time_ns[self.outcome <= QueueEnd.SUPERSEDED]
-        gone = np.where(self.outcome == QueueEnd.SUPERSEDED, self.superseded_ns, self.left_ns)
-        gone = np.sort(gone[gone >= 0])
-        return np.searchsorted(entered, at_ns, side="right") - np.searchsorted(gone, at_ns, side="right")
+        exit_ns = np.where(self.outcome == QueueEnd.SUPERSEDED, self.superseded_ns, self.left_ns)
+        exit_ns = np.sort(exit_ns[exit_ns >= 0])
+        return np.searchsorted(entered, at_ns, side="right") - np.searchsorted(exit_ns, at_ns, side="right")
 
 
 def pass_queue(

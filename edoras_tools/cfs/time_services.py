@@ -20,14 +20,14 @@ class Setting(NamedTuple):
     """A command that sets or adjusts the time.
 
     Attributes:
-        what: as events call it.
+        name: as events call it.
         done_id: number of the event for a command that is taken.
         refused_id: number of the event for a command whose microseconds are a second or more.
         sign: of an adjustment; 0 where it is none.
         each_second: whether it applies again each second.
     """
 
-    what: str
+    name: str
     done_id: int
     refused_id: int = 0
     sign: int = 0
@@ -39,18 +39,18 @@ class Setting(NamedTuple):
         return 1 if self.sign > 0 else 2
 
     @property
-    def done(self) -> EventText:
+    def accepted(self) -> EventText:
         """Return the event for a command that is taken."""
         if self.each_second:
-            text = f"{self.what} -- secs = {{seconds:d}}, ssecs = 0x{{subseconds:X}}"
+            text = f"{self.name} -- secs = {{seconds:d}}, ssecs = 0x{{subseconds:X}}"
         else:
-            text = f"{self.what} -- secs = {{seconds:d}}, usecs = {{micros:d}}, ssecs = 0x{{subseconds:X}}"
+            text = f"{self.name} -- secs = {{seconds:d}}, usecs = {{micros:d}}, ssecs = 0x{{subseconds:X}}"
         return EventText(NAME, self.done_id, text + self._signed)
 
     @property
     def refused(self) -> EventText:
         """Return the event for a command whose microseconds are a second or more."""
-        text = f"Invalid {self.what.removeprefix('Set ')} -- secs = {{seconds:d}}, usecs = {{micros:d}}"
+        text = f"Invalid {self.name.removeprefix('Set ')} -- secs = {{seconds:d}}, usecs = {{micros:d}}"
         return EventText(NAME, self.refused_id, text + self._signed, EventType.ERROR)
 
     @property

@@ -40,9 +40,9 @@ _FOXGLOVE: Final = "foxglove"
 
 def middleware_name(text: str) -> str:
     """Read the name of a middleware."""
-    known = names()
-    if text not in known and doors.find("middleware", text) is None:
-        raise BadParameter(f"{text!r} is not one of {', '.join(map(repr, known))}.")
+    choices = names()
+    if text not in choices and doors.find("middleware", text) is None:
+        raise BadParameter(f"{text!r} is not one of {', '.join(map(repr, choices))}.")
     return text
 
 
@@ -135,12 +135,12 @@ def bridge(
     if node.ros_args:
         settings = doors.part("ros_args_settings")(settings, node.ros_args)
     domain = usual_domain() if graph.domain is None else graph.domain
-    given = _options(way, graph.ros_options, outputs)
+    ros_options = _options(way, graph.ros_options, outputs)
     if decoding.merged().distro is None and not running.dry_run:
-        told = distro_of_peers(way, domain, given)
-        if told not in {None, settings.distro}:
-            _say(f"the nodes of domain {domain} are of ROS 2 {told}: --set distro={told}")
-            settings = replace(settings, distro=told)
+        distro = distro_of_peers(way, domain, ros_options)
+        if distro not in {None, settings.distro}:
+            _say(f"the nodes of domain {domain} are of ROS 2 {distro}: --set distro={distro}")
+            settings = replace(settings, distro=distro)
     plan = plan_bridges(settings, request)
     if running.dry_run:
         planned = [item.summary() for item in plan.stations]
@@ -163,7 +163,7 @@ def bridge(
         request,
         ros=way,
         domain=domain,
-        options=given,
+        options=ros_options,
         recorder=outputs.recorder(plan.workbench, ", ".join(names), kind="bridge"),
         say=None if shows else _say,
     )
@@ -174,9 +174,9 @@ def bridge(
     finish_relay(bridges, view.outcome, view.losses, output, printing, failure)
 
 
-def _options(way: str, given: list[Any] | None, outputs: RelayOutputOptions) -> dict[str, str]:
+def _options(way: str, ros_options: list[Any] | None, outputs: RelayOutputOptions) -> dict[str, str]:
     """Return the middleware's options; for Foxglove also the allowed origins and the token."""
-    pairs: dict[str, str] = dict(given or ())
+    pairs: dict[str, str] = dict(ros_options or ())
     if way == _FOXGLOVE:
         more = {"origins": ",".join(outputs.allow_origin or ()), "token": outputs.token or ""}
         pairs |= {name: text for name, text in more.items() if text}

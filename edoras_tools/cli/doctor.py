@@ -62,7 +62,7 @@ class TaskOptions(NamedTuple):
 @grouped
 def doctor(
     *,
-    given: InputOptions,
+    inputs: InputOptions,
     task: TaskOptions,
     duration: options.Duration = None,
     jobs: options.Jobs = None,
@@ -79,60 +79,60 @@ def doctor(
     live. Exit code 3: a loss or an error was found.
     """
     settings, scope = decoding.settings(constants=True), part.scope()
-    _check_task(task, given, duration, decoding.constants)
+    _check_task(task, inputs, duration, decoding.constants)
     if task.output is not None and not task.prove:
         write = doors.part("report")
-        write(given.files, task.output, force=task.force, printing=printing, part=part, decoding=decoding)
+        write(inputs.files, task.output, force=task.force, printing=printing, part=part, decoding=decoding)
     elif task.predict:
         _predict(settings, scope, json=printing.json)
     elif task.prove:
-        if not given.paths:
+        if not inputs.paths:
             raise ConfigError("--prove reads the capture several times: name files")
-        doors.part("prove")(given, settings, printing, task)
+        doors.part("prove")(inputs, settings, printing, task)
     elif task.list_lost is not None:
-        _list_lost(settings, scope, given, task.list_lost, printing, jobs or 0)
+        _list_lost(settings, scope, inputs, task.list_lost, printing, jobs or 0)
     elif task.bag:
-        doors.part("bags")(settings, scope, given, task.bag, printing, verbose=verbose)
+        doors.part("bags")(settings, scope, inputs, task.bag, printing, verbose=verbose)
     elif task.against is not None:
-        doors.part("against")(settings, scope, given.paths, task.against, printing)
+        doors.part("against")(settings, scope, inputs.paths, task.against, printing)
     else:
-        found = _examine(settings, scope, given, duration or 0, printing, jobs or 0, verbose=verbose)
-        reasons = [] if task.max_loss is None else found.beyond(task.max_loss, strict=task.strict)
+        diagnosis = _examine(settings, scope, inputs, duration or 0, printing, jobs or 0, verbose=verbose)
+        reasons = [] if task.max_loss is None else diagnosis.beyond(task.max_loss, strict=task.strict)
         for reason in reasons:
             tell(reason)
-        if reasons or (task.max_loss is None and (found.bad or (task.strict and found.uncertain))):
+        if reasons or (task.max_loss is None and (diagnosis.bad or (task.strict and diagnosis.uncertain))):
             raise Exit(LOST)
 
 
-def _check_task(task: TaskOptions, given: InputOptions, duration: int | None, constants: list[str]) -> None:
+def _check_task(task: TaskOptions, inputs: InputOptions, duration: int | None, constants: list[str]) -> None:
     """Refuse options that have no effect with each other.
 
     Raises:
         ConfigError: there are such.
     """
-    options.check_duration(duration, given.paths)
+    options.check_duration(duration, inputs.paths)
     tasks: dict[str, object] = {"--predict": task.predict, "--list-lost": task.list_lost}
     tasks |= {"--against": task.against, "--bag": task.bag, "--prove": task.prove}
-    asked = [name for name, wanted in tasks.items() if wanted]
-    if len(asked) > 1:
-        raise ConfigError(f"{' and '.join(asked)} exclude each other; choose one")
+    choices = [name for name, argument in tasks.items() if argument]
+    if len(choices) > 1:
+        raise ConfigError(f"{' and '.join(choices)} exclude each other; choose one")
     for name, value in {"--max-loss": task.max_loss is not None, "--strict": task.strict}.items():
-        if asked and value:
+        if choices and value:
             raise ConfigError(
-                f"{name} belongs to a diagnosis and has no effect with {asked[0]}: leave one out"
+                f"{name} belongs to a diagnosis and has no effect with {choices[0]}: leave one out"
             )
-    if asked and (duration or any(given.live)):
-        raise ConfigError(f"{asked[0]} has no effect on live traffic: name files")
-    if task.predict and given.paths:
+    if choices and (duration or any(inputs.live)):
+        raise ConfigError(f"{choices[0]} has no effect on live traffic: name files")
+    if task.predict and inputs.paths:
         raise ConfigError("--predict does not read a capture: leave the files out")
     if constants and (task.against or task.bag):
-        raise ConfigError(f"--set has no effect with {asked[0]}: leave one out")
+        raise ConfigError(f"--set has no effect with {choices[0]}: leave one out")
 
 
 def _examine(
     settings: Settings,
     scope: Scope,
-    given: InputOptions,
+    inputs: InputOptions,
     duration_ns: int,
     printing: options.PrintOptions,
     jobs: int,
@@ -143,13 +143,13 @@ def _examine(
     from edoras_tools.render.doctor.live import LiveVerdicts
 
     json, quiet = printing
-    if not (given.paths or any(given.live)):
+    if not (inputs.paths or any(inputs.live)):
         raise ConfigError("name the input to examine: FILE..., -i IFACE, or --listen PORT")
-    live = not given.paths
+    live = not inputs.paths
     if live and scope.period:
         raise ConfigError("--start and --end select part of a file; for live traffic use --duration")
-    with file_progress(given.paths, quiet=quiet or json or live) as bar:
-        source, bench = open_input(given, settings, aligned=True, progress=bar)
+    with file_progress(inputs.paths, quiet=quiet or json or live) as bar:
+        source, bench = open_input(inputs, settings, aligned=True, progress=bar)
         with LiveVerdicts(source.info.name, quiet=quiet) if live else nullcontext() as onlooker:
             pace = Pace(monotonic_ns, _EVERY_NS if live else 0, duration_ns, onlooker, jobs)
             findings = examine(source, bench, scope=scope, pace=pace, progress=bar)
@@ -166,7 +166,7 @@ def _examine(
     return findings.diagnosis
 
 
-def print_diagnosis(found: Diagnosis, name: str, *, quiet: bool, verbose: bool) -> None:
+def print_diagnosis(result: Diagnosis, name: str, *, quiet: bool, verbose: bool) -> None:
     """Print a line, a screen, or all."""
     from edoras_tools.diagnosis.summary import summarize
     from edoras_tools.render.doctor.doctor import diagnosis, screen
@@ -174,17 +174,17 @@ def print_diagnosis(found: Diagnosis, name: str, *, quiet: bool, verbose: bool) 
     words = sys.argv[2:]
     again = "" if not {"-", "-i", "--listen"}.isdisjoint(words) else shlex.join(words)
     if quiet:
-        sys.stdout.write(f"{summarize(found).headline}\n")
+        sys.stdout.write(f"{summarize(result).headline}\n")
     elif verbose:
-        print_view(lambda width: diagnosis(found, name, width))
+        print_view(lambda width: diagnosis(result, name, width))
     else:
-        print_view(lambda width: screen(found, width, again), is_whole=True)
+        print_view(lambda width: screen(result, width, again), is_whole=True)
 
 
 def _list_lost(
     settings: Settings,
     scope: Scope,
-    given: InputOptions,
+    inputs: InputOptions,
     listing: Listing,
     printing: options.PrintOptions,
     jobs: int,
@@ -192,25 +192,27 @@ def _list_lost(
     from edoras_tools.diagnosis.examination import Examination
     from edoras_tools.pipelines.doctor.doctor import Pace, examine, list_missing
 
-    files = given.paths
+    files = inputs.paths
     if not files or any(str(item) == "-" for item in files):
         raise ConfigError("--list-lost reads the capture twice, so it needs files, not stdin: name files")
     with file_progress(files, quiet=printing.quiet) as bar:
-        source, bench = open_input(given, settings, aligned=True, progress=bar)
+        source, bench = open_input(inputs, settings, aligned=True, progress=bar)
         pace = Pace(monotonic_ns, jobs=jobs)
         examination = Examination(bench.columns.context)
         examination.listing = True
         findings = examine(source, bench, scope=scope, pace=pace, progress=bar, examination=examination)
-        again, _ = open_input(given, settings, aligned=True, progress=bar)
-        found = list_missing(findings.diagnosis, again, bench, bar)
+        again, _ = open_input(inputs, settings, aligned=True, progress=bar)
+        losses = list_missing(findings.diagnosis, again, bench, bar)
     if listing is Listing.TABLE:
         from edoras_tools.render.doctor.missing import missing_table
 
-        print_view(lambda width: missing_table(found, findings.diagnosis.zero_ns, width))
+        print_view(lambda width: missing_table(losses, findings.diagnosis.zero_ns, width))
     elif listing is Listing.JSON:
-        print_json({"lost": sum(item.count for item in found), "missing": [item.as_json() for item in found]})
+        print_json(
+            {"lost": sum(item.count for item in losses), "missing": [item.as_json() for item in losses]}
+        )
     else:
-        print_csv([item.as_json() for item in found])
+        print_csv([item.as_json() for item in losses])
     for warning in findings.diagnosis.capture.warnings:
         tell(warning)
     if findings.failure is not None:
@@ -229,12 +231,12 @@ def _predict(settings: Settings, scope: Scope, *, json: bool) -> None:
         raise ConfigError(
             "--predict does not read a capture: --where, --start and --end cannot be used with it"
         )
-    chosen = scope.selection.over(bench)
+    choice = scope.selection.over(bench)
     profile, headers = bench.mission.software.profile, bench.columns.context.headers
     budgets = [
         item
         for item in predict(bench.mission, bench.types, profile, headers)
-        if chosen.about(item.route.link.label, item.route.msg_id, bench.mission)
+        if choice.about(item.route.link.label, item.route.msg_id, bench.mission)
     ]
     if json:
         print_json({"routes": [item.as_json() for item in budgets]})

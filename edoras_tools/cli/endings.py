@@ -34,15 +34,15 @@ def no_datagrams(source: Source) -> None:
     """
     statistics = source.statistics
     if not statistics.datagrams:
-        what = f"{statistics.skipped:,} frames of other kinds" if statistics.skipped else "it is empty"
-        raise CaptureError(f"{source.info.name}: no UDP datagram in it ({what}); nothing to decode")
+        content = f"{statistics.skipped:,} frames of other kinds" if statistics.skipped else "it is empty"
+        raise CaptureError(f"{source.info.name}: no UDP datagram in it ({content}); nothing to decode")
 
 
-def nothing_shown(source: Source, shown: int, context: Context, *, live: bool, every: bool) -> None:
+def nothing_shown(source: Source, count: int, context: Context, *, live: bool, every: bool) -> None:
     """Print why a list is empty, what was recognised from the bytes, and what the capture lost.
 
     Args:
-        shown: how many packets were shown.
+        count: how many packets were shown.
         live: the source has no end.
         every: datagrams of no link were shown too.
 
@@ -50,11 +50,11 @@ def nothing_shown(source: Source, shown: int, context: Context, *, live: bool, e
         CaptureError: a file contained no UDP at all.
         typer.Exit: with code 3, if the capture lost packets, or traffic of a link was left out.
     """
-    if not shown and not live:
+    if not count and not live:
         no_datagrams(source)
     for note in context.notes:
         tell(note)
-    if not shown:
+    if not count:
         _none_chosen(source, "" if every else "; -a shows every link")
     lost(source)
     if context.unnamed and not every:
@@ -62,9 +62,9 @@ def nothing_shown(source: Source, shown: int, context: Context, *, live: bool, e
 
 
 def _none_chosen(source: Source, hint: str = "") -> None:
-    there = source.statistics.datagrams
-    if there:
-        tell(f"none of the {there:,} datagrams was selected{hint}")
+    total = source.statistics.datagrams
+    if total:
+        tell(f"none of the {total:,} datagrams was selected{hint}")
 
 
 def lost(source: Source) -> None:
@@ -138,17 +138,17 @@ def topics_read(source: TopicSource) -> None:
         raise typer.Exit(LOST)
 
 
-def no_messages(source: Source, shown: int) -> None:
+def no_messages(source: Source, count: int) -> None:
     """Print that no message was selected.
 
     Raises:
         CaptureError: the recording has none.
     """
-    there = source.statistics.datagrams
-    if not there:
+    total = source.statistics.datagrams
+    if not total:
         raise CaptureError(f"{source.info.name}: no message in it")
-    if not shown:
-        tell(f"none of the {there:,} messages was selected")
+    if not count:
+        tell(f"none of the {total:,} messages was selected")
 
 
 def finish(report: CaptureReport, *, live: bool) -> None:

@@ -81,7 +81,7 @@ def _listed(entries: dict[str, str]) -> Iterator[str]:
 
 def _text(text: str) -> str:
     """Return a line of text without anything that roff would take for a request."""
-    text = re.sub(r"[\\-]", lambda found: "\\e" if found[0] == "\\" else "\\-", text)
+    text = re.sub(r"[\\-]", lambda match: "\\e" if match[0] == "\\" else "\\-", text)
     return f"\\&{text}" if text[:1] in {".", "'"} else text
 
 
@@ -93,8 +93,8 @@ def _named_commands(ctx: typer.Context, incomplete: str) -> list[str]:
     command: Any = typer.main.get_command(program(*typed[:1])) if {*typed[:1]} <= {*COMMANDS} else None
     for name in typed:
         command = getattr(command, "commands", {}).get(name)
-    known = getattr(command, "commands", {})
-    return [name for name, item in known.items() if name.startswith(incomplete) and not item.hidden]
+    commands = getattr(command, "commands", {})
+    return [name for name, item in commands.items() if name.startswith(incomplete) and not item.hidden]
 
 
 @grouped
@@ -122,11 +122,11 @@ def help_(
         return
     command: Any = root
     for name in () if names == ["all"] else names or ():
-        known = getattr(command, "commands", {})
-        if name not in known:
-            hint = did_you_mean(name, known) or f"see {context.command_path} -h"
+        commands = getattr(command, "commands", {})
+        if name not in commands:
+            hint = did_you_mean(name, commands) or f"see {context.command_path} -h"
             raise ConfigError(f"{context.command_path} has no command {name!r}; {hint}")
-        command = known[name]
+        command = commands[name]
         context = command.make_context(name, [], parent=context, resilient_parsing=True)
     context.meta[WHOLE] = True
     text = command.get_help(context) + "\n"

@@ -32,11 +32,11 @@ def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> No
         port: "/".join(link.label for link in context.claimants[context.claim[port]])
         for port in context.capture_ports()
     }
-    found = read_host(links, time.time_ns())
-    told, share = list(advice(found)), steal(found)
+    counters = read_host(links, time.time_ns())
+    hints, share = list(advice(counters)), steal(counters)
     if json:
-        print_json({**asdict(found), "steal": share, "advice": told})
+        print_json({**asdict(counters), "steal": share, "advice": hints})
     else:
-        sys.stdout.writelines(f"{line}\n" for line in host_lines(found, links, share, told))
-    if any(item.drops for item in found.sockets):
+        sys.stdout.writelines(f"{line}\n" for line in host_lines(counters, links, share, hints))
+    if any(item.drops for item in counters.sockets):
         raise typer.Exit(LOST)

@@ -26,14 +26,14 @@ def info(
     jobs: options.Jobs = None,
     printing: options.PrintOptions,
     part: options.PartOptions,
-    chosen: options.SelectionOptions,
+    filters: options.SelectionOptions,
     decoding: options.DecodingOptions,
 ) -> None:
     """Say what is in a capture: routes, rates, gaps, findings."""
-    paths = files.named()
+    paths = files.required()
     limits = part.limits(paths)
     if verify:
-        if part != options.PartOptions() or chosen.selection():
+        if part != options.PartOptions() or filters.selection():
             raise ConfigError(
                 "--verify checks whole files: options that select a part have no effect with it"
             )
@@ -56,7 +56,7 @@ def info(
     source, bench = open_input(InputOptions(FileOptions(captures)), decoding.settings(), messages=True)
     with watcher(source, None, quiet=printing.quiet or printing.json, live=False) as watch:
         report = inspect(
-            source, bench, selection=chosen.selection(), limits=limits, watcher=watch, jobs=jobs or 0
+            source, bench, selection=filters.selection(), limits=limits, watcher=watch, jobs=jobs or 0
         )
     if printing.json:
         print_json(report.summary())

@@ -55,7 +55,7 @@ class FileOptions(NamedTuple):
         """All of them."""
         return [*(self.read or ()), *(self.files or ())]
 
-    def named(self) -> list[Path]:
+    def required(self) -> list[Path]:
         """Return all of them, at least one.
 
         Raises:
@@ -79,7 +79,7 @@ class InputOptions(NamedTuple):
 
 
 def open_input(
-    given: InputOptions,
+    inputs: InputOptions,
     settings: Settings,
     *,
     every_port: bool = False,
@@ -104,7 +104,7 @@ def open_input(
         ConfigError: none or more than one was named, or the mission has mistakes.
         CaptureError: it cannot be opened.
     """
-    read, (interface, listen, waits, user) = given.paths, given.live
+    read, (interface, listen, waits, user) = inputs.paths, inputs.live
     if sum(map(bool, (read, interface, listen))) != 1:
         raise ConfigError("name one input: FILE..., -i IFACE, or --listen PORT")
     if waits and not interface:
@@ -115,8 +115,8 @@ def open_input(
         return _open_files(read, settings, aligned=aligned, messages=messages, progress=progress)
     bench = settings.workbench()
     if user:
-        return _as_user(user, given.live._replace(user=None), bench, every_port=every_port, output=output)
-    return _opened(given.live, bench, every_port=every_port), bench
+        return _as_user(user, inputs.live._replace(user=None), bench, every_port=every_port, output=output)
+    return _opened(inputs.live, bench, every_port=every_port), bench
 
 
 def _open_files(
@@ -127,21 +127,21 @@ def _open_files(
     from edoras_tools.pipelines.workbench import open_files
 
     notes: list[str] = []
-    stored = [path for path in read if is_cfe_file(path)]
-    read = [path for path in read if path not in stored]
+    cfe_files = [path for path in read if is_cfe_file(path)]
+    read = [path for path in read if path not in cfe_files]
     if not aligned:
-        read += stored  # clocks are aligned to that of the first
-    elif stored:
+        read += cfe_files  # clocks are aligned to that of the first
+    elif cfe_files:
         why = "no link carried its packets, so nothing is judged by them; sniff shows them"
         if not read:
-            raise ConfigError(f"{stored[0]}: {why}")
-        notes = [f"{path}: {why}" for path in stored]
+            raise ConfigError(f"{cfe_files[0]}: {why}")
+        notes = [f"{path}: {why}" for path in cfe_files]
     try:
-        if (aligned or stored) and len(read) > 1 and "-" not in map(str, read):
+        if (aligned or cfe_files) and len(read) > 1 and "-" not in map(str, read):
             from edoras_tools.pipelines.clocks import open_aligned
 
-            source, told = open_aligned(read, settings, progress)
-            notes += told
+            source, clock_notes = open_aligned(read, settings, progress)
+            notes += clock_notes
         else:
             source = open_files(read)
     except NoDatagramsError as error:
@@ -160,7 +160,7 @@ def _open_files(
 
 
 def _as_user(
-    name: str, given: LiveOptions, bench: Workbench, *, every_port: bool, output: Path | None
+    name: str, live: LiveOptions, bench: Workbench, *, every_port: bool, output: Path | None
 ) -> tuple[Source, Workbench]:
     """Open live traffic, then change the user; first check that this user can write the output."""
     from edoras_tools.io.privileges import (
@@ -176,7 +176,7 @@ def _as_user(
     if output is not None:
         check_writable(user, output.absolute().parent)
     forbid_new_privileges()  # before the capture's threads are started
-    source = _opened(given, bench, every_port=every_port)
+    source = _opened(live, bench, every_port=every_port)
     try:
         become(user)
     except EdorasError:
@@ -185,9 +185,9 @@ def _as_user(
     return source, bench
 
 
-def _opened(given: LiveOptions, bench: Workbench, *, every_port: bool) -> Source:
+def _opened(live: LiveOptions, bench: Workbench, *, every_port: bool) -> Source:
     """Open live traffic."""
-    interface, listen, waits, _ = given
+    interface, listen, waits, _ = live
     if interface:
         waits, interface = waits or interface.startswith(_WAIT), interface.removeprefix(_WAIT)
         from edoras_tools.io.capture.live import open_live

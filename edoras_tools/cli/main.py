@@ -73,8 +73,8 @@ COMMANDS: Final = {name: group for group, names in GROUPS.items() for name in na
 """The group of each command."""
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(flag: bool) -> None:
+    if flag:
         typer.echo(f"edoras-tools {__version__}")
         raise typer.Exit
 
@@ -118,10 +118,10 @@ class Command(typer.core.TyperCommand):
     def make_parser(self, ctx: Any) -> Any:
         """Return click's parser, which takes old names of options too."""
         parser = super().make_parser(ctx)
-        there = {name for item in self.params for name in item.opts}
+        names = {name for item in self.params for name in item.opts}
         for item in self.params:
             now = {*item.opts, *item.secondary_opts}
-            for old in [name for name in OLD_NAMES if OLD_NAMES[name] in now and name not in there]:
+            for old in [name for name in OLD_NAMES if OLD_NAMES[name] in now and name not in names]:
                 alias = copy(item)
                 alias.opts, alias.secondary_opts = [old], []
                 alias.add_to_parser(parser, ctx)
@@ -129,21 +129,21 @@ class Command(typer.core.TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments."""
-        asked = ctx.resilient_parsing or not {"-h", "--help", "--version"}.isdisjoint(args)
-        file = None if asked or ctx.info_name == "help" else settings.found()
+        only_help = ctx.resilient_parsing or not {"-h", "--help", "--version"}.isdisjoint(args)
+        file = None if only_help or ctx.info_name == "help" else settings.find()
         if file is not None and file.left_out:
             tell(_harmless(f"{file.path} is not used: {file.left_out}"))
         elif file is not None:
             file.check(COMMANDS)
-            named = {
+            parameters = {
                 name.removeprefix("--"): item
                 for item in self.params
                 for name in item.opts
                 if name.startswith("--")
             }
-            options = {name: item.multiple or item.nargs == -1 for name, item in named.items()}
+            options = {name: item.multiple or item.nargs == -1 for name, item in parameters.items()}
             values = file.defaults(_name(ctx), options)
-            ctx.default_map = {named[name].name: value for name, value in values.items()}
+            ctx.default_map = {parameters[name].name: value for name, value in values.items()}
         try:
             rest = super().parse_args(ctx, [_VALUE_LEFT_OUT.get(item, item) for item in args])
         except _USAGE as error:
@@ -191,8 +191,8 @@ def _tell_setup(ctx: Any, file: settings.SettingsFile | None) -> None:
     used = file.path if file and not file.left_out else f"no {settings.NAME}"
     lines = [f"edoras-tools {__version__}, Python {python}", f"settings: {used}"]
     for name, called in (("config", "missions"), ("msg_path", "messages"), ("structs", "structs")):
-        given = ", ".join(map(str, ctx.params.get(name) or ()))
-        lines += [f"{called}: {given}"] if given else []
+        paths = ", ".join(map(str, ctx.params.get(name) or ()))
+        lines += [f"{called}: {paths}"] if paths else []
     for line in lines:
         tell(_harmless(line))
 
@@ -265,7 +265,7 @@ def program(*names: str, completes: bool = False) -> typer.Typer:
         names: commands to add; all if empty. Adding a command takes time, and most are not run.
         completes: a shell asks what can follow on its command line.
     """
-    made = typer.Typer(
+    app = typer.Typer(
         name="edoras",
         cls=_Edoras,
         help="\b\nCapture, decode, record, replay and diagnose ROS 2 through NASA's cFS.\n"
@@ -276,17 +276,17 @@ def program(*names: str, completes: bool = False) -> typer.Typer:
         rich_markup_mode=None,
         context_settings=_SETTINGS,
     )
-    made.callback()(lambda: None)
+    app.callback()(lambda: None)
     for name in names or [*COMMANDS, *(item.name for item in doors.installed("commands"))]:
         command, heading = _command(name), COMMANDS.get(name, _INSTALLED)
         if isinstance(command, typer.Typer):
-            made.add_typer(command, name=name, rich_help_panel=heading)
+            app.add_typer(command, name=name, rich_help_panel=heading)
         elif isinstance(command, ConfigError):
             absent = _absent(name, command)
-            made.command(name, cls=_Absent, rich_help_panel=heading)(absent)
+            app.command(name, cls=_Absent, rich_help_panel=heading)(absent)
         else:
-            made.command(name, cls=Command, rich_help_panel=heading)(command)
-    return made
+            app.command(name, cls=Command, rich_help_panel=heading)(command)
+    return app
 
 
 def with_command(words: list[str]) -> list[str]:
@@ -361,18 +361,18 @@ def _absent(name: str, error: ConfigError) -> Callable[[], None]:
 
 def alone(name: str) -> typer.Typer:
     """Make a program with one command."""
-    made = typer.Typer(
+    app = typer.Typer(
         name=f"edoras-{name}",
         add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings=_SETTINGS,
     )
-    made.command(cls=Program)(_command(name))
-    return made
+    app.command(cls=Program)(_command(name))
+    return app
 
 
-def run(made: typer.Typer) -> NoReturn:
+def run(app: typer.Typer) -> NoReturn:
     """Run a command line and return its exit code; an error is one clear line, never a traceback.
 
     Exit codes: 0 success, 1 failed, 2 usage error, 3 finished but data was lost or found lost, 130 stopped by
@@ -383,7 +383,7 @@ def run(made: typer.Typer) -> NoReturn:
         # File names may contain bytes that are not text, and not every terminal can show an arrow.
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        code = made(standalone_mode=False) or 0
+        code = app(standalone_mode=False) or 0
         sys.stdout.flush()
     except EdorasError as error:
         code = error.exit_code
@@ -392,7 +392,7 @@ def run(made: typer.Typer) -> NoReturn:
     except _USAGE as error:
         code = error.exit_code
         text = error.format_message().replace("Value error, ", "")  # the prefix of typer's own checks
-        command = error.ctx.command_path if error.ctx else made.info.name
+        command = error.ctx.command_path if error.ctx else app.info.name
         see = f"{' See' if text.endswith('?') else '; see'} {command} -h"
         _say(f"{text.removesuffix('.')}{see}" if text and not text.startswith("Usage: ") else text, "usage")
     except SystemExit as error:
@@ -442,8 +442,8 @@ def _say(message: str, kind: str) -> None:
         if message and "--json" in sys.argv:
             import json
 
-            what, _, hint = message.rpartition("; ") if "\n" not in message else ("", "", "")
-            error = {"code": kind, "message": what or message, "hint": hint if what else None}
+            reason, _, hint = message.rpartition("; ") if "\n" not in message else ("", "", "")
+            error = {"code": kind, "message": reason or message, "hint": hint if reason else None}
             sys.stderr.write(json.dumps({"schema": 1, "error": error}, ensure_ascii=True) + "\n")
             return
         start = "" if message.startswith("Usage: ") else "edoras: "  # the help text, where nothing is asked

@@ -193,8 +193,8 @@ def time_zone(text: str) -> tuple[tzinfo | None]:
     except (zoneinfo.ZoneInfoNotFoundError, ValueError, OSError):
         from edoras_tools.words import did_you_mean
 
-        there = zoneinfo.available_timezones()
-        hint = did_you_mean(text, there, 1) if there else "this machine knows none: pip install tzdata"
+        zones = zoneinfo.available_timezones()
+        hint = did_you_mean(text, zones, 1) if zones else "this machine knows none: pip install tzdata"
         raise BadParameter(
             f"no time zone is named {text!r}; {hint or 'write UTC, local, or e.g. Europe/Berlin'}"
         ) from None
@@ -534,7 +534,7 @@ class TimeOptions(NamedTuple):
 class ScopeOptions(NamedTuple):
     """The part of a capture that is examined and shown."""
 
-    chosen: SelectionOptions
+    filters: SelectionOptions
     times: TimeOptions = TimeOptions()
 
     def scope(self) -> Scope:
@@ -545,7 +545,7 @@ class ScopeOptions(NamedTuple):
         """
         from edoras_tools.pipelines.doctor.scope import Scope
 
-        return Scope(self.chosen.selection(), self.times.period())
+        return Scope(self.filters.selection(), self.times.period())
 
 
 @headed("Selection")

@@ -33,10 +33,10 @@ def _start(alone: str = "") -> NoReturn:
         completes = "_EDORAS_COMPLETE" in os.environ
         if not alone and not completes:
             sys.argv[1:] = main.with_command(sys.argv[1:])
-        named = [item for item in (line.split() if completes else sys.argv)[1:2] if main.is_command(item)]
+        names = [item for item in (line.split() if completes else sys.argv)[1:2] if main.is_command(item)]
         if sys.argv[1:] == ["--version"]:
-            named = ["help"]  # to make all commands takes most of the time
-        made = main.alone(alone) if alone else main.program(*named, completes=completes)
+            names = ["help"]  # to make all commands takes most of the time
+        app = main.alone(alone) if alone else main.program(*names, completes=completes)
     except ModuleNotFoundError:
         raise
     except (OSError, MemoryError, ImportError) as error:  # too many open files, or no memory
@@ -46,7 +46,7 @@ def _start(alone: str = "") -> NoReturn:
         if _HEEDED:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         try:
-            main.run(made)
+            main.run(app)
         except SystemExit as end:
             code = end.code if isinstance(end.code, int) else 0
             with suppress(OSError):

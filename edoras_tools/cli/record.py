@@ -42,19 +42,19 @@ def trigger(text: str) -> tuple[str, str]:
         hint = "" if kind in _KINDS else did_you_mean(kind, _KINDS, 1)
         forms = "write finding, finding:NAME, rule, rule:ID or 'where:EXPR'"
         raise BadParameter(f"{text!r} is not a trigger; {hint or forms}")
-    known: list[str] = []
+    names: list[str] = []
     if kind == "where":
         options.where(rest)
     elif kind == "rule":
         from edoras_tools.diagnosis.rules import rules
 
-        known = list(rules())
+        names = list(rules())
     else:
         from edoras_tools.model import Finding
 
-        known = [item.label for item in Finding]
-    if rest and known and rest not in known:
-        hint = did_you_mean(rest, known, 1) or f"there are {', '.join(known)}"
+        names = [item.label for item in Finding]
+    if rest and names and rest not in names:
+        hint = did_you_mean(rest, names, 1) or f"there are {', '.join(names)}"
         raise BadParameter(f"no {kind} is named {rest!r}; {hint}")
     return kind, rest
 
@@ -169,12 +169,12 @@ class TargetOptions(NamedTuple):
 @grouped
 def record(
     *,
-    given: InputOptions,
+    inputs: InputOptions,
     files: TargetOptions,
     stop: options.PartOptions,
     every: options.EveryPort = False,
     printing: options.PrintOptions,
-    chosen: options.SelectionOptions,
+    filters: options.SelectionOptions,
     decoding: options.DecodingOptions,
     snapshots: SnapshotOptions,
 ) -> None:
@@ -188,8 +188,8 @@ def record(
     from edoras_tools.pipelines.capture.record import check_output
     from edoras_tools.pipelines.capture.record import record as run
 
-    live, limits = not given.paths, stop.limits(given.paths)
-    if every and not given.live.interface:
+    live, limits = not inputs.paths, stop.limits(inputs.paths)
+    if every and not inputs.live.interface:
         raise ConfigError("--all chooses what -i IFACE captures; files and --listen are recorded whole")
     files = files.merged()
     snapshots.check(splits=bool(files.split_size or files.split_time or files.split_count))
@@ -199,19 +199,19 @@ def record(
         raise ConfigError("--snapshot writes files, and --rosbag2 a directory: leave one of them out")
     if files.tf and target.format is not None and not target.format.messages:
         raise ConfigError(f"{target.path}: --tf writes a topic, and {target.format.name} has none: use .mcap")
-    _check_named_last(given.paths, files.output)
-    check_output(target, given.paths, snapshots=snapshots.snapshot)
+    _check_named_last(inputs.paths, files.output)
+    check_output(target, inputs.paths, snapshots=snapshots.snapshot)
     if files.after_split and not target.splits:
         raise ConfigError("--after-split is for a recording in parts: split too, e.g. --split 10m")
     written = None if target.stream else target.path
-    source, bench = open_input(given, decoding.settings(), every_port=every, messages=True, output=written)
+    source, bench = open_input(inputs, decoding.settings(), every_port=every, messages=True, output=written)
     if around and bench.mission.recorded:
         source.close()
         raise ConfigError(
             f"{source.info.name}: has messages and no datagrams, and a snapshot is of datagrams"
         )
     if around:
-        around.record(source, bench, target, snapshots, chosen.selection(), limits, printing)
+        around.record(source, bench, target, snapshots, filters.selection(), limits, printing)
         return
     after = doors.part("after_split")(files.after_split, tell) if files.after_split else None
     if after:
@@ -222,7 +222,7 @@ def record(
             source,
             bench,
             target,
-            selection=chosen.selection(),
+            selection=filters.selection(),
             limits=limits,
             watcher=watch,
             by_route=printing.json or not printing.quiet or files.metrics is not None,

@@ -41,9 +41,9 @@ def recover(
         output
         or file.parent / f"{file.name.partition('.pcap')[0].removesuffix(file.suffix)}.recovered.{kind}"
     )
-    there = in_the_way(target)
-    if there and not force and not (file.exists() and target.samefile(file)):
-        refuse_existing(there)
+    obstacle = in_the_way(target)
+    if obstacle and not force and not (file.exists() and target.samefile(file)):
+        refuse_existing(obstacle)
     with byte_progress(file, quiet=json) as progress:
         report = repair(
             file, target, topics=recordings.known_topics(config), unproved=unproved, progress=progress

@@ -171,13 +171,13 @@ def finish_relay(
     from edoras_tools.render.terminal.text import clean
 
     summary, recorder, (json, quiet) = relay.summary(), relay.recorder, printing
-    shown = recorder.recorded.display if recorder else None
+    display = recorder.recorded.display if recorder else None
     if json:
-        print_json({**summary, "foxglove": shown})
+        print_json({**summary, "foxglove": display})
     elif not quiet:
         console = error_console()
         console.print(show(summary, console.width, output))
-        for line in doors.part("display").served(shown) if shown else ():
+        for line in doors.part("display").served(display) if display else ():
             say(line)
     if json or quiet:
         for line in notes(summary):

@@ -108,7 +108,7 @@ def replay(
     change: ChangeOptions,
     ending: sending.EndingOptions,
     how: sending.SendingOptions,
-    chosen: options.SelectionOptions,
+    filters: options.SelectionOptions,
     decoding: options.DecodingOptions,
 ) -> None:
     """Send a recording again: unchanged, faster, or changed.
@@ -122,7 +122,7 @@ def replay(
 
     settings = decoding.settings()
     send_options, faults = how.send_options(), how.faults.plan()
-    choice = part.choice(chosen.selection())
+    choice = part.choice(filters.selection())
     send_options = replace(
         send_options,
         speed=1.0 if pace.speed in {None, inf} else pace.speed,

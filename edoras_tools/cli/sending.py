@@ -37,12 +37,12 @@ def peer(text: str) -> Peer:
 
     spacecraft, _, processor = text.partition(":")
     try:
-        found = Peer(int(spacecraft, 0), int(processor, 0))
+        identity = Peer(int(spacecraft, 0), int(processor, 0))
     except ValueError:
-        found = Peer(-1, -1)
-    if not all(0 <= number < 1 << 32 for number in found):
+        identity = Peer(-1, -1)
+    if not all(0 <= number < 1 << 32 for number in identity):
         raise BadParameter(f"{text!r} is not SC:CPU; write 66:3 or 0x42:3")
-    return found
+    return identity
 
 
 def rate(text: str) -> tuple[str, float]:

@@ -90,11 +90,11 @@ class SettingsFile(NamedTuple):
         Raises:
             ConfigError: a value is a table, or a list where one value is needed.
         """
-        given = {**self.values, **self.values.get(command, {})}
+        values = {**self.values, **self.values.get(command, {})}
         return {
-            name: self._value(name, given[name], many=options[name])
+            name: self._value(name, values[name], many=options[name])
             for name in SETTABLE
-            if name in options and name in given
+            if name in options and name in values
         }
 
     def _value(self, name: str, value: Any, *, many: bool) -> Any:
@@ -110,11 +110,11 @@ class SettingsFile(NamedTuple):
 
 def in_effect() -> SettingsFile | None:
     """Return the settings file that is used."""
-    file = found()
+    file = find()
     return None if file is None or file.left_out else file
 
 
-def found() -> SettingsFile | None:
+def find() -> SettingsFile | None:
     """Return the settings file for the working folder, or the one that ``EDORAS_CONFIG`` names.
 
     Raises:
@@ -124,14 +124,14 @@ def found() -> SettingsFile | None:
         folder = Path.cwd()
     except OSError:  # it was deleted
         return None
-    return _found(folder, os.environ.get(VARIABLE, ""))
+    return _find(folder, os.environ.get(VARIABLE, ""))
 
 
 @cache
-def _found(folder: Path, named: str) -> SettingsFile | None:
+def _find(folder: Path, override: str) -> SettingsFile | None:
     """Find and read the file, once: a command that gives up its rights still knows which one it was."""
-    if named:
-        return _read(folder / named)
+    if override:
+        return _read(folder / override)
     folders = [folder, *folder.parents]
     tops = [place for place, item in enumerate(folders) if (item / ".git").exists() or item == _home()]
     for item in folders[: tops[0] + 1 if tops else 1]:

@@ -87,7 +87,7 @@ class ViewOptions(NamedTuple):
         Raises:
             ConfigError: more than one view is given, or an option without an effect.
         """
-        wanted = {
+        views = {
             "--fields": self.fields,
             "--diagram": self.sequence,
             "--stat": self.stat,
@@ -96,14 +96,14 @@ class ViewOptions(NamedTuple):
             "-x": self.hexdump,
             "--tui": self.tui,
         }
-        asked = [name for name, value in wanted.items() if value]
-        if len(asked) > 1:
-            raise ConfigError(f"{' and '.join(asked)} exclude each other; choose one")
+        names = [name for name, value in views.items() if value]
+        if len(names) > 1:
+            raise ConfigError(f"{' and '.join(names)} exclude each other; choose one")
         if self.layout and not self.fields:
             raise ConfigError("--format is the format of --fields; name fields, or leave it out")
-        view = asked[0] if asked else "--stat" if self.stat else ""
-        for name, given in {"--time": self.time, "-v": verbose}.items():
-            if given and view not in {"", "--tui"}:
+        view = names[0] if names else "--stat" if self.stat else ""
+        for name, argument in {"--time": self.time, "-v": verbose}.items():
+            if argument and view not in {"", "--tui"}:
                 raise ConfigError(f"{name} has no effect with {view}; leave one of them out")
 
     def check_recorded(self, source: Source, *, every: bool) -> None:
@@ -115,16 +115,16 @@ class ViewOptions(NamedTuple):
         Raises:
             ConfigError: something cannot be shown.
         """
-        given = {
+        views = {
             "--tui": self.tui,
             "--diagram": self.sequence,
             "--stat sbn": Statistic.SBN in (self.stat or ()),
             "-a": every,
         }
-        for name, what in _NEED_DATAGRAMS.items():
-            if given[name]:
+        for name, verb in _NEED_DATAGRAMS.items():
+            if views[name]:
                 source.close()
-                raise ConfigError(f"{source.info.name}: has messages and no datagrams, and {what} datagrams")
+                raise ConfigError(f"{source.info.name}: has messages and no datagrams, and {verb} datagrams")
 
 
 _NEED_DATAGRAMS: Final = {
@@ -138,15 +138,15 @@ _NEED_DATAGRAMS: Final = {
 
 def print_packets(blocks: Iterable[list[str]], header: str, *, flush: bool) -> int:
     """Print what is shown of packets as they come, below a header if there is one; return their number."""
-    out, shown = sys.stdout, 0
+    out, count = sys.stdout, 0
     for block in blocks:
-        if header and block and not shown:
+        if header and block and not count:
             out.write(f"{header}\n")
         out.writelines(f"{text}\n" for text in block)
-        if block and (flush or not shown):
+        if block and (flush or not count):
             out.flush()
-        shown += len(block)
-    return shown
+        count += len(block)
+    return count
 
 
 def print_fields(
@@ -167,7 +167,7 @@ def print_fields(
 
     columns = fields(text, bench.columns.context)
     heads = [name for name, _ in columns]
-    out, shown = sys.stdout, 0
+    out, count = sys.stdout, 0
     terminal = detect_terminal(out)
     table = ColumnLines(
         heads,
@@ -181,15 +181,15 @@ def print_fields(
         if layout is FieldFormat.TABLE:
             out.writelines(f"{line}\n" for line in table.lines(block))
         elif layout is FieldFormat.CSV:
-            writer.writerows([heads] * (not shown))
+            writer.writerows([heads] * (not count))
             writer.writerows(zip(*block, strict=True))
         else:
-            out.writelines("\t".join(row) + "\n" for row in [heads] * (not shown))
+            out.writelines("\t".join(row) + "\n" for row in [heads] * (not count))
             out.writelines("\t".join(row) + "\n" for row in zip(*block, strict=True))
-        shown += len(rows)
+        count += len(rows)
         if flush:
             out.flush()
-    return shown
+    return count
 
 
 def print_sequence(blocks: Iterable[ColumnRows], bench: Workbench, diagram: Diagram) -> int:
@@ -197,14 +197,14 @@ def print_sequence(blocks: Iterable[ColumnRows], bench: Workbench, diagram: Diag
     from edoras_tools.pipelines.capture.conversation import Conversation
     from edoras_tools.render.capture.sequence import DIAGRAMS
 
-    conversation, shown, read = Conversation(bench.columns.context), 0, _UntilFailure(blocks)
+    conversation, count, read = Conversation(bench.columns.context), 0, _UntilFailure(blocks)
     for rows in read:
         conversation.add(rows)
-        shown += len(rows)
-    if shown:
+        count += len(rows)
+    if count:
         sys.stdout.writelines(f"{line}\n" for line in DIAGRAMS[diagram.value](conversation.messages()))
     read.end()
-    return shown
+    return count
 
 
 @dataclass(slots=True)
@@ -238,41 +238,39 @@ def print_statistics(
     """Print tables of counts; return the number of packets."""
     from edoras_tools.pipelines.capture.conversation import Statistics
 
-    counted, read = Statistics(bench), _UntilFailure(blocks)
+    totals, read = Statistics(bench), _UntilFailure(blocks)
     for rows in read:
-        counted.add(rows)
-    if not counted.ledger.datagrams:
+        totals.add(rows)
+    if not totals.ledger.datagrams:
         read.end()
-    for note in counted.ledger.notes:
+    for note in totals.ledger.notes:
         sys.stderr.write(f"edoras: {note}\n")
     if json:
-        print_json({kind.value: counted.table(kind.value) for kind in kinds})
+        print_json({kind.value: totals.table(kind.value) for kind in kinds})
         read.end()
-        return counted.ledger.datagrams
+        return totals.ledger.datagrams
     from edoras_tools.render.capture.info import statistics
     from edoras_tools.render.terminal.terminal import output_console
 
     console = output_console()
     for index, kind in enumerate(kinds):
-        found = counted.table(kind.value)
+        table = totals.table(kind.value)
         if index:
             console.print()
-        console.print(
-            statistics(kind.value, found, counted.ledger.datagrams, console.width) if found else "-"
-        )
+        console.print(statistics(kind.value, table, totals.ledger.datagrams, console.width) if table else "-")
     read.end()
-    return counted.ledger.datagrams
+    return totals.ledger.datagrams
 
 
 @grouped
 def sniff(
     *,
-    given: InputOptions,
+    inputs: InputOptions,
     view: ViewOptions,
     every: Annotated[bool, Option("--all", "-a", help="Also UDP that belongs to no link.")] = False,
     stop: options.PartOptions,
     verbose: options.Verbose = False,
-    chosen: options.SelectionOptions,
+    filters: options.SelectionOptions,
     decoding: options.DecodingOptions,
 ) -> None:
     """Show traffic, one line per packet, live or from files.
@@ -290,16 +288,16 @@ def sniff(
     from edoras_tools.render.terminal.terminal import detect_terminal
 
     view.check(verbose=verbose)
-    limits = stop.limits(given.paths)
-    settings, selection, live = decoding.settings(), chosen.selection(), not given.paths
+    limits = stop.limits(inputs.paths)
+    settings, selection, live = decoding.settings(), filters.selection(), not inputs.paths
     if view.tui:
         panes = doors.part("panes")
         panes.check_terminal()
-    source, bench = open_input(given, settings, every_port=every, messages=True)
+    source, bench = open_input(inputs, settings, every_port=every, messages=True)
     recorded = bool(bench.mission.recorded)
     if recorded:
         view.check_recorded(source, every=every)
-    any_link = recorded or every or given.live.listen
+    any_link = recorded or every or inputs.live.listen
     selection = replace(
         selection,
         links=selection.links or (() if any_link else table.links()),
@@ -311,13 +309,13 @@ def sniff(
     terminal = detect_terminal(sys.stdout)
     counts = view.sequence or view.stat
     read = Followed(source, quiet=live or not (counts or terminal.interactive))
-    waits = live or "-" in map(str, given.paths)
+    waits = live or "-" in map(str, inputs.paths)
 
-    def ended(shown: int) -> None:
+    def ended(count: int) -> None:
         if recorded:
-            no_messages(source, shown)
+            no_messages(source, count)
         else:
-            nothing_shown(source, shown, bench.columns.context, live=live, every=not selection.links)
+            nothing_shown(source, count, bench.columns.context, live=live, every=not selection.links)
 
     if view.fields:
         rows = read.printed(selected_rows(read, bench, selection, limits))
@@ -336,17 +334,17 @@ def sniff(
         columns=MESSAGE_COLUMNS if recorded else COLUMNS,
         added=[(f"{'Type':<12}", False)] if typed else (),
     )
-    taken = read, bench, selection, limits, packet_list.count_from
+    args = read, bench, selection, limits, packet_list.count_from
     header, bench.dissector.detail = "", view.hexdump or view.tree
     if view.hexdump or view.tree:
-        blocks = _whole(sniffed(*taken), terminal, hexdump=view.hexdump)
+        blocks = _whole(sniffed(*args), terminal, hexdump=view.hexdump)
     elif view.json:
         from edoras_tools.pipelines.capture.packet_json import PacketTexts
 
-        blocks = map(PacketTexts(bench.columns.context).of, selected_rows(*taken, most=AT_ONCE))
+        blocks = map(PacketTexts(bench.columns.context).of, selected_rows(*args, most=AT_ONCE))
     else:
         header = packet_list.header()
-        blocks = _listed(selected_rows(*taken, most=AT_ONCE), bench.columns.context, packet_list, typed=typed)
+        blocks = _listed(selected_rows(*args, most=AT_ONCE), bench.columns.context, packet_list, typed=typed)
     ended(print_packets(read.printed(blocks), header, flush=waits))
 
 
@@ -358,10 +356,10 @@ def _whole(packets: Iterable[Decoded], terminal: Terminal, *, hexdump: bool) -> 
 
     for decoded in packets:
         if hexdump:
-            shown = packet_lines(decoded, terminal.width, colour=terminal.colour)
+            lines = packet_lines(decoded, terminal.width, colour=terminal.colour)
         else:
-            shown = tree_lines(decoded, terminal.width, Paint(terminal.colour))
-        yield ["\n".join([*shown, ""])]
+            lines = tree_lines(decoded, terminal.width, Paint(terminal.colour))
+        yield ["\n".join([*lines, ""])]
 
 
 def _listed(
@@ -371,9 +369,9 @@ def _listed(
     from edoras_tools.decode.lines import PacketLines
     from edoras_tools.render.terminal.text import clean
 
-    made = PacketLines(context)
+    lines = PacketLines(context)
     for rows in blocks:
         yield [
             packet_list.line(line, values=(clean(line.type.rpartition("/")[2]),) if typed else ())
-            for line in made.of(rows)
+            for line in lines.of(rows)
         ]

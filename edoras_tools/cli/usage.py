@@ -41,19 +41,19 @@ def sections(command: Any, ctx: Any) -> Mapping[str, list[tuple[str, str]]]:
 
 def write_options(command: Any, ctx: Any, formatter: Any) -> None:
     """Write what a command takes: what stands under a heading is only named, if not all is asked for."""
-    whole, named = ctx.meta.get(WHOLE, False), []
+    whole, summaries = ctx.meta.get(WHOLE, False), []
     for heading, rows in sections(command, ctx).items():
         if whole or (heading == OWN and not hasattr(command, "commands")):
             with formatter.section(heading):
                 formatter.write_dl(rows)
         elif rows:
-            named.append((heading, ", ".join(names.split(",")[-1].split()[0] for names, _ in rows)))
+            summaries.append((heading, ", ".join(names.split(",")[-1].split()[0] for names, _ in rows)))
     if hasattr(command, "commands"):
         _write_commands(command, formatter)
-    if named:
+    if summaries:
         root, _, path = ctx.command_path.partition(" ")
         with formatter.section(f"More ({f'{root} help {path}'.strip()} explains)"):
-            formatter.write_dl(named)
+            formatter.write_dl(summaries)
     if not whole and not hasattr(command, "commands"):
         formatter.write_paragraph()
         formatter.write_text(_EVERYWHERE)

@@ -241,7 +241,7 @@ class _Pass:
     def _samples(self, link: LinkProtocol, rows: NDArray[np.intp]) -> None:
         """Judge whether a link's samples are whole messages of their types."""
         context = self.context
-        for item in link.sample_reader().known(context.types, context.endpoints, self.batch, rows):
+        for item in link.sample_reader().known_samples(context.types, context.endpoints, self.batch, rows):
             self.flag(Finding.CDR_INVALID, item.row, ~item.valid)
 
     def space_packet(self, start: NDArray[np.int32]) -> None:

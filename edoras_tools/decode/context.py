@@ -130,7 +130,7 @@ class Options:
         options = self
         if headers is not None:
             options = options.with_headers(headers)
-        kept: dict[str, Any] = {
+        values: dict[str, Any] = {
             name: recorded[name] for name in _KEPT if getattr(self, name) is None and recorded.get(name)
         }
         links = {link.label: link for link in table.links()}
@@ -139,7 +139,7 @@ class Options:
         listened = [int(item) for item in recorded.get("listened", "").split() if item.isdecimal()]
         return replace(
             options,
-            **kept,
+            **values,
             ports=tuple(dict.fromkeys((*self.ports, *ports))),
             listened=tuple(dict.fromkeys((*self.listened, *listened))),
         )
@@ -388,8 +388,8 @@ class Context:
         self.framings = table.framings(self.options.ports)
         for framed in self.mission.frames:
             if framed.format.stream:
-                asked = ((link, link.framing_of(framed.link, framed.format)) for link in self.links)
-                cut = {link: framing for link, framing in asked if framing is not None}
+                pairs = ((link, link.framing_of(framed.link, framed.format)) for link in self.links)
+                cut = {link: framing for link, framing in pairs if framing is not None}
                 owner = framed.link if framed.link in cut else next(iter(cut), OTHER)
                 if owner in cut:
                     self.framings[framed.port] = cut[table.protocol(owner)]

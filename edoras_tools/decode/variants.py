@@ -194,9 +194,9 @@ class Variants:
             if stated.epoch_s is None and abs(middle - epoch_s * SECOND) < SECOND:
                 time = replace(time, epoch_s=epoch_s)
         if time != context.time:
-            said = _TIME_NOTE.format(context.time)
+            note = _TIME_NOTE.format(context.time)
             context.time, context.described["time"] = time, str(time)
-            context.notes[:] = [*(item for item in context.notes if item != said), _TIME_NOTE.format(time)]
+            context.notes[:] = [*(item for item in context.notes if item != note), _TIME_NOTE.format(time)]
 
     def _fitting(self, sample: _Kept) -> Fitting:
         return Fitting(self._context.structs, self._context.command_table, sample.head, sample.length)
@@ -236,8 +236,8 @@ class Variants:
         np.subtract.at(self._left, own, _UNSOUND - 1)
         np.add.at(self._votes, (first, own), 1)
         changed = False
-        for value, member, known in zip(touched.tolist(), members.tolist(), before, strict=True):
-            if self._kinds_of(value) != known:
+        for value, member, kinds in zip(touched.tolist(), members.tolist(), before, strict=True):
+            if self._kinds_of(value) != kinds:
                 self._names[value] = _endpoint_names(batch, int(sample.row[member]))
                 changed = True
         if changed:

@@ -39,7 +39,7 @@ def accounts(case: Case) -> list[dict[str, Any]]:
 def _row(case: Case, stream: Stream) -> dict[str, Any]:
     rows, own = case.rows, stream.rows
     route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
-    named = route or case.own_struct(stream.msg_id)
+    source = route or case.own_struct(stream.msg_id)
     times = rows.time_ns[own]
     lost = sum(loss.lost for loss in case.losses_of(stream))
     refused = case.commands.fates[id(stream)].refused.total() if id(stream) in case.commands.fates else 0
@@ -50,8 +50,8 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
     rounds = comb(times)
     behind = stream.link.only_to_cfs or (stream.link.peers and to_cfs)
     return {
-        "topic": named.topic if named else None,
-        "type": named.type if named else None,
+        "topic": source.topic if source else None,
+        "type": source.type if source else None,
         "name": message_name(stream.known_id) or case.packet_name(stream.msg_id) or None,
         "link": stream.link.label,
         "msg_id": f"0x{stream.msg_id:04x}",
@@ -70,7 +70,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "reordered": stream.reordered,
         "restarts": stream.restarts,
         "bytes_max": int(rows.length[own].max()),
-        "comb_ms": round(rounds.period_ns / 1e6, 1) if _named(case, rounds.period_ns) else None,
+        "comb_ms": round(rounds.period_ns / 1e6, 1) if _is_task(case, rounds.period_ns) else None,
         "delay": _json(_delay(case, stream)),
         "to_robot": next(
             (_json(hop.latency) for hop in case.hops if hop.into is stream and hop.out.link.last_hop), None
@@ -128,7 +128,7 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
     return assumed_hz, "measured" if case.origin(*names) == "told" else "assumed"
 
 
-def _named(case: Case, period_ns: int) -> bool:
+def _is_task(case: Case, period_ns: int) -> bool:
     """Tell whether a period is that of a task that wakes up now and then."""
     return any(
         abs(period_ns - own) < own // _ROUND for own in (case.profile.to_wake_ns, case.profile.sbn_wake_ns)

@@ -217,11 +217,11 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     why = f"{'TO keeps' if output else 'it keeps'} {limit} of this MsgId and "
     why += f"{'sends' if output else 'SBN empties it'} every {every}: {rate:.0f} a second get through "
     command = limit_command(case, loss)
-    shown = (loss.msg_id, "to_wake_ns") if output else ("sbn_msg_limit", "sbn_wake_ns")
-    told: str = "measured" if measured else case.origin(*shown)
+    names = (loss.msg_id, "to_wake_ns") if output else ("sbn_msg_limit", "sbn_wake_ns")
+    origin: str = "measured" if measured else case.origin(*names)
     if command is not None and command.value == limit:
-        told = f"set by a command at {case.at(command.not_before_ns)}"
-    why += f"({told})"
+        origin = f"set by a command at {case.at(command.not_before_ns)}"
+    why += f"({origin})"
     queue = replace(queue, depth=_depth(case, loss, queue))
     slower = f"publish at most {_safe(rate):g} Hz"
     if loss.stream is None:
@@ -237,11 +237,11 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
         return Advice(why, slower, slow)
     need = min(_MOST, max(own.most(queue.round_ns * _LATE) + 1, limit + 1 if fits else 2 * limit))
     higher = arrivals.lost_of((queue.with_limit(msg_id, need),), msg_id)
-    left, others = max(own for own, _ in higher), sum(other for _, other in higher)
-    if left or others > sum(other for _, other in arrivals.lost_of((now,), msg_id)):
+    rest, others = max(own for own, _ in higher), sum(other for _, other in higher)
+    if rest or others > sum(other for _, other in arrivals.lost_of((now,), msg_id)):
         return Advice(why, slower, slow)
     remedy = f"{slower}, or {_raised(case, msg_id, need)}"
-    return Advice(why, remedy, None if slow is None else max(left, slow))
+    return Advice(why, remedy, None if slow is None else max(rest, slow))
 
 
 def _safe(rate_hz: float) -> float:
@@ -343,10 +343,10 @@ def _at_application(case: Case, loss: Loss) -> Advice:
             f"send at most {_safe(clean):g} Hz, or {_subscribed('a higher limit')}",
         )
     stream = loss.stream
-    if loss.kind != "socket" and (shown := case.shown_hz(stream, clean)):
+    if loss.kind != "socket" and (hz := case.shown_hz(stream, clean)):
         return Advice(
-            f"{shown:.0f} Hz got through here, {loss.offered_hz:.0f} Hz did not (measured)",
-            f"send at most {_safe(shown):g} Hz, evenly",
+            f"{hz:.0f} Hz got through here, {loss.offered_hz:.0f} Hz did not (measured)",
+            f"send at most {_safe(hz):g} Hz, evenly",
         )
     rows = np.flatnonzero((case.rows.link == stream.link) & (case.rows.destination == stream.receiver))
     arrivals = Arrivals(case.rows.time_ns[rows], case.rows.msg_id[rows].astype(np.int64))
@@ -364,8 +364,8 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     why += f" ({case.origin(*names)}{', and fits what was lost' if fits else ''})"
     source = case.rows.source[stream.rows]
     ends = (np.unique(items, return_index=True)[1] for items in (source, source[::-1]))
-    begun, left = map(np.sort, ends)  # those that send at once, not one after the other
-    senders = int((np.arange(1, len(begun) + 1) - np.searchsorted(len(source) - 1 - left[::-1], begun)).max())
+    first, last = map(np.sort, ends)  # those that send at once, not one after the other
+    senders = int((np.arange(1, len(first) + 1) - np.searchsorted(len(source) - 1 - last[::-1], first)).max())
     slower = f"send at most {_safe(clean):g} Hz"
     if senders > 1:
         slower += f" in all, {_safe(clean / senders):g} Hz each of {plural(senders, 'sender')}"
@@ -385,8 +385,8 @@ def _subscribed(limit: str) -> str:
 def lost_at(case: Case, loss: Loss, noun: str = "messages") -> str:
     """Return the start of the sentence: ``12 of 60 messages on 0x0827 (/pose) lost at TO_LAB_TLM_PIPE``."""
     of = f" of {loss.of:,}" if loss.of else ""
-    told = noun.removesuffix("s") if loss.lost == 1 and not of else noun
-    return f"{loss.lost:,}{of} {told} on {case.name(loss.msg_id)} lost at {loss.hop}"
+    word = noun.removesuffix("s") if loss.lost == 1 and not of else noun
+    return f"{loss.lost:,}{of} {word} on {case.name(loss.msg_id)} lost at {loss.hop}"
 
 
 def published(loss: Loss) -> str:

@@ -169,22 +169,22 @@ def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
             continue
         if row.hop in _HOPS or row.link in {"to", "sbn"} or row.hop.startswith(UDP_PORT):
             groups.setdefault((row.route, row.link, row.msg_id, row.instance), []).append(row)
-    named = {key: members for key, members in groups.items() if key[0] != NO_ROUTE}
+    own = {key: members for key, members in groups.items() if key[0] != NO_ROUTE}
     others = {key: members for key, members in groups.items() if not members[0].name}
-    unnamed = {key: members for key, members in others.items() if key not in named}
+    unnamed = {key: members for key, members in others.items() if key not in own}
     missing = {
         key: members
         for key, members in unnamed.items()
         if any(row.all_lost or row.superseded or row.unaccounted for row in members)
     }
-    chosen = [members for members in {**named, **(missing if named else unnamed)}.values() if members[0].came]
-    found = [_headline(members, topics) for members in chosen]
-    same = Counter(item.topic for item in found)
-    told = [
+    every = [members for members in {**own, **(missing if own else unnamed)}.values() if members[0].came]
+    lines = [_headline(members, topics) for members in every]
+    same = Counter(item.topic for item in lines)
+    result = [
         replace(item, instance=members[0].instance if same[item.topic] > 1 else None)
-        for item, members in zip(found, chosen, strict=True)
+        for item, members in zip(lines, every, strict=True)
     ]
-    return sorted(told, key=lambda item: (-item.lost, -item.unaccounted, -item.superseded))
+    return sorted(result, key=lambda item: (-item.lost, -item.unaccounted, -item.superseded))
 
 
 def _headline(members: Sequence[Row], topics: Mapping[int, str]) -> Headline:
@@ -322,18 +322,18 @@ def chains(
     for row in whole:
         if row.link == CI.label and row.msg_id is not None and not row.name:
             groups.setdefault((row.route, row.msg_id, row.instance), []).append(row)
-    found = []
+    result = []
     for (route, msg_id, instance), own in groups.items():
         if (topics and route == NO_ROUTE) or not any(row.hop == BUS and (row.out or topics) for row in own):
             continue
         hops = tuple(_hops(own, whole, bridges or {}))
-        found.append(Chain(topics.get(route), msg_id, instance, hops))
-    for key, told in (bridges or {}).items():
+        result.append(Chain(topics.get(route), msg_id, instance, hops))
+    for key, count in (bridges or {}).items():
         own = [row for row in whole if key[0] == TO.label and (row.link, row.msg_id) == key]
         if own:
-            hops = (*map(_of_row, own), _bridge(SUBSCRIBER, told))
-            found.append(Chain(topics.get(own[0].route), key[1], own[0].instance, hops))
-    return found
+            hops = (*map(_of_row, own), _bridge(SUBSCRIBER, count))
+            result.append(Chain(topics.get(own[0].route), key[1], own[0].instance, hops))
+    return result
 
 
 def _hops(
@@ -366,20 +366,20 @@ def _last_out(rows: Iterable[Row], way: tuple[str, int]) -> int | None:
 
 
 def _bridge(
-    hop: str, told: BridgeCount | None, *, came: int | None = None, out: int | None = None
+    hop: str, count: BridgeCount | None, *, came: int | None = None, out: int | None = None
 ) -> ChainHop:
-    if told is None:
+    if count is None:
         return ChainHop(hop, came, None, out, counted=_GIVE_BAG)
-    out, rest = told.came - told.lost - told.missed, {"not_captured": told.missed}
-    return ChainHop(hop, told.came, told.lost, out, rest=rest, counted=f"in {told.bag}")
+    out, rest = count.came - count.lost - count.missed, {"not_captured": count.missed}
+    return ChainHop(hop, count.came, count.lost, out, rest=rest, counted=f"in {count.bag}")
 
 
 def _of_row(row: Row) -> ChainHop:
     rest: dict[str, int] = {name: value for name in _REST if (value := getattr(row, name))}
     to_robot = row.hop == APPLICATION and {label for label, _ in row.onward} == {_ROBOT}
-    told = row.counted.get("out") or row.counted.get("lost", "")
+    how = row.counted.get("out") or row.counted.get("lost", "")
     lost: int | None = row.all_lost
     if not row.observed:
-        told, lost = row.counted["lost"], None
+        how, lost = row.counted["lost"], None
     name = TO_ROBOT if to_robot else row.hop
-    return ChainHop(name, row.came, lost, row.out, row.duplicated, rest=rest, counted=told)
+    return ChainHop(name, row.came, lost, row.out, row.duplicated, rest=rest, counted=how)

@@ -281,7 +281,7 @@ class Case:
     ) -> list[tuple[ReportedLoss, LossEvents]]:
         """Return what events say of losses of a MsgId at pipes of an instance."""
         about, every = (instance, msg_id, kind), self.reported_losses.items()
-        return [(item, said) for item, said in every if (item.instance, item.msg_id, item.kind) == about]
+        return [(item, events) for item, events in every if (item.instance, item.msg_id, item.kind) == about]
 
     @cached_property
     def holes(self) -> list[tuple[int, int]]:
@@ -293,8 +293,8 @@ class Case:
         """Holes that are sure, and those that may be."""
         away = self.capture.away
         return tuple(
-            [item for item in found if not any(start < item[1] and item[0] < end for start, end in away)]
-            for found in find_holes(self.rows)
+            [item for item in holes if not any(start < item[1] and item[0] < end for start, end in away)]
+            for holes in find_holes(self.rows)
         )
 
     @property
@@ -344,12 +344,12 @@ class Case:
         software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps, resets)
         changes = list(software.changes())
         # What commands and events tell of an application is not told by its peers again.
-        told = {(item.system, item.subject) for item in changes}
+        subjects = {(item.system, item.subject) for item in changes}
         network = network_changes(self.rows, self.payloads, self.instances, self.network)
-        changes += [item for item in network if (item.system, item.subject) not in told]
+        changes += [item for item in network if (item.system, item.subject) not in subjects]
         changes += capture_changes(self.away)
-        found = stalls(self.rows, self.streams, self.instances, Timeline(changes))
-        return Timeline([*changes, *found])
+        pauses = stalls(self.rows, self.streams, self.instances, Timeline(changes))
+        return Timeline([*changes, *pauses])
 
     @cached_property
     def robots(self) -> list[Stream]:
@@ -383,8 +383,8 @@ class Case:
 
     def arrival(self, stream: Stream) -> Hashable:
         """Return all that decides what may come out of a stream; None where nobody took it."""
-        taken = stream.msg_id not in self._not_taken
-        return (stream.link.code, stream.receiver, stream.processor) if taken else None
+        is_taken = stream.msg_id not in self._not_taken
+        return (stream.link.code, stream.receiver, stream.processor) if is_taken else None
 
     def departure(self, stream: Stream) -> Hashable:
         """Return all that decides what a stream may have been before."""
@@ -434,13 +434,13 @@ class Case:
     @cached_property
     def never_whole(self) -> dict[tuple[Endpoint, int], list[int]]:
         """Sender and MsgId to the times of telemetry of which later fragments never came."""
-        found: dict[tuple[Endpoint, int], list[int]] = {}
+        times: dict[tuple[Endpoint, int], list[int]] = {}
         for item in self.capture.lacking:
             for start in (0, SBN_HEADER.size):
                 if len(item.head) > start + cfe.COMMAND_HEADER_BYTES:
                     msg_id = self.context.msg_ids.of(item.head, start)
-                    found.setdefault((item.source, msg_id), []).append(item.time_ns)
-        return found
+                    times.setdefault((item.source, msg_id), []).append(item.time_ns)
+        return times
 
     def ingests_at(self, endpoint: int) -> list[Ingest]:
         """Return the account of the CI at an endpoint, if it is counted."""
@@ -528,12 +528,12 @@ class Case:
             return True
         item, system = self.instances.items[instance], self.instances.systems[instance]
         if stream.link.only_to_cfs:
-            known = self.listeners.get(stream.receiver)
-            return known == system if known is not None else system not in self.listeners.values()
+            owner = self.listeners.get(stream.receiver)
+            return owner == system if owner is not None else system not in self.listeners.values()
         if item.name and self.network.identity_of.get(stream.receiver, item.name) != item.name:
             return False
-        here = int(self.instances.hosts[stream.receiver]) == item.host
-        return here or not self.instances.others_named(instance)
+        same = int(self.instances.hosts[stream.receiver]) == item.host
+        return same or not self.instances.others_named(instance)
 
     @cached_property
     def telemetry(self) -> Telemetry:
@@ -557,12 +557,12 @@ class Case:
 
     def _told_later(self, instance: int, last_ns: int) -> dict[PipeKind, list[int]]:
         """Return when events told of losses at pipes, by kind, behind an instance's last 0x803."""
-        found: dict[PipeKind, list[int]] = {}
-        for item, said in self.reported_losses.items():
+        times: dict[PipeKind, list[int]] = {}
+        for item, events in self.reported_losses.items():
             if item.at_pipe and item.instance == instance:
-                made_ns = self.instances.made_ns[[record.row for record in said.records]]
-                found.setdefault(item.at_pipe, []).extend(made_ns[made_ns > last_ns + _SLACK_NS].tolist())
-        return found
+                made_ns = self.instances.made_ns[[record.row for record in events.records]]
+                times.setdefault(item.at_pipe, []).extend(made_ns[made_ns > last_ns + _SLACK_NS].tolist())
+        return times
 
     @cached_property
     def losses(self) -> list[Loss]:
@@ -590,10 +590,10 @@ class Case:
 
     @cached_property
     def _losses_of(self) -> dict[int, list[Loss]]:
-        found: dict[int, list[Loss]] = {}
+        losses: dict[int, list[Loss]] = {}
         for loss in self.losses:
-            found.setdefault(id(loss.stream), []).append(loss)
-        return found
+            losses.setdefault(id(loss.stream), []).append(loss)
+        return losses
 
     @cached_property
     def has_telemetry(self) -> bool:
@@ -620,8 +620,8 @@ class Case:
 
     def topic(self, msg_id: int) -> str | None:
         """Return the topic of a MsgId: a configured one, or that of its struct; None of several or none."""
-        named = self.route(msg_id) or self.own_struct(msg_id)
-        return named.topic if named else None
+        owner = self.route(msg_id) or self.own_struct(msg_id)
+        return owner.topic if owner else None
 
     def own_struct(self, msg_id: int) -> Bound | None:
         """Return the struct of a layout that packets of a MsgId hold; None where each holds its own."""
@@ -632,8 +632,8 @@ class Case:
         """Return how people are told of a MsgId: ``0x1827 (/cmd_vel)``."""
         if msg_id == NO_MSG_ID:
             return "an unknown MsgId"
-        told = self.topic(msg_id) or self.packet_name(msg_id)
-        return f"0x{msg_id:04x} ({told})" if told else f"0x{msg_id:04x}"
+        text = self.topic(msg_id) or self.packet_name(msg_id)
+        return f"0x{msg_id:04x} ({text})" if text else f"0x{msg_id:04x}"
 
     def packet_name(self, msg_id: int) -> str:
         """Return cFE's name for a MsgId, or its structs' of a layout; nothing where it has neither."""
@@ -652,13 +652,13 @@ class Case:
         self, start_ns: int, end_ns: int, *apps: str, event_ids: Iterable[int] = ()
     ) -> list[EventRecord]:
         """Return the events of applications, or of all, in a span of time."""
-        wanted = set(event_ids)
+        ids = set(event_ids)
         times = self._event_times
         between = slice(bisect_left(times, start_ns), bisect_right(times, end_ns))
         return [
             item
             for item in self.payloads.events[between]
-            if (not apps or item.app in apps) and (not wanted or item.event_id in wanted)
+            if (not apps or item.app in apps) and (not ids or item.event_id in ids)
         ]
 
     @cached_property
@@ -676,8 +676,8 @@ class Case:
 
     def suppressed(self, span: tuple[int, int]) -> EventRecord | None:
         """Return the event by which Telemetry Output says that its socket failed, and it sends no more."""
-        said = self.said(span[0] - SECOND, span[1] + SECOND, *telemetry_output.NAMES)
-        return next((item for item in said if telemetry_output.SUPPRESSED.phrase in item.message), None)
+        events = self.said(span[0] - SECOND, span[1] + SECOND, *telemetry_output.NAMES)
+        return next((item for item in events if telemetry_output.SUPPRESSED.phrase in item.message), None)
 
     def socket_failed(self, stream: Stream) -> bool:
         """Tell whether Telemetry Output says that its socket failed, in a time in which it sent nothing."""

@@ -116,7 +116,7 @@ def learn_constants(
     profile = replace(profile, to_limits={**assumed.to_limits, **limits})
     lacking = sum(int(item.missing.sum()) for item in streams if item.link.only_from_cfs)
     if overflows and lacking > _ALIKE * len(output):
-        depth = _kept(output)
+        depth = _full_round(output)
         if _usual(assumed, "to_pipe_depth") and 0 < depth < (1 - _ALIKE) * profile.to_pipe_depth:
             profile, names = replace(profile, to_pipe_depth=depth), names | {"to_pipe_depth"}
     return Constants(profile, rounds, frozenset(names))
@@ -126,7 +126,7 @@ def _limits(
     assumed: SimProfile, streams: Sequence[Stream], losses: Mapping[ReportedLoss, LossEvents]
 ) -> dict[int, int]:
     """Return how many of a MsgId may wait at Telemetry Output, where full rounds show it."""
-    found: dict[int, int] = {}
+    limits: dict[int, int] = {}
     at_output = {item.msg_id for item in losses if item.kind == "limit" and item.at_output}
     for stream in streams:
         limit = assumed.to_limits.get(stream.msg_id)
@@ -136,13 +136,13 @@ def _limits(
         if stream.duplicates + stream.reordered > _ALIKE * len(stream):
             continue  # a network that doubles and delays makes other rounds of them
         times = stream.time_ns
-        most = _kept(times)
+        most = _full_round(times)
         # Fewer came, and many are missing: no more are kept. More came: more are.
         scarce = stream.msg_id in at_output and int(stream.missing.sum()) > _ALIKE * len(stream)
         scarce = scarce and full_where_lacking(times, stream.missing, most)
         if most and (scarce or most > (limit or assumed.to_default_limit)):
-            found[stream.msg_id] = most
-    return found
+            limits[stream.msg_id] = most
+    return limits
 
 
 def _usual(profile: SimProfile, name: str) -> bool:
@@ -157,15 +157,15 @@ def _last(hops: Sequence[Hop]) -> list[Hop]:
 
 def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
     out = [rows.time_ns[hop.out.rows[hop.out_rows]] for hop in _last(hops)]
-    found = find_round(np.sort(np.concatenate(out))) if out else None
-    if found is None:
+    round_ns = find_round(np.sort(np.concatenate(out))) if out else None
+    if round_ns is None:
         return None
     delays = np.concatenate([hop.delays_ns for hop in _last(hops)])
-    longest = float(np.quantile(delays, 0.9)) / found if len(delays) else 0.0
-    return found if _WAITS[0] < longest < _WAITS[1] else None
+    longest = float(np.quantile(delays, 0.9)) / round_ns if len(delays) else 0.0
+    return round_ns if _WAITS[0] < longest < _WAITS[1] else None
 
 
-def _kept(times: Integers) -> int:
+def _full_round(times: Integers) -> int:
     """Return how many come in a full round; 0 where rounds are seldom full.
 
     One that arrives while a round is sent may come with it.

@@ -151,8 +151,8 @@ class Diagnosis:
     @property
     def bad(self) -> bool:
         """Whether exit code 3 is due: loss, something not accounted for, an error, or no evidence."""
-        found = self.lost or self.unaccounted or self.capture.drops or not self.datagrams
-        return bool(found) or self.without_evidence or self.worst is Severity.ERROR
+        loss = self.lost or self.unaccounted or self.capture.drops or not self.datagrams
+        return bool(loss) or self.without_evidence or self.worst is Severity.ERROR
 
     def beyond(self, share: float, *, strict: bool = False) -> list[str]:
         """Return why exit code 3 is due, a line each, if so much of any route, and of all, may be missing.
@@ -167,28 +167,28 @@ class Diagnosis:
         groups: dict[tuple[int, int | None], list[Row]] = {}
         for row in rows:
             groups.setdefault((row.route, row.msg_id), []).append(row)
-        told = []
+        reasons = []
         for (route, msg_id), own in {**groups, (NO_ROUTE, NO_MSG_ID): rows}.items():
             missing = sum(row.proven + row.uncertain * strict for row in own)
             unnamed = "messages of unknown MsgId" if msg_id is None else f"0x{msg_id:04x}"
             name = "messages in all" if msg_id == NO_MSG_ID else self.topics.get(route, unnamed)
             if missing > share * sent(own):
                 how = "lost, or may be" if strict else "lost or unaccounted for"
-                counted = f"{missing:,} of {sent(own):,} {name} {how}"
-                told.append(f"{counted}: more than {share * 100:g} %")
+                text = f"{missing:,} of {sent(own):,} {name} {how}"
+                reasons.append(f"{text}: more than {share * 100:g} %")
             elif msg_id != NO_MSG_ID and (unseen := not_counted(own)):
-                told.append(f"what was lost of {name} is {unseen}")
-        told += [
+                reasons.append(f"what was lost of {name} is {unseen}")
+        reasons += [
             item.reason for item in self.verdicts if item.severity is Severity.ERROR and item.lost is None
         ]
         if self.capture.drops:
-            told.append("the capture itself lost packets")
-        return told if self.datagrams else ["nothing was examined"]
+            reasons.append("the capture itself lost packets")
+        return reasons if self.datagrams else ["nothing was examined"]
 
     def limited(self, choice: Choice) -> Diagnosis:
         """Return what is chosen of it; what qualifies all the rest stays."""
 
-        def shown(verdicts: Iterable[Verdict]) -> tuple[Verdict, ...]:
+        def pick(verdicts: Iterable[Verdict]) -> tuple[Verdict, ...]:
             return tuple(
                 item
                 for item in verdicts
@@ -200,8 +200,8 @@ class Diagnosis:
             return replace(side_by_side(parts, self.mission), choice=choice, whole=self)
         return replace(
             self,
-            verdicts=shown(self.verdicts),
-            habits=shown(self.habits),
+            verdicts=pick(self.verdicts),
+            habits=pick(self.habits),
             routes=[row for row in self.routes if choice.takes(row["link"], int(row["msg_id"], 0))],
             peers=self.peers if choice.takes("sbn", None) else [],
             balance=tuple(
@@ -275,7 +275,7 @@ class Apart(Protocol):
         """Judge the chapter, and begin the next one; return what waits for the result."""
 
 
-def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: None) -> list[Verdict]:
+def judge(case: Case, progress: Callable[[int, int], None] = lambda _count, _of: None) -> list[Verdict]:
     """Ask every rule: first those about single messages, whose figures the balance needs.
 
     Where nothing is left to judge, only those about what was left out are asked.
@@ -284,39 +284,39 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
         progress: told how many rules were asked, of how many.
     """
     if not len(case.rows):
-        return [_told(case, rule.__name__, verdict) for rule in others() for verdict in rule(case)]
+        return [_completed(case, rule.__name__, verdict) for rule in others() for verdict in rule(case)]
     every = rules()
-    found = judge_single(case, lambda done: progress(done, len(every)))
+    verdicts = judge_single(case, lambda count: progress(count, len(every)))
     for name, rule in every.items():
-        if name not in found:
-            found[name] = [_told(case, name, verdict) for verdict in rule(case)]
-            progress(len(found), len(every))
-        case.verdicts += found[name]
+        if name not in verdicts:
+            verdicts[name] = [_completed(case, name, verdict) for verdict in rule(case)]
+            progress(len(verdicts), len(every))
+        case.verdicts += verdicts[name]
     note_silences(case)
     return case.verdicts
 
 
 def judge_single(
-    case: Case, progress: Callable[[int], None] = lambda _done: None
+    case: Case, progress: Callable[[int], None] = lambda _count: None
 ) -> dict[str, list[Verdict]]:
     """Ask the rules about single messages; from then on the case knows what cFS refused.
 
     Args:
         progress: told how many rules were asked.
     """
-    found: dict[str, list[Verdict]] = {}
+    verdicts: dict[str, list[Verdict]] = {}
     for name, rule in rules().items():
         if name in SINGLE:
-            progress(len(found))
-            found[name] = [_told(case, name, verdict) for verdict in rule(case)]
-    case.refused += [item for members in found.values() for item in members if item.lost]
-    left = iter(map(case.commands.refusals, case.refused))
-    for members in found.values():
-        members[:] = [_lost_here(item, next(left)) if item.lost else item for item in members]
-    return found
+            progress(len(verdicts))
+            verdicts[name] = [_completed(case, name, verdict) for verdict in rule(case)]
+    case.refused += [item for members in verdicts.values() for item in members if item.lost]
+    rest = iter(map(case.commands.refusals, case.refused))
+    for members in verdicts.values():
+        members[:] = [_lost_here(item, next(rest)) if item.lost else item for item in members]
+    return verdicts
 
 
-def _told(case: Case, rule: str, verdict: Verdict) -> Verdict:
+def _completed(case: Case, rule: str, verdict: Verdict) -> Verdict:
     """Return a rule's verdict with what follows from the case: its topic, and when it was."""
     topic = verdict.topic or (None if verdict.msg_id is None else case.topic(verdict.msg_id))
     span = (case.start_ns, case.end_ns) if verdict.span == WHOLE else verdict.span
@@ -349,7 +349,7 @@ class Examination:
 
     def __init__(self, context: Context, profile: SimProfile | None = None) -> None:
         self.zero_ns: int | None = None
-        self.progress: Callable[[int, int], None] = lambda _done, _of: None
+        self.progress: Callable[[int, int], None] = lambda _count, _of: None
         self.faults: Sequence[Fault] = ()
         self.listing, self.latest = False, ALL
         self._apart: Apart | None = None
@@ -407,13 +407,13 @@ class Examination:
         self.faults = [item for item in self.faults if item.time_ns > until_ns]
         capture = Capture(zero_ns=self._zero_ns())
         self._before.append(self._judged(capture, faults, last=False))
-        self._recorder = self._begun(self._recorder.conversations)
+        self._recorder = self._begin(self._recorder.conversations)
         gc.collect()  # what a chapter was judged by refers to itself: 150 MB that would stay for long
 
     def let(self, apart: Apart) -> None:
         """Let other processes keep and judge the chapters, and diagnose once; before anything was taken."""
         self._apart = apart
-        self._recorder = self._begun(self._recorder.conversations)
+        self._recorder = self._begin(self._recorder.conversations)
 
     def diagnose(self, capture: Capture | None = None) -> Diagnosis:
         """Judge all that was taken."""
@@ -422,23 +422,23 @@ class Examination:
         evidence = self._evidence.by_link
         whole = replace(capture, zero_ns=zero_ns, evidence=evidence)
         followed = sum(item.datagrams for item in evidence.values())
-        apart = sum(item.made for item in evidence.values()) + sum(
+        apart = sum(item.reassembled for item in evidence.values()) + sum(
             item.pieces for item in capture.unwrappers.values()
         )
         last = self._judged(whole, self.faults, last=True)()
         left_out = last.left_out + capture.cut - followed - apart
         last = replace(last, datagrams=last.datagrams + followed, left_out=left_out)
-        found = _joined([*(part() for part in self._before), last], capture) if self._before else last
+        result = _joined([*(part() for part in self._before), last], capture) if self._before else last
         if self._scattered:
-            told = too_many(found.start_ns, found.end_ns, MOST_SCATTERED * CHAPTER)
-            found = replace(found, verdicts=(told, *found.verdicts))
+            verdict = too_many(result.start_ns, result.end_ns, MOST_SCATTERED * CHAPTER)
+            result = replace(result, verdicts=(verdict, *result.verdicts))
         if not self._others:
-            return found
+            return result
         rest = replace(
-            whole, zero_ns=found.zero_ns, evidence={}, unwrappers={}, host=(), lacking=(), astray=(), cut=0
+            whole, zero_ns=result.zero_ns, evidence={}, unwrappers={}, host=(), lacking=(), astray=(), cut=0
         )
         others = {number: other.diagnose(rest) for number, other in sorted(self._others.items())}
-        return side_by_side({FIRST_SPACECRAFT: found, **others}, self.context.mission)
+        return side_by_side({FIRST_SPACECRAFT: result, **others}, self.context.mission)
 
     def _zero_ns(self) -> int | None:
         return self._before[0]().zero_ns if self._before else self.zero_ns
@@ -447,10 +447,10 @@ class Examination:
         """Return what was lost, one by one, if that is asked for."""
         if not self.listing:
             return ()
-        found = [*(missing(case, self.latest) if len(case.rows) else ()), *case.capture.missing()]
-        return tuple(sorted(found, key=attrgetter("time_ns")))
+        items = [*(missing(case, self.latest) if len(case.rows) else ()), *case.capture.missing()]
+        return tuple(sorted(items, key=attrgetter("time_ns")))
 
-    def _begun(self, conversations: Conversations) -> Recorder:
+    def _begin(self, conversations: Conversations) -> Recorder:
         return Recorder(self.context, conversations, self._apart.keep if self._apart else None)
 
     def _judged(self, capture: Capture, faults: Sequence[Fault], *, last: bool) -> Callable[[], Diagnosis]:
@@ -459,20 +459,20 @@ class Examination:
         chapter = Chapter(capture, faults, recorder.conversations.flows, recorder.left_out)
         if self._apart is not None:
             return self._apart.judge(chapter)
-        found = self._whole.judged(recorder, chapter)
-        found = found if last else replace(found, case=None)
-        return lambda: found
+        result = self._whole.judged(recorder, chapter)
+        result = result if last else replace(result, case=None)
+        return lambda: result
 
     def judged(self, recorder: Recorder, chapter: Chapter) -> Diagnosis:
         """Judge a chapter here, by what a recorder kept of it."""
         capture = chapter.capture
         case = Case(recorder, self.profile, capture, proxied(chapter.faults))
-        found = [_called(item, case) for item in judge(case, self.progress)]
+        verdicts = [_called(item, case) for item in judge(case, self.progress)]
         spans = capture.spans()
         spans += [(case.start_ns, case.end_ns)] if len(case.rows) else []
         return Diagnosis(
-            verdicts=_sorted(item for item in found if item.severity is not Severity.HABIT),
-            habits=tuple(item for item in found if item.severity is Severity.HABIT),
+            verdicts=_sorted(item for item in verdicts if item.severity is not Severity.HABIT),
+            habits=tuple(item for item in verdicts if item.severity is Severity.HABIT),
             routes=accounts(case) if len(case.rows) else [],
             peers=[item.as_json() for item in case.network.connections.values()],
             datagrams=len(case.rows),
@@ -585,7 +585,7 @@ def _of_one(number: int, part: Diagnosis, mission: Mission) -> Diagnosis:
     """Return the diagnosis of a spacecraft with its name in what it says; its routes are numbered apart."""
     name, first = mission.called(number), (number - 1) * len(part.topics)
 
-    def said(verdicts: Iterable[Verdict]) -> tuple[Verdict, ...]:
+    def renamed(verdicts: Iterable[Verdict]) -> tuple[Verdict, ...]:
         return tuple(
             item
             if item.rule in CAPTURE_RULES
@@ -596,8 +596,8 @@ def _of_one(number: int, part: Diagnosis, mission: Mission) -> Diagnosis:
 
     return replace(
         part,
-        verdicts=said(part.verdicts),
-        habits=said(part.habits),
+        verdicts=renamed(part.verdicts),
+        habits=renamed(part.habits),
         balance=tuple(
             replace(
                 row,
@@ -621,31 +621,31 @@ def _routes(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     routes: dict[tuple[Any, ...], dict[str, Any]] = {}
     for row in rows:
         key = row["link"], row["msg_id"], row["sender"], row["receiver"], row["instance"]
-        known = routes.setdefault(key, {**row, **dict.fromkeys(_SUMS, 0), "bytes_max": 0, "crossings": []})
+        total = routes.setdefault(key, {**row, **dict.fromkeys(_SUMS, 0), "bytes_max": 0, "crossings": []})
         for name in _SUMS:
-            known[name] += row[name]
-        known["bytes_max"] = max(known["bytes_max"], row["bytes_max"])
+            total[name] += row[name]
+        total["bytes_max"] = max(total["bytes_max"], row["bytes_max"])
         for name in ("delay", "to_robot"):
-            known[name] = _slower(known[name], row[name])
-        known["crossings"] = _crossings([*known["crossings"], *row["crossings"]])
+            total[name] = _slower(total[name], row[name])
+        total["crossings"] = _crossings([*total["crossings"], *row["crossings"]])
     return list(routes.values())
 
 
 def _crossings(items: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    found: dict[tuple[str, str], dict[str, Any]] = {}
+    totals: dict[tuple[str, str], dict[str, Any]] = {}
     for item in items:
         key = item["from"], item["from_link"]
-        known = found.get(key)
-        found[key] = (
+        total = totals.get(key)
+        totals[key] = (
             item
-            if known is None
+            if total is None
             else {
                 **item,
-                **{name: known[name] + item[name] for name in _CROSSED},
-                "latency": _slower(known["latency"], item["latency"]),
+                **{name: total[name] + item[name] for name in _CROSSED},
+                "latency": _slower(total["latency"], item["latency"]),
             }
         )
-    return list(found.values())
+    return list(totals.values())
 
 
 def _slower(one: dict[str, Any] | None, other: dict[str, Any] | None) -> dict[str, Any] | None:

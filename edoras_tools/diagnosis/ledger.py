@@ -372,9 +372,9 @@ class LedgerWay:
         self.copies = 0, 0
         self._hops: list[_Hop] = []
 
-    def hop(self, name: str, counted: Mapping[str, str], *, duplicated: int = 0, **about: Any) -> None:
+    def hop(self, name: str, sources: Mapping[str, str], *, duplicated: int = 0, **about: Any) -> None:
         """Go on to the next hop; ``about`` has more of its row's attributes."""
-        self._hops.append(_Hop(name, self.left, duplicated, {"counted": counted, **about}))
+        self._hops.append(_Hop(name, self.left, duplicated, {"counted": sources, **about}))
         if len(self._hops) == 1:
             self.end("uncertain", self._doubtful)
 
@@ -388,8 +388,8 @@ class LedgerWay:
         """Let end at the last hop what was lost by some kinds of loss."""
         for loss in losses:
             if loss.kind in kinds:
-                known = CAUSES.get(loss.kind)
-                text = (known.listed if known else _PORT_CLOSED_TEXT).format(hop=loss.hop)
+                cause = CAUSES.get(loss.kind)
+                text = (cause.listed if cause else _PORT_CLOSED_TEXT).format(hop=loss.hop)
                 times = loss.start_ns, loss.end_ns
                 self.end("lost", loss.lost, loss.kind, text=text, times_ns=times, among=loss.among)
 
@@ -480,8 +480,8 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
         way.end("not_captured", number)
         yield way
     for refused in case.refused:
-        if left := case.commands.unplaced[id(refused)]:
-            yield _of_no_stream(case, refused, left)
+        if count := case.commands.unplaced[id(refused)]:
+            yield _of_no_stream(case, refused, count)
     if drops := case.capture.drops:
         way = LedgerWay(LedgerTraffic(), drops + len(case.rows))
         way.hop(CAPTURE, {"in": "the capture's own counter", "out": _SEEN})
@@ -492,10 +492,10 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
 def _sent(case: Case, fate: Fate) -> LedgerWay:
     """Return the way of what goes into cFS: to CI or SBN, over the software bus, through the application."""
     stream, losses = fate.stream, list(case.losses_of(fate.stream))
-    done, relayed = case.done_to(stream), case.commands.relayed.get(id(stream))
+    faults, relayed = case.done_to(stream), case.commands.relayed.get(id(stream))
     # What a proxy did to a MsgId is told once, whoever else gets that MsgId.
-    first = next(item for item in case.streams if case.done_to(item) is done)
-    dropped, doubled = (done.dropped, min(done.doubled, len(stream))) if first is stream else ([], 0)
+    first = next(item for item in case.streams if case.done_to(item) is faults)
+    dropped, doubled = (faults.dropped, min(faults.doubled, len(stream))) if first is stream else ([], 0)
     traffic = LedgerTraffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
     entered = len(stream) + len(dropped) - doubled
     entered += relayed.more if relayed else 0
@@ -562,8 +562,8 @@ def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
         way.hop(telemetry_output.NAME, {"in": _NOT_LOST, "out": "0x880: commands that it took or refused"})
         way.end("unaccounted", fate.ends["unaccounted"])
     if fate.reached is not None:
-        counted = {"in": _NOT_LOST, "out": "number of datagrams on the robot link"}
-        way.hop(APPLICATION, counted, onward=((ROBOT.label, NO_MSG_ID),))
+        sources = {"in": _NOT_LOST, "out": "number of datagrams on the robot link"}
+        way.hop(APPLICATION, sources, onward=((ROBOT.label, NO_MSG_ID),))
         way.end("unaccounted", fate.ends["unaccounted"])
         way.end("waiting", way.left - fate.reached)
     if fate.seen:
@@ -615,8 +615,8 @@ def _applied(case: Case, fate: Fate, way: LedgerWay) -> None:
     outs = [hop.out for hop in fate.hops]
     ways = ", ".join("the robot link" if out.link.last_hop else case.name(out.msg_id) for out in outs)
     onward = tuple(dict.fromkeys((out.link.label, out.msg_id) for out in outs))
-    counted = {"in": _NOT_LOST, "out": f"same values on {ways}"}
-    way.hop(APPLICATION, counted, duplicated=fate.doubled, onward=onward)
+    sources = {"in": _NOT_LOST, "out": f"same values on {ways}"}
+    way.hop(APPLICATION, sources, duplicated=fate.doubled, onward=onward)
     way.lose(case.losses_of(fate.stream), _BEHIND_BUS)
     way.end("superseded", fate.ends["superseded"])
     way.end("waiting", fate.waiting - fate.ends["uncertain"])
@@ -644,12 +644,12 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
         for number, among in silenced:
             about = _span_of(case, among) | {"text": f"{telemetry_output.SOCKET} failed"}
             way.end("lost" if failed else "not_captured", number, TO_SOCKET if failed else "", **about)
-    done, dropped = case.done_to(stream), telemetry.ended(stream, "proxied")
-    doubled = min(done.doubled, stream.duplicates if stream.counted else len(stream))
+    faults, dropped = case.done_to(stream), telemetry.ended(stream, "proxied")
+    doubled = min(faults.doubled, stream.duplicates if stream.counted else len(stream))
     if dropped or doubled:
-        _by_proxy(way, done.dropped, dropped, doubled)
-    counted = {"in": by, "out": _SEEN}
-    way.hop(BEHIND, counted, duplicated=stream.duplicates - doubled if stream.counted else 0)
+        _by_proxy(way, faults.dropped, dropped, doubled)
+    sources = {"in": by, "out": _SEEN}
+    way.hop(BEHIND, sources, duplicated=stream.duplicates - doubled if stream.counted else 0)
     way.lose(losses, _BEHIND_PIPE)
     _lose_damaged(way, case.damaged_of(stream).take(slice(telemetry.ended(stream, "damaged"))))
     way.end("not_captured", telemetry.ended(stream, "away"))
@@ -687,8 +687,8 @@ def _to_peer(case: Case, way: LedgerWay, stream: Stream, silent: Unheard) -> Non
 def _to_port(case: Case, way: LedgerWay, item: Unreached) -> None:
     """Go on to an endpoint that did not get all that was sent to it."""
     endpoint = case.endpoints[item.endpoint]
-    counted = {"in": _SEEN, "lost": "ICMP errors", "out": "datagrams without an ICMP error"}
-    way.hop(f"{UDP_PORT} {endpoint}", counted, onward=way.onward)
+    sources = {"in": _SEEN, "lost": "ICMP errors", "out": "datagrams without an ICMP error"}
+    way.hop(f"{UDP_PORT} {endpoint}", sources, onward=way.onward)
     for cause, rows in item.lost.items():
         about = _span_of(case, Among(item.stream, rows))
         way.end("lost", len(rows), cause, text=_UNREACHED[cause].format(endpoint), **about)
@@ -697,8 +697,8 @@ def _to_port(case: Case, way: LedgerWay, item: Unreached) -> None:
 
 def _by_proxy(way: LedgerWay, dropped: Sequence[tuple[int, bytes]], number: int, doubled: int) -> None:
     """Go on through a proxy that dropped so many of some and doubled others; they are not in the capture."""
-    counted = dict.fromkeys(("in", "lost", "duplicated"), ON_PURPOSE) | {"out": _SEEN}
-    way.hop(PROXY_HOP, counted, duplicated=doubled)
+    sources = dict.fromkeys(("in", "lost", "duplicated"), ON_PURPOSE) | {"out": _SEEN}
+    way.hop(PROXY_HOP, sources, duplicated=doubled)
     text = f"dropped on purpose by the {PROXY_HOP}"
     if number < len(dropped):
         way.end("lost", number, PROXY_HOP, text=text, times_ns=(dropped[0][0], dropped[-1][0]))

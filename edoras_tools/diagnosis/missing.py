@@ -152,13 +152,13 @@ def _together(case: Case, shares: Sequence[_ShareUnits], most: int) -> Iterator[
         for unit, texts in causes.items():
             yield _message(case, next(iter(texts.values())), unit, " or ".join(texts))
         return
-    taken = np.zeros(0, np.int64)
+    used = np.zeros(0, np.int64)
     for entry, among, units in sorted(shares, key=lambda item: len(item[2]) - item[0].number):
-        free = np.setdiff1d(units, taken)
+        free = np.setdiff1d(units, used)
         if entry.number < len(free):
             yield from [_entry(case, entry, len(free))] * min(entry.number, most)
             continue
-        taken = np.concatenate((taken, free))
+        used = np.concatenate((used, free))
         for unit in free[-most:].tolist():
             yield _message(case, (entry, among), unit, entry.text)
         yield from [_entry(case, entry)] * min(entry.number - len(free), most)
@@ -171,13 +171,13 @@ def _entry(case: Case, entry: LedgerEntry, one_of: int | None = None) -> Missing
     return Missing(link, msg_id, name, 1, *times_ns, number=None, first=None, one_of=one_of, what=entry.text)
 
 
-def _message(case: Case, share: _Share, unit: int, what: str) -> Missing:
+def _message(case: Case, share: _Share, unit: int, text: str) -> Missing:
     """Return a message that is known: a packet, or a sequence count."""
     entry, among = share
     rows, stream = case.rows, among.stream
     index, place = divmod(unit, _ROOM)
     row = int(stream.rows[index])
-    one = replace(_entry(case, entry), what=what)
+    one = replace(_entry(case, entry), what=text)
     start_ns = int(rows.time_ns[row])
     if among.missing is None:
         return replace(one, time_ns=start_ns, until_ns=start_ns, number=int(rows.number[row]))

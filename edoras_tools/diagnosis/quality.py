@@ -132,11 +132,11 @@ class Quality:
         Frames that are dropped in bursts take their neighbours with them, which then check nothing: where
         answers show that datagrams were missed, only answers bound.
         """
-        found: dict[tuple[int, str], tuple[int, int]] = {}
+        sums: dict[tuple[int, str], tuple[int, int]] = {}
         for item in self._answers if self.lacks_answered else self.evidence:
-            checked, missing = found.get((item.sender, item.kind), (0, 0))
-            found[item.sender, item.kind] = checked + item.checked, missing + item.missing
-        return sorted({group for group in found.values() if group[0]})
+            checked, missing = sums.get((item.sender, item.kind), (0, 0))
+            sums[item.sender, item.kind] = checked + item.checked, missing + item.missing
+        return sorted({group for group in sums.values() if group[0]})
 
     @cached_property
     def _best(self) -> tuple[int, int]:
@@ -213,14 +213,14 @@ def assess_quality(
         holes: from when to when nothing was captured, ns.
         drops: as in ``Quality``.
     """
-    found = [
+    evidence = [
         *check_identifications(rows, instances.hosts),
         *check_inputs(rows, hops, instances.hosts, holes),
         *check_ci_counts(rows, payloads, instances, holes),
         *check_sequence_counts(rows, streams, instances, tracks, holes),
         *check_periods(rows, streams, instances.hosts, holes),
     ]
-    return Quality(tuple(item for item in found if item.checked), drops)
+    return Quality(tuple(item for item in evidence if item.checked), drops)
 
 
 def check_identifications(rows: Rows, hosts: NDArray[np.int32]) -> Iterator[Evidence]:
@@ -277,7 +277,7 @@ def check_inputs(
     for hop in hops:
         to = hop.out
         ways.setdefault((to.link.code, to.sender, to.receiver, to.msg_id), []).append(hop)
-    found: dict[int, Evidence] = {}
+    best: dict[int, Evidence] = {}
     for members in ways.values():
         longest_ns = max(hop.last_ns for hop in members)
         leaving = np.unique(np.concatenate([hop.out.rows for hop in members]))
@@ -294,9 +294,9 @@ def check_inputs(
             sender = int(hosts[rows.source[into.rows[0]]])
             evidence = Evidence("inputs", sender, int(usable.sum()), int((usable & ~captured).sum()))
             # What comes out on several ways checks what goes in once.
-            if evidence.checked > (found[id(into)].checked if id(into) in found else 0):
-                found[id(into)] = evidence
-    yield from found.values()
+            if evidence.checked > (best[id(into)].checked if id(into) in best else 0):
+                best[id(into)] = evidence
+    yield from best.values()
 
 
 def check_ci_counts(
@@ -310,22 +310,22 @@ def check_ci_counts(
     to_ci = np.flatnonzero(among(rows.link, lambda link: link.only_to_cfs))
     samples = payloads.ingest
     whose = instances.of_row[samples["row"]]
-    known = np.flatnonzero(whose != NOBODY)
-    systems = np.array([*instances.systems, NOBODY])[whose[known]]
-    host_of = np.array([*(item.host for item in instances.items), NOBODY])[whose[known]]
+    own = np.flatnonzero(whose != NOBODY)
+    systems = np.array([*instances.systems, NOBODY])[whose[own]]
+    host_of = np.array([*(item.host for item in instances.items), NOBODY])[whose[own]]
     for host, places in by_value(host_of):
         mine = to_ci[instances.hosts[rows.destination[to_ci]] == host]
         if len(np.unique(systems[places])) > 1 or len(np.unique(rows.destination[mine])) != 1:
             continue
-        chosen = known[places]
-        made_ns = instances.made_ns[samples["row"][chosen]]
+        part = own[places]
+        made_ns = instances.made_ns[samples["row"][part]]
         order = np.argsort(made_ns, kind="stable")
-        made_ns, chosen = made_ns[order], chosen[order]
-        total = samples["packets"][chosen] + samples["errors"][chosen]
-        counted, seen = _rests(rows.time_ns[mine], made_ns, total, holes)
-        if len(counted) and (seen <= counted).all():
+        made_ns, part = made_ns[order], part[order]
+        total = samples["packets"][part] + samples["errors"][part]
+        totals, captured = _rests(rows.time_ns[mine], made_ns, total, holes)
+        if len(totals) and (captured <= totals).all():
             sender = int(np.bincount(instances.hosts[rows.source[mine]]).argmax())
-            yield Evidence("ci_counts", sender, int(counted.sum()), int((counted - seen).sum()))
+            yield Evidence("ci_counts", sender, int(totals.sum()), int((totals - captured).sum()))
 
 
 def _rests(
@@ -335,13 +335,13 @@ def _rests(
     before = np.searchsorted(sent_ns, made_ns - _REST_NS)
     rest = np.flatnonzero(before == np.searchsorted(sent_ns, made_ns + _LATE_NS))
     # A count of just as many as were captured in all began with the first of them.
-    begun = rest[(total[rest] == before[rest]) & (before[rest] >= _LEAST_COUNTED)][-1:]
-    if len(begun):
-        return total[begun], before[begun]
-    counted, seen = np.diff(total[rest]), np.diff(before[rest])
-    usable = (counted >= 0) & (np.diff(made_ns[rest]) > 0)
+    start = rest[(total[rest] == before[rest]) & (before[rest] >= _LEAST_COUNTED)][-1:]
+    if len(start):
+        return total[start], before[start]
+    totals, captured = np.diff(total[rest]), np.diff(before[rest])
+    usable = (totals >= 0) & (np.diff(made_ns[rest]) > 0)
     usable &= ~overlapping(made_ns[rest][:-1] - _REST_NS, made_ns[rest][1:], holes)
-    return counted[usable], seen[usable]
+    return totals[usable], captured[usable]
 
 
 def check_sequence_counts(
@@ -396,9 +396,9 @@ def check_periods(
             periods = np.rint(steps / period) if period else steps
             even = (periods >= 1) & (np.abs(steps - periods * period) <= _EVEN * period)
             if period and even.mean() >= _MOSTLY_ONCE:
-                known = even & (periods <= _MOST_PERIODS) & ~overlapping(times[:-1], times[1:], holes)
-                passed, sender = int(periods[known].sum()), int(hosts[rows.source[stream.rows[0]]])
-                yield Evidence("periods", sender, passed, passed - int(known.sum()))
+                valid = even & (periods <= _MOST_PERIODS) & ~overlapping(times[:-1], times[1:], holes)
+                passed, sender = int(periods[valid].sum()), int(hosts[rows.source[stream.rows[0]]])
+                yield Evidence("periods", sender, passed, passed - int(valid.sum()))
 
 
 def _quiet(track: Track, start_ns: Integers, end_ns: Integers) -> Mask:
@@ -505,21 +505,21 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
     network = np.flatnonzero(among(rows.link, lambda link: link.peers))
     who = rows.spacecraft_id[network].astype(np.int64) << 32 | rows.processor_id[network]
     peers = [rows.time_ns[network[members]] for _, members in by_value(who)]
-    found: tuple[list[tuple[int, int]], ...] = [], []
+    holes: tuple[list[tuple[int, int]], ...] = [], []
     for start_ns, end_ns in zip(rows.time_ns[long].tolist(), rows.time_ns[long + 1].tolist(), strict=True):
         others = _steady(commands, start_ns, end_ns)
         others |= sum(_steady(times, start_ns, end_ns) for times in peers) > 1
         if _went_on(rows, streams, start_ns, end_ns):
-            found[not others].append((start_ns, end_ns))
-    return found[0], found[1]
+            holes[not others].append((start_ns, end_ns))
+    return holes[0], holes[1]
 
 
 def _counted_streams(rows: Rows) -> list[Places]:
     """Return the rows of each stream that cFS counts."""
-    counted = np.flatnonzero(rows.counted & among(rows.link, lambda link: link.from_cfs))
+    own = np.flatnonzero(rows.counted & among(rows.link, lambda link: link.from_cfs))
     keys = (rows.link, rows.source, rows.destination, rows.processor_id, rows.msg_id)
-    _, which = numbered(*(key[counted].astype(np.int64) for key in keys))
-    return [counted[members] for _, members in by_value(which)]
+    _, which = numbered(*(key[own].astype(np.int64) for key in keys))
+    return [own[members] for _, members in by_value(which)]
 
 
 def _steady(times: Integers, start_ns: int, end_ns: int) -> bool:
@@ -536,13 +536,13 @@ def _steady(times: Integers, start_ns: int, end_ns: int) -> bool:
 
 def _went_on(rows: Rows, streams: Sequence[Places], start_ns: int, end_ns: int) -> bool:
     """Tell whether most streams that are there before and after a time miss counts in it."""
-    missing = there = 0
+    missing = number = 0
     for own in streams:
         at = int(np.searchsorted(rows.time_ns[own], start_ns, "right"))
         if _steady(rows.time_ns[own], start_ns, end_ns):
-            there += 1
+            number += 1
             missing += bool(rows.missing[own[at]] > 0)
-    return missing >= _LEAST_STREAMS and 2 * missing > there
+    return missing >= _LEAST_STREAMS and 2 * missing > number
 
 
 @dataclass(frozen=True, slots=True)

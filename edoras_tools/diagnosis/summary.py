@@ -128,31 +128,31 @@ class DoctorSummary:
         return f"Also {', '.join(parts)}." if parts else ""
 
 
-def summarize(found: Diagnosis) -> DoctorSummary:
+def summarize(result: Diagnosis) -> DoctorSummary:
     """Return what a person reads first of a diagnosis."""
-    problems = list(chain.from_iterable(_problems(found)))
-    if found.parts:
-        own = {number: _problems(part) for number, part in found.parts.items()}
+    problems = list(chain.from_iterable(_problems(result)))
+    if result.parts:
+        own = {number: _problems(part) for number, part in result.parts.items()}
         first, losses, rest = (
             [
-                replace(item, text=f"{found.mission.called(number)}: {item.text}", spacecraft=number)
+                replace(item, text=f"{result.mission.called(number)}: {item.text}", spacecraft=number)
                 for number, kinds in own.items()
                 for item in kinds[kind]
             ]
             for kind in range(3)
         )
         problems = [*first, *sorted(losses, key=lambda item: -(item.lost or 0)), *rest]
-    notes = sum(item.severity < Severity.WARNING for item in found.verdicts)
-    headline, fine = _headline(found, problems), "" if found.without_evidence else _fine(found)
-    if fine and not (problems or found.uncertain):
+    notes = sum(item.severity < Severity.WARNING for item in result.verdicts)
+    headline, fine = _headline(result, problems), "" if result.without_evidence else _fine(result)
+    if fine and not (problems or result.uncertain):
         headline, fine = f"{headline.removesuffix('.')}: {fine[0].lower()}{fine[1:]}", ""
     return DoctorSummary(headline, tuple(problems), fine, notes)
 
 
-def _problems(found: Diagnosis) -> tuple[list[Problem], list[Problem], list[Problem]]:
+def _problems(result: Diagnosis) -> tuple[list[Problem], list[Problem], list[Problem]]:
     """Return what is wrong with the capture itself, what was lost, and all else."""
-    losses, used = _losses(found)
-    others = [item for item in found.verdicts if id(item) not in used and item.severity >= Severity.WARNING]
+    losses, used = _losses(result)
+    others = [item for item in result.verdicts if id(item) not in used and item.severity >= Severity.WARNING]
     apart = [_apart(members) for members in alike(group_verdicts(others))]
     first = [
         item for item in apart if item.severity is Severity.ERROR and item.verdicts[0].rule in CAPTURE_RULES
@@ -171,22 +171,22 @@ def _useful(remedy: str) -> str:
     return "" if remedy.startswith("none") else remedy
 
 
-def _losses(found: Diagnosis) -> tuple[list[Problem], set[int]]:
+def _losses(whole: Diagnosis) -> tuple[list[Problem], set[int]]:
     """Return what was lost, the worst first; and the ids of the verdicts that tell of it."""
     groups: dict[tuple[Any, ...], list[tuple[Row, int]]] = {}
     verdicts: dict[tuple[Any, ...], dict[tuple[Any, ...], list[Verdict]]] = {}
     explained: dict[tuple[Any, ...], list[Verdict]] = {}
-    for row in found.balance:
+    for row in whole.balance:
         parts = {**row.lost, "unaccounted": row.unaccounted}
         for cause, number in parts.items():
             if not number:
                 continue
             place = cause, row.msg_id, row.hop
             if place not in explained:
-                explained[place] = _explaining(found.verdicts, cause, row)
+                explained[place] = _explaining(whole.verdicts, cause, row)
             own = explained[place]
             by_msg_id = cause == "limit" and any(item.msg_id is not None for item in own)
-            key = cause, row.hop, row.instance, found.topics.get(row.route, row.msg_id) if by_msg_id else None
+            key = cause, row.hop, row.instance, whole.topics.get(row.route, row.msg_id) if by_msg_id else None
             groups.setdefault(key, []).append((row, number))
             verdicts.setdefault(key, {})[place] = own
     alone = len({(row.route, row.link, row.msg_id) for members in groups.values() for row, _ in members}) == 1
@@ -195,15 +195,15 @@ def _losses(found: Diagnosis) -> tuple[list[Problem], set[int]]:
         own = list({id(item): item for item in chain(*verdicts[key].values())}.values())
         own.sort(key=lambda item: (item.msg_id is None, -(item.lost or 0)))
         rows = [row for row, _ in members]
-        problems.append((_problem(found, key[0], members, own, alone=alone), rows))
+        problems.append((_problem(whole, key[0], members, own, alone=alone), rows))
     problems.sort(key=lambda item: -(item[0].lost or 0))
-    return list(_promising(found, problems)), {id(item) for own in explained.values() for item in own}
+    return list(_promising(whole, problems)), {id(item) for own in explained.values() for item in own}
 
 
 def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdict]:
     """Return the verdicts that explain a cause at a row: those of its MsgId and hop, if there are such."""
-    known = CAUSES.get(cause)
-    rules = (known and known.rules) or (cause,)
+    entry = CAUSES.get(cause)
+    rules = (entry and entry.rules) or (cause,)
     own = [
         item
         for item in verdicts
@@ -217,7 +217,7 @@ def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdi
 
 
 def _problem(
-    found: Diagnosis, cause: str, members: Sequence[tuple[Row, int]], own: Sequence[Verdict], *, alone: bool
+    result: Diagnosis, cause: str, members: Sequence[tuple[Row, int]], own: Sequence[Verdict], *, alone: bool
 ) -> Problem:
     """Return what one cause lost at one place.
 
@@ -229,28 +229,28 @@ def _problem(
     rows, lost = [row for row, _ in members], sum(number for _, number in members)
     remedy, advice = (_useful(own[0].remedy), own[0].advice) if own else ("", None)
     if cause not in CAUSES:
-        text = _more(own[0].reason, own) if own else f"{_names(found, rows)}: {cause.replace('_', ' ')}"
+        text = _more(own[0].reason, own) if own else f"{_names(result, rows)}: {cause.replace('_', ' ')}"
         text = text.removeprefix(f"{lost:,} ")
     else:
-        of = sent_of(found, rows)
+        of = sent_of(result, rows)
         unseen = of < lost or not rows[0].link
         whole = "of " * (rows[0].msg_id is None) if unseen else f"of {of:,} "
-        about = f"{whole}{_names(found, rows)} "
-        text = f"{'' if alone else about}{_place(cause, rows, own)}{_when(found, own)}"
+        about = f"{whole}{_names(result, rows)} "
+        text = f"{'' if alone else about}{_place(cause, rows, own)}{_when(result, own)}"
         why = advice.why if advice else own[0].reason.partition(": ")[2] if own else ""
         if cause in _AT_QUEUES and why:
             text += f": {why}"
     return Problem(lost, text, remedy, Severity.ERROR, tuple(own), advice.left if advice else None)
 
 
-def _promising(found: Diagnosis, problems: Sequence[tuple[Problem, Sequence[Row]]]) -> Iterator[Problem]:
+def _promising(result: Diagnosis, problems: Sequence[tuple[Problem, Sequence[Row]]]) -> Iterator[Problem]:
     """Yield problems with what a remedy, which several may share, is promised for."""
     for item, rows in problems:
         alike = [other for other, _ in problems if other.remedy == item.remedy]
         cured = sum(other.lost or 0 for other in alike)
         keys = {_route(row) for row in rows}
-        lost = sum(row.all_lost + row.unaccounted for row in found.balance if _route(row) in keys)
-        yield replace(item, of=sent_of(found, rows) if lost <= cured else cured)
+        lost = sum(row.all_lost + row.unaccounted for row in result.balance if _route(row) in keys)
+        yield replace(item, of=sent_of(result, rows) if lost <= cured else cured)
 
 
 def _more(reason: str, own: Sequence[Verdict]) -> str:
@@ -274,78 +274,78 @@ def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
     )
 
 
-def _when(found: Diagnosis, own: Sequence[Verdict]) -> str:
+def _when(result: Diagnosis, own: Sequence[Verdict]) -> str:
     """Return from when to when, where that is not most of the capture."""
     if not own:
         return ""
     start_ns, end_ns = min(item.start_ns for item in own), max(item.end_ns for item in own)
-    if (end_ns - start_ns) * 2 > found.end_ns - found.start_ns:
+    if (end_ns - start_ns) * 2 > result.end_ns - result.start_ns:
         return ""
-    start, end = ((time_ns - found.zero_ns) / SECOND for time_ns in (start_ns, end_ns))
+    start, end = ((time_ns - result.zero_ns) / SECOND for time_ns in (start_ns, end_ns))
     return f", at {start:.1f} s" if end - start < _MOMENT_S else f", {start:.1f} to {end:.1f} s"
 
 
-def sent_of(found: Diagnosis, rows: Iterable[Row]) -> int:
+def sent_of(result: Diagnosis, rows: Iterable[Row]) -> int:
     """Return how many messages of the routes of some rows were sent."""
     keys = {_route(row) for row in rows}
-    return sent(row for row in found.balance if _route(row) in keys)
+    return sent(row for row in result.balance if _route(row) in keys)
 
 
 def _route(row: Row) -> tuple[Any, ...]:
     return row.route, row.link, row.msg_id, row.instance, row.topic
 
 
-def _name(found: Diagnosis, row: Row) -> str:
+def _name(result: Diagnosis, row: Row) -> str:
     unnamed = "an unknown MsgId" if row.msg_id is None else f"0x{row.msg_id:04x}"
     if among := {f"0x{msg_id:04x}" for _, msg_id, _ in row.among}:
         unnamed = " or ".join(sorted(among)) if len(among) <= _NAMED else f"one of {len(among)} MsgIds"
-    return found.topics.get(row.route) or row.topic or row.name or unnamed
+    return result.topics.get(row.route) or row.topic or row.name or unnamed
 
 
-def _names(found: Diagnosis, rows: Iterable[Row]) -> str:
-    names = list(dict.fromkeys(_name(found, row) for row in rows))
+def _names(result: Diagnosis, rows: Iterable[Row]) -> str:
+    names = list(dict.fromkeys(_name(result, row) for row in rows))
     return " and ".join(names) if len(names) <= _NAMES else f"messages of {len(names)} MsgIds"
 
 
-def _headline(found: Diagnosis, problems: Sequence[Problem]) -> str:
-    if found.unnamed:
-        number = sum(item.datagrams for item in found.unnamed)
-        rest = _total(found, problems) if found.datagrams else "nothing else of CI, TO or SBN is here."
+def _headline(result: Diagnosis, problems: Sequence[Problem]) -> str:
+    if result.unnamed:
+        number = sum(item.datagrams for item in result.unnamed)
+        rest = _total(result, problems) if result.datagrams else "nothing else of CI, TO or SBN is here."
         return f"{plural(number, 'datagram')} were not examined. In the rest: {rest[0].lower()}{rest[1:]}"
-    if not found.datagrams:
-        where = "in the chosen time" if found.capture.cut else "here"
+    if not result.datagrams:
+        where = "in the chosen time" if result.capture.cut else "here"
         return f"No cFS {where}: nothing of CI, TO or SBN was examined."
-    return _total(found, problems)
+    return _total(result, problems)
 
 
-def _total(found: Diagnosis, problems: Sequence[Problem]) -> str:
-    proven = found.lost + found.unaccounted
-    more = found.uncertain
+def _total(result: Diagnosis, problems: Sequence[Problem]) -> str:
+    proven = result.lost + result.unaccounted
+    more = result.uncertain
     if proven:
         doubt = f" Up to {more:,} more may be lost." if more else ""
-        return f"{_nothing_sent(found)}{_lost(found, proven)}{_copies(found, proven)}{doubt}"
-    result = "No loss found with what is shown" if found.choice else "No loss found"
-    if found.without_evidence:
-        what = f"{sent(found.balance):,} {_names(found, found.balance)}"
-        result = f"No evidence: nothing here counts what arrived of {what}"
+        return f"{_nothing_sent(result)}{_lost(result, proven)}{_copies(result, proven)}{doubt}"
+    text = "No loss found with what is shown" if result.choice else "No loss found"
+    if result.without_evidence:
+        noun = f"{sent(result.balance):,} {_names(result, result.balance)}"
+        text = f"No evidence: nothing here counts what arrived of {noun}"
     counts = _counts(item for item in problems if item.verdicts[0].rule != "not_examined")
     others = f" {' and '.join(counts)}:" if counts else ""
-    result = _nothing_sent(found) + result
+    text = _nothing_sent(result) + text
     if more:
-        return f"{result}. Up to {plural(more, 'message')} may be lost.{others}"
-    return f"{result}{', but' if others and not found.without_evidence else '.'}{others}"
+        return f"{text}. Up to {plural(more, 'message')} may be lost.{others}"
+    return f"{text}{', but' if others and not result.without_evidence else '.'}{others}"
 
 
-def _nothing_sent(found: Diagnosis) -> str:
+def _nothing_sent(result: Diagnosis) -> str:
     """Return the sentence of a way on which nothing arrives that was sent; empty where there is none."""
-    said = (item.reason.partition(":")[0] for item in found.verdicts)
-    wrong = next((text for text in said if text.startswith(NOTHING_SENT[0]) and NOTHING_SENT[1] in text), "")
+    texts = (item.reason.partition(":")[0] for item in result.verdicts)
+    wrong = next((text for text in texts if text.startswith(NOTHING_SENT[0]) and NOTHING_SENT[1] in text), "")
     return f"{wrong[:1].upper()}{wrong[1:]}. " if wrong else ""
 
 
-def _copies(found: Diagnosis, proven: int) -> str:
+def _copies(result: Diagnosis, proven: int) -> str:
     """Return the sentence of those that were copies, where the network doubled some of what was lost."""
-    least, most = found.messages_lost, found.messages_lost + found.messages_uncertain - found.uncertain
+    least, most = result.messages_lost, result.messages_lost + result.messages_uncertain - result.uncertain
     number = f"{least:,} to {most:,}" if least < most else f"{most:,}"
     return f" Some are copies: {number} messages never arrived." if least < proven else ""
 
@@ -360,21 +360,21 @@ def _counts(problems: Iterable[Problem], kind: str = "") -> list[str]:
     ]
 
 
-def _lost(found: Diagnosis, proven: int) -> str:
+def _lost(result: Diagnosis, proven: int) -> str:
     """Return the sentence of what was lost: of one route, or of all together."""
-    rows = [row for row in found.balance if row.all_lost or row.unaccounted]
+    rows = [row for row in result.balance if row.all_lost or row.unaccounted]
     noun, were = "commands" if all(row.link == "ci" for row in rows) else "messages", "were"
-    if found.messages_lost < proven:
+    if result.messages_lost < proven:
         noun = "datagrams"
     if proven == 1:
         noun, were = noun.removesuffix("s"), "was"
-    routes, of = {_route(row) for row in rows}, sent_of(found, rows)
+    routes, of = {_route(row) for row in rows}, sent_of(result, rows)
     if len(routes) == 1 and rows[0].link and of > 1 and rows[0].msg_id is not None:
         harmed = any(cause in _HARM for row in rows for cause in row.lost)
         arrived = "never arrived whole" if harmed else "never arrived"
-        name = _name(found, rows[0])
+        name = _name(result, rows[0])
         return f"{_share(proven, of, noun)} {arrived}: {proven:,} of {of:,} {name} {were} lost."
-    lines = sorted(found.headlines, key=lambda item: -item.missing)
+    lines = sorted(result.headlines, key=lambda item: -item.missing)
     lines = [item for item in lines if item.missing]
     if len(lines) < len(routes) or len(lines) > _NAMES + 1:
         del lines[_NAMES:]
@@ -382,7 +382,7 @@ def _lost(found: Diagnosis, proven: int) -> str:
     if lines and (other := len(routes) - len(lines)):
         rest = proven - sum(item.missing for item in lines)
         parts.append(f"{rest:,} with {plural(other, 'other MsgId')}")
-    return f"{proven:,} {noun} {were} lost: {', '.join(parts) or _names(found, rows)}."
+    return f"{proven:,} {noun} {were} lost: {', '.join(parts) or _names(result, rows)}."
 
 
 def _share(part: int, of: int, noun: str) -> str:
@@ -396,10 +396,10 @@ def _share(part: int, of: int, noun: str) -> str:
     return f"About 1 in {round(1 / share)} {noun}" if share >= _RARE else f"A few {noun}"
 
 
-def _fine(found: Diagnosis) -> str:
+def _fine(result: Diagnosis) -> str:
     """Return what became of all that is in no problem, in a line."""
     routes: dict[tuple[Any, ...], list[Row]] = {}
-    for row in found.balance:
+    for row in result.balance:
         if row.came and (row.topic or row.msg_id is not None):
             routes.setdefault(_route(row), []).append(row)
     fates: dict[str, list[list[Row]]] = {}
@@ -408,16 +408,16 @@ def _fine(found: Diagnosis) -> str:
     arrived, unseen = fates.get("arrived", ()), fates.get("unseen", ())
     whole = plural(sum(rows[-1].out for rows in arrived), "message")
     others = sum(rows[-1].out for rows in (*arrived, *fates.get("open", ())))
-    open_ended = sum(row.waiting + row.not_captured + row.shared for row in found.balance)
+    open_ended = sum(row.waiting + row.not_captured + row.shared for row in result.balance)
     parts = []
     if arrived and not open_ended and fates.keys() <= {"arrived", "lost"}:
         parts.append("All else arrived." if "lost" in fates else f"All {whole} arrived.")
     elif others:
         parts.append(f"{plural(others, 'other message' if 'lost' in fates else 'message')} arrived.")
-    if found.superseded:
-        parts.append(f"{found.superseded:,} gave way to newer ones, as the application does.")
+    if result.superseded:
+        parts.append(f"{result.superseded:,} gave way to newer ones, as the application does.")
     if unseen:
-        parts.append(f"Nothing here counts losses of {_names(found, [rows[0] for rows in unseen])}.")
+        parts.append(f"Nothing here counts losses of {_names(result, [rows[0] for rows in unseen])}.")
     if open_ended:
         parts.append(f"{plural(open_ended, 'message')} could not be followed.")
     return " ".join(parts)

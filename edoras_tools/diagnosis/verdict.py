@@ -207,10 +207,10 @@ def group_verdicts(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
 
 def alike(groups: Iterable[list[Verdict]]) -> list[list[list[Verdict]]]:
     """Join the groups of one rule and severity, in the same order."""
-    found: dict[tuple[Severity, str], list[list[Verdict]]] = {}
+    by_rule: dict[tuple[Severity, str], list[list[Verdict]]] = {}
     for members in groups:
-        found.setdefault((members[0].severity, members[0].rule), []).append(members)
-    return list(found.values())
+        by_rule.setdefault((members[0].severity, members[0].rule), []).append(members)
+    return list(by_rule.values())
 
 
 class Takes(Protocol):

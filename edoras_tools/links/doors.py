@@ -113,7 +113,7 @@ class KnownSamples:
 class SampleReader(Protocol):
     """Reads samples in datagrams: messages of writers that announce their topics, and sign what they send."""
 
-    def known(
+    def known_samples(
         self, types: Any, endpoints: Endpoints, batch: PacketBatch, rows: NDArray[np.intp]
     ) -> Iterator[KnownSamples]:
         """Yield the samples of each topic and type.
@@ -174,11 +174,11 @@ class LinkEvidence(Follower):
 
     Attributes:
         datagrams: those that the doctor has no row of, and judges by this alone.
-        made: rows among these that were put together, and not captured.
+        reassembled: rows among these that were put together, and not captured.
     """
 
     datagrams: int = 0
-    made: int = 0
+    reassembled: int = 0
 
     def samples(self) -> Sequence[SampleStream]:
         """Return the samples of each writer."""

@@ -209,9 +209,9 @@ class _Columns:
 
         proto = whole & (kind == sbn.MsgType.PROTO)
         version = np.where(legacy, head[:, sbn.LEGACY_HEADER.size], head[:, sbn.HEADER.size])
-        told = payload >= sbn.PROTO.size
-        located.flag(Finding.TRUNCATED, proto & ~told)
-        located.flag(Finding.SBN_VERSION_MISMATCH, proto & told & (version != sbn.PROTOCOL_VERSION))
+        has_version = payload >= sbn.PROTO.size
+        located.flag(Finding.TRUNCATED, proto & ~has_version)
+        located.flag(Finding.SBN_VERSION_MISMATCH, proto & has_version & (version != sbn.PROTOCOL_VERSION))
         listed = whole & ((kind == sbn.MsgType.SUB) | (kind == sbn.MsgType.UNSUB))
         self._subscriptions(np.flatnonzero(listed), payload)
         app = whole & (kind == sbn.MsgType.APP)

@@ -171,7 +171,7 @@ class _Listener:
         self._node, self._kind, self._qos, self._receive = node, kind, qos, receive
         self._recent: dict[tuple[int, int], None] = {}
         self.asked = self._adapted()
-        self._subscriptions = [self._made()]
+        self._subscriptions = [self._create()]
 
     def follow(self) -> None:
         """Ask for what the publishers offer now."""
@@ -180,7 +180,7 @@ class _Listener:
         del self._subscriptions[:-1]
         if (now := self._adapted()) != self.asked:
             self.asked = now
-            self._subscriptions.append(self._made())
+            self._subscriptions.append(self._create())
 
     def _adapted(self) -> Qos:
         names, own = import_module("rclpy.qos"), (self._node.get_name(), self._node.get_namespace())
@@ -199,7 +199,7 @@ class _Listener:
             else self._qos.transient_local,
         )
 
-    def _made(self) -> Any:
+    def _create(self) -> Any:
         depth = self.asked.depth
         deep = depth if self.asked.transient_local or not depth else max(depth, _LEAST_WAITING)
         profile = qos_profile(replace(self.asked, depth=deep))

@@ -166,8 +166,8 @@ def open_aligned(
         set_back[at] = set_back[to] if is_one_clock else [shift.line, *set_back[to]]
         sources.append(Aligned(open_file(path), set_back[at], shift.shared))
         sources[0].statistics.shared += len(shift.shared)
-        for side, (chosen, sure) in zip((to, at), lost_between(tables[to], table, shift), strict=True):
-            rows = tables[side].rows().take(chosen)
+        for side, (places, sure) in zip((to, at), lost_between(tables[to], table, shift), strict=True):
+            rows = tables[side].rows().take(places)
             for line in set_back[side]:
                 rows = replace(rows, time_ns=line.set_back(rows.time_ns))
             own = zip(rows.time_ns.tolist(), rows.bytes_print.tolist(), strict=True)

@@ -170,12 +170,12 @@ def interruptible(
     def batches() -> Iterator[PacketBatch]:
         nonlocal waiting
         batches_of = source.batches()
-        while not asked.is_set():
+        while not stop_event.is_set():
             waiting = True
             try:
                 batch = next(batches_of, None)
             except KeyboardInterrupt:
-                if asked.is_set():
+                if stop_event.is_set():
                     break
                 raise
             finally:
@@ -185,8 +185,8 @@ def interruptible(
             yield batch
         raise interrupted(source)
 
-    with on_interrupt(source.stop if live else interrupt, patient=patient, in_handler=not live) as asked:
-        yield source.batches() if live else batches(), asked
+    with on_interrupt(source.stop if live else interrupt, patient=patient, in_handler=not live) as stop_event:
+        yield source.batches() if live else batches(), stop_event
 
 
 class Keys:

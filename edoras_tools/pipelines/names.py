@@ -193,12 +193,12 @@ def packets_of(pattern: str, context: Context, spacecraft: int) -> PacketKinds:
     name = split_topic(pattern)[0]
     own = context.mission.number_of(name) if name else spacecraft
     try:
-        found = find_packets(pattern, context.of(own or spacecraft))
+        kinds = find_packets(pattern, context.of(own or spacecraft))
     except RouteError:
         if spacecraft == FIRST_SPACECRAFT:
             raise
         return PacketKinds()
-    return found if own == spacecraft else PacketKinds()
+    return kinds if own == spacecraft else PacketKinds()
 
 
 def _no_packet(pattern: str, context: Context) -> RouteError:

@@ -174,11 +174,11 @@ class ReadLoop:
             columns = self.source.decoded(batch, bench.columns.decode)
             for own in self._own_rows.of(columns):
                 batch, columns = own.take(batch, columns, bench.columns.decode)
-            shown = visible.holds(batch.time_ns - begin_ns) if visible else None
-            self._follow(batch, columns, shown)
+            in_time = visible.holds(batch.time_ns - begin_ns) if visible else None
+            self._follow(batch, columns, in_time)
             rows = self.selection.rows(batch, columns)
-            inside = inside or bool(len(batch) if shown is None else shown.any())
-            rows = rows if shown is None else rows[shown[rows]]
+            inside = inside or bool(len(batch) if in_time is None else in_time.any())
+            rows = rows if in_time is None else rows[in_time[rows]]
             if limits.count:
                 rows = rows[:remaining]
                 remaining -= len(rows)
@@ -199,18 +199,18 @@ class ReadLoop:
         if self.begin_ns is not None and not (inside or self.interrupted or self.source.live):
             raise outside(self.source.info.name, self.begin_ns, self.last_ns)
 
-    def _follow(self, batch: PacketBatch, columns: Columns, shown: NDArray[np.bool_] | None) -> None:
+    def _follow(self, batch: PacketBatch, columns: Columns, in_time: NDArray[np.bool_] | None) -> None:
         """Follow the runs, and the conversations of the time that is asked for."""
         if self._runs:
             self.part = self._runs.add(batch, columns)
         if batch.recorded is not None:
             return
         if self._conversing:
-            self.conversations.add(batch, columns, shown)
+            self.conversations.add(batch, columns, in_time)
             return
         others = columns.link == OTHER
         if others.any():
-            self.conversations.add(batch, columns, others if shown is None else others & shown)
+            self.conversations.add(batch, columns, others if in_time is None else others & in_time)
 
     def _until_failure(self) -> Iterator[PacketBatch]:
         try:
@@ -370,12 +370,12 @@ class Independence:
 def _span(period: Period, begin_ns: int) -> tuple[int, int]:
     """Return the first time of a period, and the one after its last; all of the time if it has none."""
     try:
-        chosen = period.since(begin_ns)
+        part = period.since(begin_ns)
     except ConfigError:  # raised again, where the first batch is looked at
         return begin_ns, begin_ns
     return (
-        begin_ns + chosen.start_ns if chosen.start_ns else 0,
-        begin_ns + chosen.end_ns if chosen.end_ns else _NEVER_NS,
+        begin_ns + part.start_ns if part.start_ns else 0,
+        begin_ns + part.end_ns if part.end_ns else _NEVER_NS,
     )
 
 

@@ -195,7 +195,7 @@ class Selection:
                 "--link and --msg-id select datagrams, and the recording has only messages: use --topic, "
                 "--where, --start and --end"
             )
-        packets = self._named(context, FIRST_SPACECRAFT)
+        packets = self._packets_named(context, FIRST_SPACECRAFT)
         selection = replace(
             self, _packets=packets, _ready=True, _of={FIRST_SPACECRAFT: packets}, _context=context
         )
@@ -205,7 +205,7 @@ class Selection:
 
         return replace(selection, _filter=Where(self.where, context))
 
-    def _named(self, context: Context, spacecraft: int) -> Sequence[PacketKinds]:
+    def _packets_named(self, context: Context, spacecraft: int) -> Sequence[PacketKinds]:
         """Return what the names stand for of a spacecraft: each has its own topics."""
         groups = [[hex(item) if isinstance(item, int) else item for item in self.msg_ids], self.topics]
         packets = [
@@ -218,7 +218,7 @@ class Selection:
     def packets_of(self, spacecraft: int) -> Sequence[PacketKinds]:
         """Return the packets of a spacecraft that are named, of what :meth:`over` returned."""
         if spacecraft not in self._of and self._context is not None:
-            self._of[spacecraft] = self._named(self._context, spacecraft)
+            self._of[spacecraft] = self._packets_named(self._context, spacecraft)
         return self._of.get(spacecraft, ())
 
     def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:

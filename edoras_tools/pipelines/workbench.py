@@ -146,10 +146,10 @@ class Settings:
 
 
 def _bench(mission: Mission, types: TypeStore, context: Context) -> Workbench:
-    asked: Iterable[tuple[Link, Unwrapper | None]] = (
+    pairs: Iterable[tuple[Link, Unwrapper | None]] = (
         (link, link.unwrapper(context)) for link in context.links
     )
-    unwrappers = {link: item for link, item in asked if item is not None}
+    unwrappers = {link: item for link, item in pairs if item is not None}
     return Workbench(mission, types, ColumnDecoder(context), unwrappers)
 
 
@@ -174,9 +174,9 @@ def _spacecraft_in(paths: Sequence[Path], bench: Workbench) -> dict[int, int]:
             batches = map(unwrapper.take, batches)
         for batch in batches:
             if len(batch):
-                begun = own.columns.begin(batch)
-                assert begun.part is not None, "begun here"
-                survey.add(begun.part, begun.out, begun.start, own.columns.context.msg_ids)
+                opening = own.columns.begin(batch)
+                assert opening.part is not None, "begun here"
+                survey.add(opening.part, opening.out, opening.start, own.columns.context.msg_ids)
     return survey.numbers()
 
 

@@ -226,7 +226,7 @@ EXPLANATIONS: Final = {
 }
 """Every finding; :func:`explain` looks one up."""
 
-NOTABLE: Final = Finding(sum(item for item, told in EXPLANATIONS.items() if told.severity >= Level.WARNING))
+NOTABLE: Final = Finding(sum(item for item, entry in EXPLANATIONS.items() if entry.severity >= Level.WARNING))
 """Every finding that is more than a note."""
 
 _BY_LABEL: Final = {item.label: item for item in Finding}

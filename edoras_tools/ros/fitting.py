@@ -48,7 +48,7 @@ def types_that_fit_each(
     offset = np.cumsum(length, dtype=np.int64) - length
     data, begins = np.frombuffer(b"".join(cdrs), np.uint8), np.cumsum([0, *map(len, some[:-1])])
     names = {name for name in types.types() if name.startswith(tuple(f"{item}/msg/" for item in PACKAGES))}
-    found: list[list[str]] = [[] for _ in some]
+    fits: list[list[str]] = [[] for _ in some]
     for name in sorted({*names, *own}, key=lambda name: (name not in own, name not in USUAL, name)):
         with suppress(EdorasError):
             size, most = types.fixed_size(name), types.most_trailing(name) - ROUNDING
@@ -57,6 +57,6 @@ def types_that_fit_each(
             behind = types.trailing(name, data, offset, length)
             ends = (behind >= 0) & (behind <= most)
             for place in np.flatnonzero(np.logical_and.reduceat(ends, begins)).tolist():
-                found[place].append(name)
-    left = iter(found)
-    return [next(left) if group else [] for group in groups]
+                fits[place].append(name)
+    lists = iter(fits)
+    return [next(lists) if group else [] for group in groups]

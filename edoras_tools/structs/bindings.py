@@ -96,8 +96,8 @@ class Bindings:
 
     def text(self, name: str) -> str | None:
         """Return a message's complete ``ros2msg`` text; None if no struct that is bound has this type."""
-        known = name in self._definitions
-        return complete_text(with_used(name, self._definitions.__getitem__)) if known else None
+        is_bound = name in self._definitions
+        return complete_text(with_used(name, self._definitions.__getitem__)) if is_bound else None
 
     def bound(self, key: Key) -> Bound:
         """Return the struct of one of ``keys``."""

@@ -128,8 +128,8 @@ _STRUCTS: Final[dict[str, tuple[str, dict[str, str | tuple[str, str]]]]] = {
         {
             **{
                 name: "uint32"
-                for what in ("msg_ids", "pipes", "memory", "subscriptions")
-                for name in (f"{what}_in_use", f"peak_{what}_in_use", f"max_{what}_allowed")
+                for resource in ("msg_ids", "pipes", "memory", "subscriptions")
+                for name in (f"{resource}_in_use", f"peak_{resource}_in_use", f"max_{resource}_allowed")
             },
             "buffers_in_use": "uint32",
             "peak_buffers_in_use": "uint32",

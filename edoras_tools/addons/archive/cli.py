@@ -165,13 +165,13 @@ def index_captures(
 
 @archive.command("list", cls=_ArchiveCommand)
 @grouped
-def list_(*, index: Index = _INDEX, printing: RowOptions, chosen: SpanOptions) -> None:
+def list_(*, index: Index = _INDEX, printing: RowOptions, dates: SpanOptions) -> None:
     """List the captures of the index: when, how many datagrams, what was lost, which are not whole."""
     from edoras_tools.addons.archive.index import open_index
     from edoras_tools.addons.archive.questions import list_captures
 
     with open_index(index) as opened:
-        rows = list_captures(opened, chosen.span())
+        rows = list_captures(opened, dates.span())
     _print_rows("captures", rows, printing)
 
 
@@ -185,7 +185,7 @@ def losses(
         float | None, Option(parser=options.share, help="Only where more is missing, e.g. 1%.")
     ] = None,
     printing: RowOptions,
-    chosen: SpanOptions,
+    dates: SpanOptions,
 ) -> None:
     """List what was lost or is unaccounted for, by capture and topic.
 
@@ -195,7 +195,7 @@ def losses(
     from edoras_tools.addons.archive.questions import count_examined, list_losses
 
     with open_index(index) as opened:
-        span, topics = chosen.span(), tuple(topic or ())
+        span, topics = dates.span(), tuple(topic or ())
         rows = list_losses(opened, span, topics, over=max_loss or 0.0)
         examined = 0 if rows else count_examined(opened, span, topics)
     if not (rows or printing.csv or printing.json):
@@ -208,16 +208,16 @@ def losses(
         raise Exit(LOST)
 
 
-def _print_rows(what: str, rows: list[dict[str, Any]], printing: RowOptions) -> None:
+def _print_rows(kind: str, rows: list[dict[str, Any]], printing: RowOptions) -> None:
     """Print captures, or losses, in one of their forms."""
     if printing.json:
-        print_json({what: rows})
+        print_json({kind: rows})
     elif printing.csv:
         print_csv(rows)
     else:
         from edoras_tools.addons.archive.views import ROW_TABLES
 
-        print_view(lambda width: ROW_TABLES[what](rows, width))
+        print_view(lambda width: ROW_TABLES[kind](rows, width))
 
 
 @archive.command(cls=_ArchiveCommand)
@@ -255,7 +255,7 @@ def report(
     output: Annotated[Path, Option("--output", "-o", help="Output file.")] = Path("archive.html"),
     force: recordings.Force = False,
     quiet: options.Quiet = False,
-    chosen: SpanOptions,
+    dates: SpanOptions,
 ) -> None:
     """Write one HTML page: runs over time, trends of losses and latencies, the worst of both."""
     from edoras_tools.addons.archive.index import open_index
@@ -266,8 +266,8 @@ def report(
 
     check_new(output, [index], force=force)
     with open_index(index) as opened:
-        made = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
-        page = archive_page(trends_of(opened, chosen.span()), made)
+        origin = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
+        page = archive_page(trends_of(opened, dates.span()), origin)
     size = recordings.write_page(page, output)
     if not quiet:
         sys.stderr.write(f"{output}: {size / 1024:.0f} KiB\n")

@@ -81,8 +81,8 @@ def _check_earlier(folder: Path, *, force: bool) -> None:
     if existing and not force:
         raise ConfigError(f"{folder} exists; name another folder, or replace it with --force")
     if foreign := sorted(existing - {*TABLES}):
-        what = f"{foreign[0]} in it is" if foreign[0] else "it is"
-        raise ConfigError(f"{folder}: {what} of no earlier export; name another folder")
+        subject = f"{foreign[0]} in it is" if foreign[0] else "it is"
+        raise ConfigError(f"{folder}: {subject} of no earlier export; name another folder")
 
 
 def _write(index: Index, name: str, folder: Path) -> int:

@@ -217,5 +217,5 @@ def _try_rollback(connection: duckdb.DuckDBPyConnection) -> None:
 
 def _mistake(error: Exception) -> str:
     """Return DuckDB's message in one line: its part before the query itself, which the user has."""
-    told = str(error).partition("\nLINE ")[0]
-    return " ".join(told.split()) or "the query failed"
+    text = str(error).partition("\nLINE ")[0]
+    return " ".join(text.split()) or "the query failed"

@@ -221,14 +221,14 @@ def bring_up_to_date(
             if update.again
             else {url: row["sha256"] for url, row in rows.items() if row["settings"] == settings}
         )
-        with on_interrupt(_interrupt, in_handler=True) as asked:
+        with on_interrupt(_interrupt, in_handler=True) as stop_event:
             try:
                 with workers(update.jobs, update.scheduler, most=len(new)) as client:
                     _Run(index, client, report, set(rows), on_line).all(
                         _tasks(new, hashes, update.settings, settings, _count(client)), progress
                     )
             except KeyboardInterrupt:
-                if not asked.is_set():
+                if not stop_event.is_set():
                     raise
                 report.interrupted = True
     report.bad = [
@@ -364,8 +364,8 @@ class _Run:
                 raise ConfigError(result.misfit)
             parts.append(result.rows)
             same += result.same
-            kept = {item.url for item in result.same}
-            urls += [url for url in own if url not in kept]
+            unchanged = {item.url for item in result.same}
+            urls += [url for url in own if url not in unchanged]
         self._index.replace([url for url in urls if url in self._contents], parts)
         self._index.touch(same)
         self._report.read += len(urls)

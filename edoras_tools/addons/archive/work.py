@@ -119,8 +119,8 @@ def examine_group(task: Task) -> Done:
             continue
         for name, own in result.items():
             rows[name] += [{"capture": url, **row} for row in own]
-    made = {table.name: table.arrow(rows[table.name]) for table in TABLES.values() if rows[table.name]}
-    return Done(made, tuple(same))
+    tables = {table.name: table.arrow(rows[table.name]) for table in TABLES.values() if rows[table.name]}
+    return Done(tables, tuple(same))
 
 
 def failed(urls: Sequence[str], reason: str, fingerprint: str) -> dict[str, Any]:

@@ -30,7 +30,7 @@ def files(
     output: Annotated[Path | None, Option("--output", "-o", help="Write them to a new or empty DIR.")] = None,
     printing: options.PrintOptions,
     part: options.PartOptions,
-    chosen: options.SelectionOptions,
+    filters: options.SelectionOptions,
     decoding: options.DecodingOptions,
 ) -> None:
     """Show the files that CFDP transferred, or take them out.
@@ -39,11 +39,11 @@ def files(
     """
     from edoras_tools.addons.cfdp.taking import take_out
 
-    paths = inputs.named()
+    paths = inputs.required()
     limits, quiet = part.limits(paths), printing.quiet or printing.json
     with file_progress(paths, quiet=quiet) as bar:
         source, bench = open_input(InputOptions(inputs), decoding.settings())
-        report = take_out(source, bench, output, selection=chosen.selection(), limits=limits, progress=bar)
+        report = take_out(source, bench, output, selection=filters.selection(), limits=limits, progress=bar)
     if report.failure is None:
         no_datagrams(source)
     if printing.json:

@@ -36,9 +36,9 @@ def file_checksum(case: Case) -> Iterator[Verdict]:
     Count PDUs whose own CRC is wrong.
     """
     for item in _followed(case).transactions:
-        told = item.condition == ConditionCode.FILE_CHECKSUM_FAILURE
-        if told or item.checksum_right is False:
-            who = "Finished says so" if told else "calculated from the captured bytes, against that of EOF"
+        failed = item.condition == ConditionCode.FILE_CHECKSUM_FAILURE
+        if failed or item.checksum_right is False:
+            who = "Finished says so" if failed else "calculated from the captured bytes, against that of EOF"
             yield _verdict(
                 Severity.ERROR,
                 item,
@@ -80,12 +80,12 @@ def file_not_finished(case: Case) -> Iterator[Verdict]:
             how = "was not finished when the capture ended" if going_on else "was never finished"
         size = "?" if item.file_size is None else f"{item.file_size:,}"
         ends = {"EOF": item.eof, **({"Finished": item.finished} if item.acknowledged else {})}
-        seen = [f"{name} was {'not ' * (told is None)}captured" for name, told in ends.items()]
+        parts = [f"{name} was {'not ' * (end is None)}captured" for name, end in ends.items()]
         yield _verdict(
             severity,
             item,
             f"the transfer of {item.title} {how}: {item.received.size:,} of {size} bytes were captured",
-            ", ".join(seen),
+            ", ".join(parts),
             f"{plural(len(item.holes), 'hole')}, {plural(item.naks, 'NAK')} that ask for something",
             remedy="look at both entities, and at what lies between; edoras files takes out what there is",
         )

@@ -66,9 +66,9 @@ class SentFile:
         for first, last in requests:
             if (first, last) == (0, 0) and self.metadata:
                 yield self.metadata
-            there = [piece for piece in self.pieces if piece[0] < last and piece[1] > first]
-            self.missing += 0 if there or first == last else last - first
-            yield from (data for _, _, data in there)
+            pieces = [piece for piece in self.pieces if piece[0] < last and piece[1] > first]
+            self.missing += 0 if pieces or first == last else last - first
+            yield from (data for _, _, data in pieces)
 
 
 class FileSender(SendingSession):
@@ -131,12 +131,12 @@ class FileSender(SendingSession):
 
     def notes(self) -> Iterable[str]:
         """Return how many files came whole, and what was asked for in vain."""
-        done, missing = (
+        whole, missing = (
             sum(item.state == "finished" for item in self._open),
             sum(item.missing for item in self.files.values()),
         )
         if self._open:
-            yield f"{done:,} of {len(self._open):,} files of class 2 were acknowledged as finished"
+            yield f"{whole:,} of {len(self._open):,} files of class 2 were acknowledged as finished"
         if missing:
             yield f"{missing:,} bytes that the receiver asked for are not in the recording"
 
@@ -166,7 +166,7 @@ class FileSending(LinkSending):
         """Number the transactions anew, from the time of the recording on: no receiver knows these."""
         numbers: dict[tuple[int, int], int] = {}
         files: dict[tuple[int, int], SentFile] = {}
-        made = []
+        renewed = []
         for data in messages:
             pdus = _read(data)
             source, old = int(pdus.source_entity_id[0]), int(pdus.transaction_sequence_number[0])
@@ -181,9 +181,9 @@ class FileSending(LinkSending):
                 item.metadata = new
             else:
                 item.eof = new
-            made.append(new)
+            renewed.append(new)
         self.session.begin(files)
-        return made, time_ns
+        return renewed, time_ns
 
 
 def _numbered(data: bytes, number: int) -> bytes:

@@ -180,8 +180,8 @@ class _Spool:
                 raise CaptureError(f"{folder}: is not empty; name a new folder")
             self._open.mkdir(mode=0o700, exist_ok=True)
             self._lock = lock_older(self._open)
-            for left in self._open.iterdir():  # by a program that was killed
-                left.unlink()
+            for leftover in self._open.iterdir():  # by a program that was killed
+                leftover.unlink()
         except OSError as error:
             raise self._failed(error) from error
 

@@ -142,8 +142,8 @@ def _member(member: CMember, verb: str) -> str:
     data, limit, text = place, f"EDORAS_CAPACITY({place})", ""
     if member.is_sequence:
         data, size = f"{place}.data", f"{place}.size"
-        limit, counted = (size, "") if verb == "read" else ("count", f"{size}, ")
-        text = statement(f"{limit} = edoras_{verb}_count({stream}, {counted}EDORAS_CAPACITY({data}));")
+        limit, argument = (size, "") if verb == "read" else ("count", f"{size}, ")
+        text = statement(f"{limit} = edoras_{verb}_count({stream}, {argument}EDORAS_CAPACITY({data}));")
     if member.kind not in _ONE_BY_ONE:
         return text + statement(f"edoras_{verb}_many({stream}, {data}, {limit}, sizeof({data}[0]));")
     return text + loop(limit, one(member, f"{data}[i]"))

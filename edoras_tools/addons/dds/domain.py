@@ -108,8 +108,8 @@ def discovery(environ: Mapping[str, str]) -> str:
     if reach not in _RANGES:
         raise ConfigError(f"{_RANGE} cannot be {reach!r}; set it to {', '.join(_RANGES)}")
     if reach == "OFF":
-        found = f"<ParticipantIndex>none</ParticipantIndex><Tag>edoras_{os.getpid()}</Tag>"
-        return _domain(General=_interface("lo") + "<AllowMulticast>false</AllowMulticast>", Discovery=found)
+        xml = f"<ParticipantIndex>none</ParticipantIndex><Tag>edoras_{os.getpid()}</Tag>"
+        return _domain(General=_interface("lo") + "<AllowMulticast>false</AllowMulticast>", Discovery=xml)
     if reach == "LOCALHOST":
         alone = "" if peers else _interface("lo")
         general = alone + "<AllowMulticast>false</AllowMulticast>"
@@ -252,9 +252,9 @@ def _create(number: int, config: str) -> Domain | None:
     """Return a new domain; None if the one that is open in this process already fits."""
     users, variables = _of_user(), discovery(os.environ)
     lines: list[str] = []
-    usual, chosen = variables == discovery({}), bool(users) or "NetworkInterface" in config
+    usual, has_interface = variables == discovery({}), bool(users) or "NetworkInterface" in config
     # Each asks for less than the one before: a machine may have no other interface, or no port left.
-    beside = [] if chosen else [f"{variables},{_domain(General=_WITH_LO)}"]
+    beside = [] if has_interface else [f"{variables},{_domain(General=_WITH_LO)}"]
     reaches = [*beside, variables, ""] if usual else [variables]
     for reach in reaches:
         lines.clear()
@@ -267,8 +267,8 @@ def _create(number: int, config: str) -> Domain | None:
                 if not config and usual:
                     return None
                 raise ConfigError(f"dds: domain {number} is open in this process without options") from error
-    named = users and f"${_URI}", "" if usual else "ROS's variables", config and "options"
-    settings = ", ".join(filter(None, named))
+    sources = users and f"${_URI}", "" if usual else "ROS's variables", config and "options"
+    settings = ", ".join(filter(None, sources))
     why = "; ".join(dict.fromkeys(lines)) or failure.msg
     look = f"; look at: {settings}" if settings else ""
     raise ConfigError(f"dds: Cyclone DDS opens no domain {number}: {why}{look}") from failure

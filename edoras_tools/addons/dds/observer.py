@@ -143,8 +143,8 @@ class DdsObserver:
                 entity.__del__()
             dds_domain.release(self._domain)
 
-    def _reader(self, topic: str, made: DdsTypes, type_name: str, qos: DdsQos) -> DataReader[Any]:
-        on: Topic[Any] = Topic(self._participant, topic, made.of(type_name))
+    def _reader(self, topic: str, types: DdsTypes, type_name: str, qos: DdsQos) -> DataReader[Any]:
+        on: Topic[Any] = Topic(self._participant, topic, types.of(type_name))
         reader: DataReader[Any] = DataReader(self._participant, on, qos)
         self._entities += [on, reader]
         return reader
@@ -186,14 +186,14 @@ class DdsObserver:
             self._nodes |= {bytes(gid["data"])[:16].hex(): name for gid in gids}
 
     def _fields(self, item: DcpsEndpoint, *, publishes: bool) -> dict[str, Any]:
-        found = {policy.__scope__: policy for policy in item.qos}
-        words = {name: _word(found.get(name)) for name in ("Reliability", "Durability", "Liveliness")}
+        policies = {policy.__scope__: policy for policy in item.qos}
+        words = {name: _word(policies.get(name)) for name in ("Reliability", "Durability", "Liveliness")}
         spans = {
             "Lifespan": ("Lifespan", "lifespan"),
             "Deadline": ("Deadline", "deadline"),
             "Liveliness lease duration": ("Liveliness", "lease_duration"),
         }
-        times = {key: getattr(found.get(name), field, _FOREVER) for key, (name, field) in spans.items()}
+        times = {key: getattr(policies.get(name), field, _FOREVER) for key, (name, field) in spans.items()}
         gid = item.key.bytes.hex()
         return {
             "topic": item.topic_name.removeprefix("rt"),

@@ -77,18 +77,18 @@ def structs(
         for line in source.warnings:
             tell(line)
         return
-    taken = writing.take(source, names, bindings, package)
+    part = writing.take(source, names, bindings, package)
     for line in source.warnings:
         tell(line)
     if output is None:
-        for place, (name, message) in enumerate(taken.types.items()):
+        for place, (name, message) in enumerate(part.types.items()):
             out.write("\n" if place else "")
-            out.writelines(f"{line}\n" for line in layout(taken.layout, taken.layout.structs[name], message))
+            out.writelines(f"{line}\n" for line in layout(part.layout, part.layout.structs[name], message))
         return
-    written = writing.write_definitions(taken, output, force=force)
+    written = writing.write_definitions(part, output, force=force)
     out.writelines(f"{path}\n" for path in written)
-    unbound = [name for name in taken.types if name not in taken.layout.bindings.values()]
-    if not taken.layout.bindings:
+    unbound = [name for name in part.types if name not in part.layout.bindings.values()]
+    if not part.layout.bindings:
         tell(
             f"no packet is bound yet: add --bind 0x0890={unbound[0] if unbound else 'NAME'}, "
             f"or an entry under 'bind' in {output / 'structs.yaml'}"

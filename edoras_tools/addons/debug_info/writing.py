@@ -66,14 +66,14 @@ class LayoutFile:
                 queue += [str(member.type) for member in whole.structs[name].members]
         structs = {name: item for name, item in whole.structs.items() if name in needed}
         used = {str(member.type) for item in structs.values() for member in item.members}
-        made = replace(
+        part = replace(
             whole,
             structs=structs,
             enums={name: item for name, item in whole.enums.items() if name in used},
             bindings={key: name for key, name in bound.items() if name in needed},
             package=package or whole.package,
         )
-        return made, called
+        return part, called
 
     def _find(self, name: str) -> str:
         for spelling in (name, f"{name}_t", name.removesuffix("_t")):

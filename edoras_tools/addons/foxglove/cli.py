@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 class SourceOptions(NamedTuple):
     """What is shown."""
 
-    given: InputOptions = InputOptions()
+    inputs: InputOptions = InputOptions()
     sim: Annotated[options.Scenario | None, Option(help="An emulated cFS, its bridges and robots.")] = None
 
 
@@ -62,9 +62,9 @@ class OutputOptions(NamedTuple):
 
     def endpoint(self) -> Endpoint:
         """Return where Foxglove connects to."""
-        named: Endpoint = self.live
-        port = named.port if self.ws_port is None else self.ws_port
-        return replace(named, address=self.host or named.address, port=port)
+        base: Endpoint = self.live
+        port = base.port if self.ws_port is None else self.ws_port
+        return replace(base, address=self.host or base.address, port=port)
 
 
 @headed("Playback")
@@ -116,7 +116,7 @@ def live(
     publishing: PublishingOptions,
     stop: StopOptions,
     printing: options.PrintOptions,
-    chosen: options.SelectionOptions,
+    filters: options.SelectionOptions,
     decoding: options.DecodingOptions,
 ) -> None:
     """Show a link or a recording in Foxglove.
@@ -125,12 +125,12 @@ def live(
     """
     from edoras_tools.addons.foxglove.serving import attach, attach_player
 
-    (_, given), sim = source
-    files: Sequence[Path | SettledFile] = source.given.paths
+    (_, live_options), sim = source
+    files: Sequence[Path | SettledFile] = source.inputs.paths
     (json, quiet), limits = printing, stop.limits.limits()
-    if sum(map(bool, (files, given.interface, given.listen, sim))) != 1:
+    if sum(map(bool, (files, live_options.interface, live_options.listen, sim))) != 1:
         raise ConfigError("name one source: FILE, -i IFACE, --listen PORT or --sim DEMO")
-    file, stream = _piped(source.given.paths)
+    file, stream = _piped(source.inputs.paths)
     files = [file] if file else () if stream else files
     if files and (
         publishing.allow or outputs.output or outputs.metrics or stop.every or stop.limits.datagrams
@@ -145,7 +145,7 @@ def live(
     if playback.paused and not playback.wait:
         raise ConfigError("--no-wait starts at once, and --paused does not start: use one of them")
     goal = recordings.recording_target(outputs.output, force=outputs.force)
-    settings, selection = decoding.settings(), chosen.selection()
+    settings, selection = decoding.settings(), filters.selection()
     serving: dict[str, Any] = {
         "listen": outputs.endpoint(),
         "origins": _origin_check(outputs.allow_origin),
@@ -234,8 +234,8 @@ def _keyboard(
     player: RecordingPlayer, sink: ServedSink, *, quiet: bool
 ) -> Iterator[tuple[Callable[[], str], Callable[[PlaybackState], None]]]:
     """Give the functions that read keys and show the state; they do nothing where there is no terminal."""
-    here = sys.stdin.isatty() and sys.stderr.isatty()
-    if quiet or not here or os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp():  # not a job in the background
+    tty = sys.stdin.isatty() and sys.stderr.isatty()
+    if quiet or not tty or os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp():  # not a job in the background
         yield str, lambda _: None
         return
     from edoras_tools.addons.foxglove.player import HELP
@@ -244,12 +244,12 @@ def _keyboard(
     def show(state: PlaybackState) -> None:
         line = playback_line(state, player.range_ns, len(sink.server.clients), waiting=player.waiting)
         now = line, monotonic_ns() // 1_000_000_000  # again each second: a message may stand in its place
-        if now not in shown:
-            shown[:] = [now]
+        if now not in latest:
+            latest[:] = [now]
             sys.stderr.write(f"\x1b[K{line}  {HELP}"[: get_terminal_size().columns + 2] + "\r")
             sys.stderr.flush()
 
-    shown: list[tuple[str, int]] = []
+    latest: list[tuple[str, int]] = []
     with Keys() as keyboard:
         yield keyboard.pressed, show
     sys.stderr.write("\x1b[K")
@@ -277,17 +277,17 @@ def _show(
 
 
 def _traffic(
-    given: SourceOptions, stream: Source | None, settings: Settings, output: Path | None, *, every: bool
+    request: SourceOptions, stream: Source | None, settings: Settings, output: Path | None, *, every: bool
 ) -> tuple[Source, Workbench, Mapping[Receiver, Send]]:
     """Open the live source; return it, its workbench, and functions that send commands without a socket."""
-    if given.sim is not None:
+    if request.sim is not None:
         from edoras_tools.pipelines.sending.options import Receiver
 
-        running, bench = doors.part("simulation")(given.sim.value, settings, monotonic_ns)
+        running, bench = doors.part("simulation")(request.sim.value, settings, monotonic_ns)
         return running, bench, {Receiver.CI: running.command}
     if stream is not None:
         return stream, settings.workbench(stream.info), {}
-    source, bench = open_input(given.given, settings, every_port=every, output=output)
+    source, bench = open_input(request.inputs, settings, every_port=every, output=output)
     return source, bench, {}
 
 

@@ -77,9 +77,9 @@ def attach(
     sink = FoxgloveSink(
         bench.columns.context, bench.types, info, options, levels=LEVELS, statistics=statistics
     )
-    here = sink.server.endpoint
-    if info.kind == "live" and (info.name in {"lo", "any"} or not is_loopback(here.address)):
-        bench.columns.context.framings.pop(here.port, None)  # its page's traffic is no link's
+    endpoint = sink.server.endpoint
+    if info.kind == "live" and (info.name in {"lo", "any"} or not is_loopback(endpoint.address)):
+        bench.columns.context.framings.pop(endpoint.port, None)  # its page's traffic is no link's
     return sink
 
 

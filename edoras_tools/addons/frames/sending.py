@@ -98,10 +98,10 @@ class FrameSending(LinkSending):
         self, batch: PacketBatch, frames: NDArray[np.intp], packets: NDArray[np.intp]
     ) -> dict[int, _Channel]:
         """Return the channel of packets that came out of frames at the port, by their place in the data."""
-        here = frames[batch.destination_port[frames] == self.port]
-        if not len(here):
+        inbound = frames[batch.destination_port[frames] == self.port]
+        if not len(inbound):
             return {}
-        read = read_frames(batch.data, batch.offset[here], batch.length[here], self.form)
+        read = read_frames(batch.data, batch.offset[inbound], batch.length[inbound], self.form)
         names = zip(read.spacecraft_id.tolist(), read.virtual_channel_id.tolist(), strict=True)
         channels = [_Channel(*item) for item in names]
         if self._usual is None and not read.idle.all():
@@ -109,8 +109,8 @@ class FrameSending(LinkSending):
         packets = packets[batch.original_length[packets] == -1]
         packets = packets[packets > frames[0]]
         frame = frames[np.searchsorted(frames, packets) - 1]  # a packet stands behind its frame
-        inside = np.isin(frame, here)
-        which = np.searchsorted(here, frame[inside]).tolist()
+        inside = np.isin(frame, inbound)
+        which = np.searchsorted(inbound, frame[inside]).tolist()
         places = batch.offset[packets[inside]].tolist()
         return {place: channels[index] for place, index in zip(places, which, strict=True)}
 
@@ -135,11 +135,11 @@ class FrameSending(LinkSending):
 
     def _segments(self, packets: Sequence[tuple[int, _Channel, bytes]]) -> Iterator[_Content]:
         """Yield a packet a TC frame; of a longer one a segment a frame, where the mission has segments."""
-        form, left = self.form, 0
+        form, too_long = self.form, 0
         room = _LARGEST_TC - form.smallest + 1
         for at, channel, packet in packets:
             if len(packet) > room and not form.segment_header:
-                left += 1
+                too_long += 1
                 continue
             parts = [packet[start : start + room] for start in range(0, len(packet), room)]
             for number, part in enumerate(parts):
@@ -147,7 +147,7 @@ class FrameSending(LinkSending):
                 segment = TC_SEGMENT.emit({"segment_sequence_flags": flags}) if form.segment_header else b""
                 yield _Content(at, channel, segment + part)
         text = f"packets are longer than the {room} bytes of a TC frame without segments"
-        self.refusals = [f"{left:,} {text}"] if left else []
+        self.refusals = [f"{too_long:,} {text}"] if too_long else []
 
     def _filled(
         self, channel: _Channel, packets: Sequence[tuple[int, _Channel, bytes]]

@@ -41,7 +41,7 @@ def draft(
     """
     from edoras_tools.addons.mission_draft.draft import CapturedTraffic, each_draft, read_traffic
 
-    paths = files.named()
+    paths = files.required()
     output = recordings.text_output(output, paths, force=force)
     with file_progress(paths, quiet=quiet) as bar:
         captured, _ = read_traffic(
@@ -72,7 +72,7 @@ def learn(
     """
     from edoras_tools.addons.mission_draft.learn import learn_mission
 
-    paths = files.named()
+    paths = files.required()
     if "-" in map(str, paths):
         raise ConfigError("learn reads the captures several times, so it needs files, not stdin: name files")
     output = recordings.text_output(output, paths, force=force)

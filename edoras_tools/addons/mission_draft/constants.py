@@ -247,7 +247,7 @@ class _Learner:
             missing = np.maximum(np.append(np.diff(hop.in_rows[order]) - 1, 0), 0)
             limited = any(loss.kind == "limit" for loss in case.losses_of(hop.into))
             if limited or full_rounds(times, missing, period_ns):
-                limit = _kept(times, missing, period_ns // 4)
+                limit = _round_limit(times, missing, period_ns // 4)
                 if limit is not None:
                     yield _limit("app_msg_limit", limit, f" of 0x{hop.into.msg_id:04x}")
                     return
@@ -288,7 +288,7 @@ class _Learner:
         for loss in case.losses_of(stream):
             lost[loss.kind] += loss.lost * loss.hop.startswith(telemetry_output.PIPE)
         if lost["limit"] > lost["overflow"]:
-            limit = _kept(self._times(stream), stream.missing, period_ns // 4)
+            limit = _round_limit(self._times(stream), stream.missing, period_ns // 4)
             if limit is not None:
                 yield _limit("to_limits", limit, msg_id=known_id)
 
@@ -303,7 +303,7 @@ class _Learner:
             yield pace.constant("sbn_wake_ns", f"to {case.endpoints[receiver]}")
             for stream in own:
                 lost = any(_at_pipe(loss, "limit", "SBN") for loss in case.losses_of(stream))
-                limit = _kept(self._times(stream), stream.missing, pace.value // 4) if lost else None
+                limit = _round_limit(self._times(stream), stream.missing, pace.value // 4) if lost else None
                 if limit is not None:
                     yield _limit("sbn_msg_limit", limit, f" of 0x{stream.msg_id:04x}")
                     return
@@ -339,7 +339,7 @@ def _limit(name: str, interval: Interval, text: str = "", msg_id: int | None = N
     return LearnedConstant(name, int(interval.usual), form, interval, msg_id)
 
 
-def _kept(times: NDArray[np.int64], missing: NDArray[Any], pause_ns: int) -> Interval | None:
+def _round_limit(times: NDArray[np.int64], missing: NDArray[Any], pause_ns: int) -> Interval | None:
     """Return how many a round has behind which some are missing; None where they differ.
 
     One more may come with a round that is read while it comes in, so the fewest count that are met often.

@@ -283,8 +283,8 @@ def _read(source: Source, bench: Workbench, progress: Progress | None) -> list[C
             batch, columns = rows.batch, rows.columns
             for number, own in by_value(columns.spacecraft):
                 some = slice(None) if len(own) == len(batch) else own
-                known = traffic.setdefault(number, _Traffic(bench.mission.msg_ids))
-                known.add(batch.take(some), columns.take(some))
+                part = traffic.setdefault(number, _Traffic(bench.mission.msg_ids))
+                part.add(batch.take(some), columns.take(some))
             if progress is not None:
                 progress.read(source)
     if loop.failure is not None and not any(item.streams for item in traffic.values()):
@@ -332,8 +332,8 @@ class _Writer:
             raise CaptureError(f"{name}: no EDORAS message under a MsgId that is not known{why}")
         if self._traffic.configured:
             self._notes.append(f"{count_text} left out: the mission has them already")
-        shown = "".join(item if item.isprintable() else "?" for item in name)
-        text = _HEADER.format(name=shown) + "".join(f"{line}\n" for line in lines)
+        title = "".join(item if item.isprintable() else "?" for item in name)
+        text = _HEADER.format(name=title) + "".join(f"{line}\n" for line in lines)
         return MissionDraft(text, self._topics, self._sure, self._notes)
 
     def _is_message(self, stream: _Stream) -> bool:

@@ -149,11 +149,11 @@ class _Study(Examination):
     def systems(self) -> dict[str, list[LearnedConstant]]:
         """Return the constants of each cFS, by its name: that which sends the ground the most first."""
         names = dict.fromkeys(name for constants in self._chapters for name in constants)
-        named = [name for name in names if name]
+        real_names = [name for name in names if name]
         for constants in self._chapters:
             # A chapter in which no event and no peer names its cFS, where others name a single one.
-            if len(named) == 1 and named[0] not in constants and "" in constants:
-                constants[named[0]] = constants.pop("")
+            if len(real_names) == 1 and real_names[0] not in constants and "" in constants:
+                constants[real_names[0]] = constants.pop("")
         return {
             name: joined_constants(chapters)
             for name in names

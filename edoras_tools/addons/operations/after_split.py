@@ -94,7 +94,7 @@ class AfterSplit:
             return ""  # somebody moved it, or --keep deleted it: nothing is left to do
         words = [word.replace("{}", str(path)) for word in self._words]
         try:
-            done = subprocess.run(  # noqa: S603  the user's own words
+            process = subprocess.run(  # noqa: S603  the user's own words
                 words,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -106,7 +106,7 @@ class AfterSplit:
             return f"{words[0]} did not end within {self._longest_s:g} s"
         except OSError as error:
             return f"{words[0]} cannot be run: {error.strerror or error}"
-        if not done.returncode:
+        if not process.returncode:
             return ""
-        last = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
-        return f"{words[0]} ended with exit code {done.returncode}" + (f": {last}" if last else "")
+        last = process.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+        return f"{words[0]} ended with exit code {process.returncode}" + (f": {last}" if last else "")

@@ -69,11 +69,11 @@ def _samples(
     elif isinstance(value, list):
         for item in value:
             if isinstance(item, dict):
-                named = {
+                own_labels = {
                     key: str(of) for key, of in item.items() if isinstance(of, str) or (of and key in _LABELS)
                 }
-                rest = {key: of for key, of in item.items() if key not in named}
-                yield from _samples(keys, rest, {**labels, **named})
+                rest = {key: of for key, of in item.items() if key not in own_labels}
+                yield from _samples(keys, rest, {**labels, **own_labels})
     elif isinstance(value, dict):
         by_name = keys[-1:] == ("findings",)
         for key, item in value.items():

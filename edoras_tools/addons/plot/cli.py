@@ -63,11 +63,11 @@ def plot(
     from edoras_tools.addons.plot.series import open_recordings, read_plot
     from edoras_tools.io.outputs import check_new
 
-    given = arguments or []
-    files = [*(read or ()), *(Path(item) for item in given if _is_file(item))]
+    words = arguments or []
+    files = [*(read or ()), *(Path(item) for item in words if _is_file(item))]
     if not files:
         raise ConfigError("name the input to plot: FILE... FIELD...")
-    asked = [parse_request(item) for item in given if not _is_file(item)]
+    requests = [parse_request(item) for item in words if not _is_file(item)]
     if output is not None:
         _check(output)
         check_new(output, files, force=force)
@@ -77,7 +77,7 @@ def plot(
     names = names if len({*names}) == len(names) else [str(file) for file in files]
     quiet = printing.quiet or printing.json
     with file_progress(names, quiet=quiet) as bar:
-        report = read_plot(sources, names, asked, scope, bare=bare, progress=bar)
+        report = read_plot(sources, names, requests, scope, bare=bare, progress=bar)
     if output is not None:
         size = _write(report.figure, output)
     if printing.json:
@@ -115,15 +115,15 @@ def _write(figure: Figure, output: Path) -> int:
 
     suffix = output.suffix.lower()
     picture = plot_page(figure) if suffix == ".html" else plot_svg(figure)
-    made = png(picture, 2 * PLOT_WIDTH) if suffix == ".png" else picture
-    return recordings.write_page(made, output)
+    content = png(picture, 2 * PLOT_WIDTH) if suffix == ".png" else picture
+    return recordings.write_page(content, output)
 
 
 def _print(figure: Figure) -> None:
     from edoras_tools.render.plot.terminal import plot_lines
     from edoras_tools.render.terminal.terminal import FILE_WIDTH, detect_terminal, output_console
 
-    seen = detect_terminal(sys.stdout)
-    width = 100 if seen.width == FILE_WIDTH else seen.width
-    for line in plot_lines(figure, width, colour=seen.colour):
+    terminal = detect_terminal(sys.stdout)
+    width = 100 if terminal.width == FILE_WIDTH else terminal.width
+    for line in plot_lines(figure, width, colour=terminal.colour):
         output_console().print(line, no_wrap=True, crop=False)

@@ -81,16 +81,16 @@ class PlotRequest:
         """
         columns_of = {topic: _columns(source, topic, self.field) for topic in topics}
         names = {name: column for columns in columns_of.values() for name, column in columns.items()}
-        meant = {
+        matches = {
             name: column for name, column in names.items() if not self.field or fits_field(name, self.field)
         }
         where = listed(sorted(topics), 3)
-        if not meant:
+        if not matches:
             hint = did_you_mean(self.field, names, cutoff=0.5) or f"there are {listed([*names], 12)}"
             raise ConfigError(f"{self.text}: {self.field!r} is no field of {where}; {hint}")
-        numbers = {name: column for name, column in meant.items() if _kind(column) in _NUMBERS}
+        numbers = {name: column for name, column in matches.items() if _kind(column) in _NUMBERS}
         if not numbers:
-            raise ConfigError(f"{self.text}: {listed([*meant], 3)} of {where} holds text, not numbers")
+            raise ConfigError(f"{self.text}: {listed([*matches], 3)} of {where} holds text, not numbers")
         for name, column in numbers.items():
             self._check_index(name, column)
         return {topic: [name for name in columns if name in numbers] for topic, columns in columns_of.items()}

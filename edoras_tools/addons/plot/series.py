@@ -352,7 +352,7 @@ class _Assembly:
         if len(lines) > MOST_LINES:  # only rates and losses; there may be hundreds of topics
             lines = sorted(lines, key=lambda item: -item[1].read)[:MOST_LINES]
             title += f", the {MOST_LINES} largest"
-        return self._named(title, lines, _unit({item.quantity for item in requests}))
+        return self._name_lines(title, lines, _unit({item.quantity for item in requests}))
 
     def _lines(self, item: PlotRequest, place: int, recording: _Recording) -> Iterator[tuple[str, PlotLine]]:
         for topic, names in recording.topics[item].items():
@@ -381,9 +381,9 @@ class _Assembly:
             for topic, counts in recording.losses.items():
                 if (Quantity.LOSS, topic) not in drawn and counts.total:
                     lines.append((f"{topic} lost", counts.line(place, span, self._width)))
-        return self._named("rates", lines, _PER_SECOND, beneath=True)
+        return self._name_lines("rates", lines, _PER_SECOND, beneath=True)
 
-    def _named(
+    def _name_lines(
         self, title: str, named_lines: Sequence[tuple[str, PlotLine]], unit: str, *, beneath: bool = False
     ) -> Panel:
         """Return a panel; its legend leaves out what all lines share. No colour is twice in the figure."""

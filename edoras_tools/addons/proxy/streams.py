@@ -279,9 +279,9 @@ class StreamProxy:
         try:
             first.receive(now)
             if first.target is None:
-                begun = self._has_message(first)
-                over = first.ended and not begun
-                if over or (begun and first.due(now) and not self._connect(connection, now)):
+                has_begun = self._has_message(first)
+                over = first.ended and not has_begun
+                if over or (has_begun and first.due(now) and not self._connect(connection, now)):
                     self._end(connection)
                     return
             for pipe in connection.pipes:
@@ -314,12 +314,12 @@ class StreamProxy:
                 writes = pipe.full or pipe.target is None
                 events_of[target] = events_of.get(target, 0) | writes * selectors.EVENT_WRITE
         for end, events in events_of.items():
-            known = self._selector.get_map().get(end)
-            if known is None and events:
+            key = self._selector.get_map().get(end)
+            if key is None and events:
                 self._selector.register(end, events)
-            elif known is not None and not events:
+            elif key is not None and not events:
                 self._selector.unregister(end)
-            elif known is not None and known.events != events:
+            elif key is not None and key.events != events:
                 self._selector.modify(end, events)
 
     def _end(self, connection: _Connection, *, abort: bool = False) -> None:

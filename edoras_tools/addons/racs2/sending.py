@@ -117,8 +117,8 @@ class BridgeServer(SendingSession):
             self.connected = True
             proof = hashlib.sha1(head[b"sec-websocket-key"] + _MAGIC, usedforsecurity=False).digest()
             offered = head.get(b"sec-websocket-protocol", b"").partition(b",")[0].strip()
-            chosen = b"Sec-WebSocket-Protocol: " + offered + b"\r\n" if offered else b""
-            return (_SWITCH + base64.b64encode(proof) + b"\r\n" + chosen + b"\r\n",)
+            protocol = b"Sec-WebSocket-Protocol: " + offered + b"\r\n" if offered else b""
+            return (_SWITCH + base64.b64encode(proof) + b"\r\n" + protocol + b"\r\n",)
         if data[0] & 15 == Opcode.PING:  # a client's frames are masked, and a ping's length is a byte
             return (frame(Opcode.PONG, mask(data[6:], data[2:6])),)
         return ()

@@ -38,7 +38,7 @@ def report(
     from edoras_tools.pipelines.doctor.doctor import examine
     from edoras_tools.render.pages.parts import Made
 
-    files, scope, (json, quiet) = inputs.named(), part.scope(), printing
+    files, scope, (json, quiet) = inputs.required(), part.scope(), printing
     path = output or Path(f"{files[0].name if str(files[0]) != '-' else 'report'}.html")
     check_new(path, files, force=force)
     with file_progress(files, quiet=quiet or json) as bar:
@@ -50,17 +50,17 @@ def report(
         no_datagrams(source)
     elif not findings.diagnosis.datagrams:
         raise findings.failure  # an empty page would say that nothing is wrong
-    made = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
-    size = recordings.write_page(page(findings.diagnosis, source.info.name, made), path)
+    origin = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
+    size = recordings.write_page(page(findings.diagnosis, source.info.name, origin), path)
     if json:
         print_json({**findings.summary(), "output": str(path)})
     elif not quiet:
         lost = findings.diagnosis.lost
-        told = f"{plural(lost, 'message')} lost" if lost else "no loss found"
+        outcome = f"{plural(lost, 'message')} lost" if lost else "no loss found"
         if not findings.diagnosis.datagrams:
-            told = "nothing was examined"
+            outcome = "nothing was examined"
         verdicts = plural(len(group_verdicts(findings.diagnosis.verdicts)), "verdict")
-        sys.stderr.write(f"{path}: {told}, {verdicts}, {size / 1024:.0f} KiB\n")
+        sys.stderr.write(f"{path}: {outcome}, {verdicts}, {size / 1024:.0f} KiB\n")
     for warning in findings.diagnosis.capture.warnings:
         tell(warning)
     for item in findings.diagnosis.unnamed:

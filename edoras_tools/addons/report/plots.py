@@ -64,20 +64,20 @@ def plots(case: Case, choice: Choice | None = None) -> Plots:
     """
     seconds = max((case.end_ns - case.start_ns) / SECOND, 1e-3)
     bin_s = max(1.0, seconds / _BINS)
-    shown = [
+    streams = [
         item for item in case.streams if item.route != NO_ROUTE or item.msg_id not in MSG_ID_NAMES
     ] or case.streams
     if choice is not None:
-        shown = [item for item in case.streams if choice.takes(item.link.label, item.msg_id)]
+        streams = [item for item in case.streams if choice.takes(item.link.label, item.msg_id)]
     return Plots(
         begin=(case.start_ns - case.zero_ns) / SECOND,
         seconds=seconds,
         bin_s=bin_s,
-        rates=_told_apart([(_rate(case, item, bin_s, seconds), _whose(case, item)) for item in shown]),
+        rates=_told_apart([(_rate(case, item, bin_s, seconds), _whose(case, item)) for item in streams]),
         delays=_told_apart(
             [(_delay(case, item), _whose(case, item.out)) for item in case.hops if _shows(item, choice)]
         ),
-        sizes=_told_apart([(_size(case, item), _whose(case, item)) for item in shown]),
+        sizes=_told_apart([(_size(case, item), _whose(case, item)) for item in streams]),
         counters=_counters(case),
         events=[
             {"time": _at(case, item.time_ns), "type": item.event_type, "text": str(item), "who": item.sender}
@@ -118,7 +118,7 @@ def _rate(case: Case, stream: Stream, bin_s: float, seconds: float) -> dict[str,
     times = (case.rows.time_ns[stream.rows] - case.start_ns) / SECOND
     count = int(seconds / bin_s) + 1
     index = np.clip((times / bin_s).astype(np.int64), 0, count - 1)
-    seen = np.bincount(index, minlength=count) / bin_s
+    visible = np.bincount(index, minlength=count) / bin_s
     fate = case.commands.fates.get(id(stream))
     if fate is None:
         missing = _never_came(case, stream)
@@ -126,16 +126,16 @@ def _rate(case: Case, stream: Stream, bin_s: float, seconds: float) -> dict[str,
         place = np.arange(int(missing.sum())) - np.repeat(np.cumsum(missing) - missing, missing)
         steps = np.append(np.diff(times), 0.0) / (missing + 1)
         due = np.repeat(times, missing) + np.repeat(steps, missing) * (place + 1)
-        gone = np.bincount(np.clip((due / bin_s).astype(np.int64), 0, count - 1), minlength=count) / bin_s
+        lost = np.bincount(np.clip((due / bin_s).astype(np.int64), 0, count - 1), minlength=count) / bin_s
     else:  # what is lost behind the capture was seen in it
-        gone = np.bincount(index, weights=_not_arrived(case, fate), minlength=count) / bin_s
-        seen -= gone
+        lost = np.bincount(index, weights=_not_arrived(case, fate), minlength=count) / bin_s
+        visible -= lost
     clean_hz, told_by = clean_rate(case, stream)
     return {
         "label": _label(case, stream),
         "link": stream.link.label,
-        "seen": np.round(seen, 2).tolist(),
-        "missing": np.round(gone, 2).tolist(),
+        "seen": np.round(visible, 2).tolist(),
+        "missing": np.round(lost, 2).tolist(),
         "limit": clean_hz,
         "limit_from": told_by,
     }
@@ -147,19 +147,19 @@ def _never_came(case: Case, stream: Stream) -> NDArray[np.int64]:
     What is missing over a pause is drawn where a loss holds it: the way may have been closed.
     """
     times = case.rows.time_ns[stream.rows]
-    found = np.where(stream.pauses, 0, stream.missing).astype(np.int64)
+    counts = np.where(stream.pauses, 0, stream.missing).astype(np.int64)
     own = case.losses_of(stream)
     closed = [int(np.searchsorted(times, loss.start_ns)) for loss in own if loss.closed]
-    found[closed] = 0
+    counts[closed] = 0
     for loss in own:
         if loss.closed:
-            found[np.searchsorted(times, loss.start_ns)] += loss.lost
+            counts[np.searchsorted(times, loss.start_ns)] += loss.lost
         else:
             rows = np.flatnonzero((times >= loss.start_ns) & (times <= loss.end_ns))
-            found[rows] = stream.missing[rows]
+            counts[rows] = stream.missing[rows]
             if len(rows):
-                found[rows[-1]] += max(0, loss.lost - int(found[rows].sum()))
-    return found
+                counts[rows[-1]] += max(0, loss.lost - int(counts[rows].sum()))
+    return counts
 
 
 def _not_arrived(case: Case, fate: Fate) -> NDArray[np.bool_]:
@@ -168,13 +168,13 @@ def _not_arrived(case: Case, fate: Fate) -> NDArray[np.bool_]:
     Where the way out cannot be seen they are spread over all that were sent meanwhile.
     """
     times = case.rows.time_ns[fate.stream.rows]
-    left = ~fate.arrived
+    candidates = ~fate.arrived
     for loss in case.losses:
         if loss.stream is fate.stream:
-            rows = np.flatnonzero(left & (times >= loss.start_ns) & (times <= loss.end_ns))
+            rows = np.flatnonzero(candidates & (times >= loss.start_ns) & (times <= loss.end_ns))
             number = min(loss.lost, len(rows))
-            left[rows[np.linspace(0, len(rows) - 1, number).round().astype(np.intp)]] = False
-    return ~left & ~fate.arrived
+            candidates[rows[np.linspace(0, len(rows) - 1, number).round().astype(np.intp)]] = False
+    return ~candidates & ~fate.arrived
 
 
 def _shows(hop: Hop, choice: Choice | None) -> bool:

@@ -153,7 +153,7 @@ def strip(drawn: Plots) -> str:
 
 
 def _became(row: dict[str, Any], drawn: Plots) -> str:
-    quiet = [not seen and not gone for seen, gone in zip(row["seen"], row["missing"], strict=True)]
+    quiet = [not rate and not gap for rate, gap in zip(row["seen"], row["missing"], strict=True)]
     lost, silent = sum(row["missing"]) * drawn.bin_s, sum(quiet) * drawn.bin_s
     return f"{lost:,.0f} lost, {silent:.0f} s without a message"
 
@@ -161,8 +161,8 @@ def _became(row: dict[str, Any], drawn: Plots) -> str:
 def _cells(frame: charts.Frame, row: dict[str, Any], drawn: Plots, top: int) -> Iterator[str]:
     """Yield the times of one kind that follow each other, each as one bar."""
     kinds = [
-        "missing" if gone else f"seen {row['link']}" if seen else "silence"
-        for seen, gone in zip(row["seen"], row["missing"], strict=True)
+        "missing" if gap else f"seen {row['link']}" if rate else "silence"
+        for rate, gap in zip(row["seen"], row["missing"], strict=True)
     ]
     first = 0
     for place in range(1, len(kinds) + 1):

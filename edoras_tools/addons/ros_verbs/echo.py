@@ -63,8 +63,8 @@ class EchoFormat:
         for name in filter(None, self.field.split(".")):
             fields = {item.name: item for item in types.fields(kind)} if isinstance(value, dict) else {}
             if name not in fields:
-                there = f"; there are {', '.join(fields)}" if fields else ""
-                raise ConfigError(f"--field {self.field}: {kind} has no field {name!r}{there}")
+                hint = f"; there are {', '.join(fields)}" if fields else ""
+                raise ConfigError(f"--field {self.field}: {kind} has no field {name!r}{hint}")
             value, kind = value[name], fields[name].type
         prepared = self._prepared(types, kind, value)
         if self.csv:

@@ -85,9 +85,9 @@ class GraphEndpoint(NamedTuple):
         """Return it in the shape of ``observe --json``."""
         policies = self.policies
         names = ("Reliability", "Durability", "Liveliness")
-        found = {"node": self.node or None, "gid": self.gid, "type": self.type}
+        base = {"node": self.node or None, "gid": self.gid, "type": self.type}
         deadline = None if policies["Deadline"] == FOREVER_NS else policies["Deadline"]
-        return {**found, **{name.lower(): policies[name].lower() for name in names}, "deadline_ns": deadline}
+        return {**base, **{name.lower(): policies[name].lower() for name in names}, "deadline_ns": deadline}
 
 
 class GraphObserver(Protocol):
@@ -132,8 +132,8 @@ def open_observer(
 
 def endpoints_of(observer: GraphObserver) -> list[GraphEndpoint]:
     """Return the endpoints that an observer sees, by topic."""
-    found = (GraphEndpoint(**item) for item in observer.described())
-    return sorted(found, key=lambda item: (item.topic, not item.publishes, item.node, item.gid))
+    items = (GraphEndpoint(**item) for item in observer.described())
+    return sorted(items, key=lambda item: (item.topic, not item.publishes, item.node, item.gid))
 
 
 def fitting_qos(publishers: Iterable[GraphEndpoint], depth: int = DEPTH) -> Qos:
@@ -162,8 +162,8 @@ def _refused(offer: Mapping[str, Any], wish: Mapping[str, Any]) -> list[str]:
         order = _OFFERS[name]
         return order.index(offer[name]) < order.index(wish[name])
 
-    known = (name for name in _OFFERS if {offer[name], wish[name]} <= {*_OFFERS[name]})
-    names = [*filter(less, known), *(name for name in _SPANS if offer[name] > wish[name])]
+    ranked = (name for name in _OFFERS if {offer[name], wish[name]} <= {*_OFFERS[name]})
+    names = [*filter(less, ranked), *(name for name in _SPANS if offer[name] > wish[name])]
     return [name.lower() for name in names]
 
 

@@ -62,55 +62,55 @@ class TopicFigures:
     def as_json(self) -> dict[str, Any]:
         """Return them in the shape of ``topic.schema.json``."""
         gaps = np.diff(self._times)
-        found: dict[str, Any] = {"topic": self.topic, "messages": self._messages}
+        row: dict[str, Any] = {"topic": self.topic, "messages": self._messages}
         if self.kind == "bw":
             size, span_ns = self._values, int(gaps.sum())
             rate = float(size[1:].sum()) * SECOND / span_ns if span_ns > 0 else None
             spread = _spread(size, "bytes")
             del spread["std_dev_bytes"]
-            return found | {"window": len(size), "bytes_per_s": rate} | spread
+            return row | {"window": len(size), "bytes_per_s": rate} | spread
         seconds = (gaps if self.kind == "hz" else self._values) / SECOND
-        found |= {"window": len(seconds)} | _spread(seconds, "s")
+        row |= {"window": len(seconds)} | _spread(seconds, "s")
         if self.kind == "hz":
-            found["rate_hz"] = 1 / found["mean_s"] if found["mean_s"] else None
-        return found
+            row["rate_hz"] = 1 / row["mean_s"] if row["mean_s"] else None
+        return row
 
     def text(self) -> str:
         """Return what ``ros2 topic`` prints; empty while there is nothing to print."""
-        found = self.as_json()
+        row = self.as_json()
         if len(self._values) < (1 if self.kind == "delay" else 2):
             return ""
         if self.kind == "bw":
-            rate = found["bytes_per_s"] or 0.0
+            rate = row["bytes_per_s"] or 0.0
             size, unit, digits = next((item for item in _UNITS if rate >= item[0]), _UNITS[-1])
             mean, least, most, rate = (
                 f"{value / size:.{digits}f} {unit}"
-                for value in (found["mean_bytes"], found["min_bytes"], found["max_bytes"], rate)
+                for value in (row["mean_bytes"], row["min_bytes"], row["max_bytes"], rate)
             )
-            start = f"{rate}/s from {found['window']} messages"
+            start = f"{rate}/s from {row['window']} messages"
             return f"{start}\n\tMessage size mean: {mean} min: {least} max: {most}"
-        name, value = ("rate", found["rate_hz"] or 0.0) if self.kind == "hz" else ("delay", found["mean_s"])
+        name, value = ("rate", row["rate_hz"] or 0.0) if self.kind == "hz" else ("delay", row["mean_s"])
         return (
-            f"average {name}: {value:.3f}\n\tmin: {found['min_s']:.3f}s max: {found['max_s']:.3f}s "
-            f"std dev: {found['std_dev_s']:.5f}s window: {found['window']}"
+            f"average {name}: {value:.3f}\n\tmin: {row['min_s']:.3f}s max: {row['max_s']:.3f}s "
+            f"std dev: {row['std_dev_s']:.5f}s window: {row['window']}"
         )
 
 
 def _spread(values: NDArray[Any], unit: str) -> dict[str, Any]:
     """Return mean, least, most and standard deviation, None of nothing."""
     names = (f"{name}_{unit}" for name in ("mean", "min", "max", "std_dev"))
-    found = (values.mean(), values.min(), values.max(), values.std()) if len(values) else (None,) * 4
-    return {name: None if item is None else float(item) for name, item in zip(names, found, strict=True)}
+    stats = (values.mean(), values.min(), values.max(), values.std()) if len(values) else (None,) * 4
+    return {name: None if item is None else float(item) for name, item in zip(names, stats, strict=True)}
 
 
 def rate_table(figures: Sequence[TopicFigures]) -> str:
     """Return the rates of several topics as ``ros2 topic hz`` prints them; empty while there are none."""
     rows = []
     for item in figures:
-        found = item.as_json()
+        entry = item.as_json()
         if item.text():
-            parts = (f"{found[name] or 0:.3f}" for name in ("rate_hz", "min_s", "max_s"))
-            rows.append([item.topic, *parts, f"{found['std_dev_s']:.5f}", str(found["window"])])
+            parts = (f"{entry[name] or 0:.3f}" for name in ("rate_hz", "min_s", "max_s"))
+            rows.append([item.topic, *parts, f"{entry['std_dev_s']:.5f}", str(entry["window"])])
     width = [max(len(row[at]) for row in (_HEAD, *rows)) for at in range(len(_HEAD))]
     head = "   ".join(name.center(size) for name, size in zip(_HEAD, width, strict=True))
     body = ["   ".join(cell.ljust(size) for cell, size in zip(row, width, strict=True)) for row in rows]

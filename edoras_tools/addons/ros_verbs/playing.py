@@ -132,8 +132,8 @@ def load_messages(source: Source, bench: Workbench, request: PlayRequest) -> Loa
                     f"{source.info.name}: more than 4 GiB to play; select less with --start, --end"
                 )
     if not messages:
-        found = ", ".join(notes) or "it has no ROS message that was selected"
-        raise CaptureError(f"{source.info.name}: {found}")
+        reason = ", ".join(notes) or "it has no ROS message that was selected"
+        raise CaptureError(f"{source.info.name}: {reason}")
     described, renamed = {topic.name: topic for topic in reader.topics.values()}, request.rename
     topics = [
         PlayedTopic(renamed.get(name, name), described[name].type, _qos(described[name], bench.mission))
@@ -262,10 +262,10 @@ def _await_subscriptions(graph: Graph, topics: Sequence[PlayedTopic], most_ns: i
     now = began = since = time.monotonic_ns()
     before: list[int | None] = []
     while now - began < most_ns:
-        found = [graph.subscribers(item.topic) for item in topics]
-        if found != before:
-            before, since = found, now
-        if any(found) and now - since > _STEADY_NS:
+        counts = [graph.subscribers(item.topic) for item in topics]
+        if counts != before:
+            before, since = counts, now
+        if any(counts) and now - since > _STEADY_NS:
             return
         time.sleep(_STEP_S)
         now = time.monotonic_ns()

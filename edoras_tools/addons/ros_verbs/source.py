@@ -290,17 +290,17 @@ def discovered(request: GraphRequest, observer: GraphObserver) -> list[GraphEndp
     """Wait until the topics that are asked for are published, or for the time of discovery."""
     began, waited = time.monotonic(), False
     while True:
-        found = endpoints_of(observer)
-        published = {item.topic for item in found if item.publishes}
+        endpoints = endpoints_of(observer)
+        published = {item.topic for item in endpoints if item.publishes}
         missing = [topic for topic in request.topics if topic not in published]
         if time.monotonic() - began > _DISCOVERY_S:
             if not missing:
-                return found
+                return endpoints
             if not waited:
                 waited = True
                 request.on_note(f"not published yet, waiting: {', '.join(missing)}; Ctrl-C ends")
         elif request.topics and not missing:
-            return found
+            return endpoints
         time.sleep(_STEP_S)
 
 
@@ -331,13 +331,13 @@ def _topics(request: GraphRequest, publishers: Sequence[GraphEndpoint], types: T
     Raises:
         ConfigError: there is none.
     """
-    found: dict[str, str] = {}
+    kinds: dict[str, str] = {}
     for item in publishers:
         if item.topic in (request.topics or {item.topic}.difference(_OWN_TOPICS)):
-            found.setdefault(item.topic, item.type)
-    usable = {topic: kind for topic, kind in found.items() if types.has(kind)}
-    for topic in found.keys() - usable.keys():
-        request.on_note(f"{topic} is left out: {types.check(found[topic])}")
+            kinds.setdefault(item.topic, item.type)
+    usable = {topic: kind for topic, kind in kinds.items() if types.has(kind)}
+    for topic in kinds.keys() - usable.keys():
+        request.on_note(f"{topic} is left out: {types.check(kinds[topic])}")
     if not usable:
         raise ConfigError(
             f"{request.name}: no topic is published that can be observed; is ROS_DOMAIN_ID the same as there?"
@@ -362,12 +362,12 @@ def topics_of_graph(request: GraphRequest, settings: Settings) -> list[dict[str,
     types = TypeStore(settings.distro, settings.msg_paths)
     observer = open_observer(request.ros, types, NODE, request.domain, request.options)
     try:
-        found = [item for item in discovered(request, observer) if not item.own]
+        endpoints = [item for item in discovered(request, observer) if not item.own]
     finally:
         observer.close()
     rows = []
-    for name, kind in {item.topic: item.type for item in found}.items():
-        own = [item for item in found if item.topic == name]
+    for name, kind in {item.topic: item.type for item in endpoints}.items():
+        own = [item for item in endpoints if item.topic == name]
         details = {
             "publishers": [item.text() for item in own if item.publishes],
             "subscriptions": [item.text() for item in own if not item.publishes],

@@ -41,15 +41,15 @@ class SampleEvidence(SampleFollower):
 
     def missing(self, drops: int | None) -> list[Missing]:
         """Return an entry for each writer and cause; which samples they are only their numbers tell."""
-        found = []
+        entries = []
         for item in self.topic_writers():
             row, times = _row(item, drops), (item.writer.first_ns, item.writer.last_ns)
             for cause, count in row.lost.items():
-                what = _CAUSES[cause]
-                found.append(
-                    Missing(row.link, NO_MSG_ID, row.topic, count, *times, None, None, row.came, what)
+                text = _CAUSES[cause]
+                entries.append(
+                    Missing(row.link, NO_MSG_ID, row.topic, count, *times, None, None, row.came, text)
                 )
-        return found
+        return entries
 
 
 def _row(item: TopicWriter, drops: int | None) -> Row:

@@ -55,29 +55,29 @@ def _pick(name: str, _: PacketRows, decoded: Decoded) -> Any:
 def _submessages(rows: ColumnRows) -> NamedSubmessages:
     def make() -> NamedSubmessages:
         own = np.flatnonzero(rows.column("link") == RTPS)
-        named = named_submessages(rows.batch, rows.indices()[own])
-        return named._replace(row=own[named.row])
+        table = named_submessages(rows.batch, rows.indices()[own])
+        return table._replace(row=own[table.row])
 
     result: NamedSubmessages = rows.once("rtps", make)
     return result
 
 
 def _writers(rows: ColumnRows) -> Series:
-    named = _submessages(rows)
-    texts = [guid_text(guid) for guid in named.writers]
-    return Series(len(rows), named.writer.astype(INDEX_DTYPE), named.row, table=texts)
+    table = _submessages(rows)
+    texts = [guid_text(guid) for guid in table.writers]
+    return Series(len(rows), table.writer.astype(INDEX_DTYPE), table.row, table=texts)
 
 
 def _topics(rows: ColumnRows) -> Series:
-    named = _submessages(rows)
+    table = _submessages(rows)
     endpoints = rows.context.endpoints
-    endpoint = map(endpoints.find, named.writers)
+    endpoint = map(endpoints.find, table.writers)
     texts = [item.ros_topic if item else "" for item in endpoint]
-    announced = rows.datagram("number")[named.row] >= endpoints.since(named.writers)[named.writer]
-    return Series(len(rows), named.writer[announced].astype(INDEX_DTYPE), named.row[announced], table=texts)
+    announced = rows.datagram("number")[table.row] >= endpoints.since(table.writers)[table.writer]
+    return Series(len(rows), table.writer[announced].astype(INDEX_DTYPE), table.row[announced], table=texts)
 
 
 def _numbers(rows: ColumnRows) -> Series:
-    named = _submessages(rows)
-    numbered = named.numbered
-    return Series(len(rows), named.number[numbered], named.row[numbered])
+    table = _submessages(rows)
+    numbered = table.numbered
+    return Series(len(rows), table.number[numbered], table.row[numbered])

@@ -73,7 +73,7 @@ def known_samples(
 class _Reader:
     """See :class:`~edoras_tools.links.doors.SampleReader`."""
 
-    known = staticmethod(known_samples)
+    known_samples = staticmethod(known_samples)
     rows_on = staticmethod(rows_on)
 
     def writers(self, batch: PacketBatch, rows: NDArray[np.intp]) -> list[bytes]:

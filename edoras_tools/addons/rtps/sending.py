@@ -268,8 +268,8 @@ class SampleSending(LinkSending):
                 type_name = self._announced[guid].ros_type
                 left_over[rows] = self._site.types.trailing(type_name, data, samples.start[rows], size)
         before: dict[int, KnownRanges] = {}
-        made, times = [], []
-        for row, writer, number, start, end, left, at in zip(
+        renewed, times = [], []
+        for row, writer, number, start, end, rest, at in zip(
             *(item.tolist() for item in samples[:5]),
             left_over.tolist(),
             samples.time_ns.tolist(),
@@ -279,19 +279,19 @@ class SampleSending(LinkSending):
             if not once.missing(number, number + 1):
                 continue
             once.add(number, number + 1)
-            if why := sendable[writer] or ("are no whole message of their type" if left < 0 else ""):
+            if why := sendable[writer] or ("are no whole message of their type" if rest < 0 else ""):
                 refused[why] += 1
                 continue
-            made.append(
+            renewed.append(
                 sample_message(
-                    (writers[writer], number), data[start : end - left].tobytes(), at, key_only=False
+                    (writers[writer], number), data[start : end - rest].tobytes(), at, key_only=False
                 )
             )
             times.append(int(time_ns[row]))
         self.refusals = [f"{plural(count, 'sample')} {why}" for why, count in refused.items()]
-        if not made:
+        if not renewed:
             raise ConfigError(f"no sample can be sent: {listed(self.refusals)}")
-        return made, np.array(times, np.int64)
+        return renewed, np.array(times, np.int64)
 
     def _refusal(self, guid: bytes) -> str:
         """Return why samples of a writer are not sent; empty where they are."""

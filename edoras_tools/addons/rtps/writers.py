@@ -219,7 +219,7 @@ class SampleFollower(LinkEvidence):
     Attributes:
         writers: by GUID, in order of what was first captured of them.
         datagrams: of RTPS, as they were captured.
-        made: rows that were put together from fragments.
+        reassembled: rows that were put together from fragments.
         first_ns: time of the first datagram.
         last_ns: time of the last.
         left_out: submessages of writers beyond the limit.
@@ -228,7 +228,7 @@ class SampleFollower(LinkEvidence):
     def __init__(self, endpoints: Endpoints) -> None:
         self._endpoints = endpoints
         self.writers: dict[bytes, SampleWriter] = {}
-        self.datagrams = self.made = self.left_out = 0
+        self.datagrams = self.reassembled = self.left_out = 0
         self.first_ns = self.last_ns = 0
 
     def topic_writers(self) -> tuple[TopicWriter, ...]:
@@ -270,7 +270,7 @@ class SampleFollower(LinkEvidence):
         self.first_ns = min(self.first_ns, int(times.min())) if self.datagrams else int(times.min())
         self.last_ns = max(self.last_ns, int(times.max()))
         joined = int(np.count_nonzero(batch.original_length[rows] < 0))
-        self.made += joined
+        self.reassembled += joined
         self.datagrams += len(rows) - joined
         self._follow(batch, rows)
 

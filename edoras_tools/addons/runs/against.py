@@ -269,14 +269,14 @@ def _topics(bag: Rosbag, selection: Mapping[str, str]) -> dict[str, str]:
         CaptureError: there is none, or its type is another.
     """
     topics = bag.topics()
-    there = {topic: kind for topic, kind in topics.items() if topic in selection}
-    if not there:
+    matches = {topic: kind for topic, kind in topics.items() if topic in selection}
+    if not matches:
         has = f"it has {_some(topics)}" if topics else "it is empty"
         raise CaptureError(f"{bag.path}: has none of the topics {_some(selection)}; {has}")
-    for topic, kind in there.items():
+    for topic, kind in matches.items():
         if full_name(kind) != full_name(selection[topic]):
             raise CaptureError(f"{bag.path}: {topic} is {kind}, and {selection[topic]} is wanted there")
-    return there
+    return matches
 
 
 def _rows(bag: Rosbag, topics: Mapping[str, str], types: TypeStore) -> Rows:

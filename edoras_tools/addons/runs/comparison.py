@@ -144,8 +144,8 @@ class CaptureComparison:
     def limited(self, choice: Choice) -> CaptureComparison:
         """Return the routes that are chosen."""
         own = {item.spacecraft: choice.of(item.spacecraft or FIRST_SPACECRAFT) for item in self.routes}
-        shown = (item for item in self.routes if own[item.spacecraft].takes(item.link.label, item.msg_id))
-        return replace(self, routes=[*shown])
+        routes = (item for item in self.routes if own[item.spacecraft].takes(item.link.label, item.msg_id))
+        return replace(self, routes=[*routes])
 
     @property
     def lost(self) -> int:
@@ -189,14 +189,14 @@ def compare_each(
 ) -> CaptureComparison:
     """Hold two captures against each other, spacecraft by spacecraft: each has its number."""
     nothing = Recorder(first[FIRST_SPACECRAFT].context)
-    found = {
+    results = {
         number: compare_captures(first.get(number, nothing), second.get(number, nothing), mission.of(number))
         for number in sorted({*first, *second})
     }
-    if len(found) == 1:
-        return found[FIRST_SPACECRAFT]
-    best = next((item for item in found.values() if item.common), found[FIRST_SPACECRAFT])
-    rows = [replace(row, spacecraft=number) for number, item in found.items() for row in item.routes]
+    if len(results) == 1:
+        return results[FIRST_SPACECRAFT]
+    best = next((item for item in results.values() if item.common), results[FIRST_SPACECRAFT])
+    rows = [replace(row, spacecraft=number) for number, item in results.items() for row in item.routes]
     return replace(best, routes=rows)
 
 
@@ -204,15 +204,15 @@ def compare_captures(first: Recorder, second: Recorder, mission: Mission) -> Cap
     """Hold two captures of one spacecraft against each other."""
     topics: dict[_Key, str] = {(route.link, route.msg_id): route.topic for route in mission.routes}
     sides = _side(first), _side(second)
-    found = align(first, second)
-    line = _line(found) if found else ClockLine(0, _equal(*(side.rows for side in sides)))
+    fit = align(first, second)
+    line = _line(fit) if fit else ClockLine(0, _equal(*(side.rows for side in sides)))
     keys = sorted({key for side in sides for key in _keys(side.rows)})
     a, b = _identified(sides, keys)
     b = replace(b, rows=replace(b.rows, time_ns=line.set_back(b.rows.time_ns)))
-    known = {key: _once(a.rows, b.rows, key) for key in keys}
-    senders = _back(a, b, list(known.values()))
+    pairs = {key: _once(a.rows, b.rows, key) for key in keys}
+    senders = _back(a, b, list(pairs.values()))
     back = {key: _turned(a, b, key, senders) for key in keys}
-    return _compared(a, b, known, back, topics, line.offset_ns, found)
+    return _compared(a, b, pairs, back, topics, line.offset_ns, fit)
 
 
 def compare_messages(
@@ -227,34 +227,34 @@ def compare_messages(
             the record that has more of it, or of equally many has it earlier.
     """
     nobody, nothing = np.zeros(0, np.str_), np.zeros(0, np.intp)
-    known = {key: _once(first, second, key) for key in topics}
-    back = {key: ways.get(key, _likely_back(first, second, key, pair)) for key, pair in known.items()}
-    which = [np.full(len(pair[0]), back[key]) for key, pair in known.items()]
-    ours, theirs = (np.concatenate([nothing, *(pair[side] for pair in known.values())]) for side in (0, 1))
+    pairs = {key: _once(first, second, key) for key in topics}
+    back = {key: ways.get(key, _likely_back(first, second, key, pair)) for key, pair in pairs.items()}
+    which = [np.full(len(pair[0]), back[key]) for key, pair in pairs.items()]
+    ours, theirs = (np.concatenate([nothing, *(pair[side] for pair in pairs.values())]) for side in (0, 1))
     turned = np.concatenate([np.zeros(0, np.bool_), *which])
-    found = align_ways(first.time_ns[ours], second.time_ns[theirs], turned)
-    line = _line(found) if found else ClockLine(0, 0)
+    fit = align_ways(first.time_ns[ours], second.time_ns[theirs], turned)
+    line = _line(fit) if fit else ClockLine(0, 0)
     moved = replace(second, time_ns=line.set_back(second.time_ns))
     sides = _Side(first, nobody, nothing), _Side(moved, nobody, nothing)
-    return _compared(*sides, known, back, topics, line.offset_ns, found)
+    return _compared(*sides, pairs, back, topics, line.offset_ns, fit)
 
 
 def _compared(
     first: _Side,
     second: _Side,
-    known: Mapping[_Key, _Pair],
+    pairs: Mapping[_Key, _Pair],
     back: Mapping[_Key, bool],
     topics: Mapping[_Key, str],
     offset_ns: int,
-    found: Alignment | None,
+    fit: Alignment | None,
 ) -> CaptureComparison:
     """Join two sides, the second with the times of the first, by the ways that their packets go.
 
     Args:
-        known: packets that are there once in each, which tell how far the clocks may be apart still.
+        pairs: packets that are there once in each, which tell how far the clocks may be apart still.
     """
     took = [np.zeros(1, np.int64)]
-    for key, (ours, theirs) in known.items():
+    for key, (ours, theirs) in pairs.items():
         step = second.rows.time_ns[theirs] - first.rows.time_ns[ours]
         took.append(-step if back[key] else step)
     early = np.concatenate(took)
@@ -269,13 +269,13 @@ def _compared(
         item = _difference(near, far, key, sent, came, segment)
         routes.append(item.turned(topics.get(key), back=turned))
     both = min(_within(first, second), _within(second, first))
-    drift = found.line.drift if found is not None and found.drift is not None else None
+    drift = fit.line.drift if fit is not None and fit.drift is not None else None
     return CaptureComparison(offset_ns, drift, same > _FEW * both, routes)
 
 
-def _line(found: Alignment) -> ClockLine:
+def _line(fit: Alignment) -> ClockLine:
     """Return how the second clock stands to the first; clocks that may be equal are taken as equal."""
-    return ClockLine(0, 0) if found.low_ns <= 0 <= found.high_ns else found.line
+    return ClockLine(0, 0) if fit.low_ns <= 0 <= fit.high_ns else fit.line
 
 
 def _once(a: Rows, b: Rows, key: _Key) -> _Pair:
@@ -367,10 +367,10 @@ def _difference(
     # What one capture did not live to see is not lost; it lived to see what is between two that it has.
     longest = max(int(segment.took_ns.max(initial=0)), 0)
     missing = np.setdiff1d(sent, ours)
-    left = near.rows.time_ns[missing]
-    seen = far.during(left) & far.during(left + longest)
-    seen |= np.isin(missing, sent[slice(*np.searchsorted(sent, ours[[0, -1]]))]) if len(ours) else False
-    missing = missing[seen & ~near.again(missing, ours)]
+    sent_ns = near.rows.time_ns[missing]
+    visible = far.during(sent_ns) & far.during(sent_ns + longest)
+    visible |= np.isin(missing, sent[slice(*np.searchsorted(sent, ours[[0, -1]]))]) if len(ours) else False
+    missing = missing[visible & ~near.again(missing, ours)]
     extra = np.setdiff1d(came, theirs)
     extra = extra[near.during(far.rows.time_ns[extra])]
     again = far.again(extra, theirs) | _echoed(near.rows, far.rows, sent, came, extra)
@@ -412,9 +412,9 @@ def _altered(first: Rows, second: Rows, missing: Places, extra: Places) -> int:
     """Count packets whose count, or whose values, are in both and whose bytes differ."""
     if not len(missing) or not len(extra):
         return 0
-    counted = ~first.has(Finding.SEQUENCE_UNSET)[missing]
+    valid = ~first.has(Finding.SEQUENCE_UNSET)[missing]
     also = ~second.has(Finding.SEQUENCE_UNSET)[extra]
-    by_count = len(np.intersect1d(first.sequence_count[missing[counted]], second.sequence_count[extra[also]]))
-    values = first.value_print[missing[~counted]], second.value_print[extra[~also]]
+    by_count = len(np.intersect1d(first.sequence_count[missing[valid]], second.sequence_count[extra[also]]))
+    values = first.value_print[missing[~valid]], second.value_print[extra[~also]]
     by_value = len(np.intersect1d(*(item[item != 0] for item in values)))
     return by_count + by_value

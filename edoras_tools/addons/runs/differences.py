@@ -233,7 +233,7 @@ def _figures(
 
 
 def _moved(
-    what: str,
+    quantity: str,
     place: tuple[str, Key],
     was: Sequence[float],
     now: Sequence[float],
@@ -244,20 +244,20 @@ def _moved(
     before, after = fmean(was), fmean(now)
     interval = _difference(was, now)
     differs = abs(after - before) > least and (interval is None or not interval.low <= 0 <= interval.high)
-    worse = differs and (after < before) == (what == "rate_hz")
+    worse = differs and (after < before) == (quantity == "rate_hz")
     name, key = place
     ends = (interval.low, interval.high) if interval is not None else None
-    word = "" if what == "rate_hz" else "99 % within "
+    word = "" if quantity == "rate_hz" else "99 % within "
     line = f"{name}: {word}{text(after)} instead of {text(before)}"
-    return Point(what, name, *key[:2], before, after, worse, line, differs, interval=ends)
+    return Point(quantity, name, *key[:2], before, after, worse, line, differs, interval=ends)
 
 
 def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence[Route]) -> Iterator[Point]:
     """Compare what did not arrive, of one route or of none."""
     name, (link, msg_id, _) = place or ("of no known route", (None, None, 0))
     route = name if place else None
-    for what, words in _GONE.items():
-        counts = [[(item[what], item["sent"]) for item in side] for side in (ours, theirs)]
+    for quantity, words in _GONE.items():
+        counts = [[(item[quantity], item["sent"]) for item in side] for side in (ours, theirs)]
         sent = [number for side in counts for _, number in side]
         if not any(sent):
             continue
@@ -277,7 +277,7 @@ def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence
         ends = None if interval is None else (interval.low, interval.high)
         values = (was, now) if ends is None else (before, after)
         worse = differs and after > before and enough
-        yield Point(what, route, link, msg_id, values[0], values[1], worse, text, differs, interval=ends)
+        yield Point(quantity, route, link, msg_id, values[0], values[1], worse, text, differs, interval=ends)
 
 
 def _is_chance(shares: Sequence[Sequence[float]], spread: float) -> bool:
@@ -289,8 +289,8 @@ def _is_chance(shares: Sequence[Sequence[float]], spread: float) -> bool:
     """
     one, others = sorted(shares, key=len)
     freedom = MODEL_WORTH + len(others) - 1
-    seen = MODEL_WORTH * spread**2 + pvariance(others) * len(others)
-    moved, deviation = abs(one[0] - fmean(others)), sqrt(seen / freedom * (1 + 1 / len(others)))
+    squares = MODEL_WORTH * spread**2 + pvariance(others) * len(others)
+    moved, deviation = abs(one[0] - fmean(others)), sqrt(squares / freedom * (1 + 1 / len(others)))
     return all(map(any, shares)) and moved <= t_quantile(_CONTENT, freedom) * deviation
 
 
@@ -299,7 +299,7 @@ def _limits(key: Key, theirs: Sequence[Route], limits: DifferenceLimits) -> Iter
     sent = sum(item["sent"] for item in theirs)
     share = sum(item["lost"] + item["unaccounted"] for item in theirs) / sent if sent else None
     delay = max((item["latency_ms"] for item in theirs if item["latency_ms"] is not None), default=None)
-    for what, patterns, value, text in (
+    for quantity, patterns, value, text in (
         ("max_loss", limits.max_loss, share, "{:.2%} lost".format),
         ("max_delay", limits.max_delay, delay, "99 % within {:.1f} ms".format),
     ):
@@ -307,7 +307,7 @@ def _limits(key: Key, theirs: Sequence[Route], limits: DifferenceLimits) -> Iter
             name = theirs[0]["name"]
             if value is not None and pattern in {"", name.removeprefix("/"), key[1]}:
                 line = f"{name}: {text(value)}, allowed {text(most)}"
-                yield Point(what, name, *key[:2], most, value, value > most, line, value > most)
+                yield Point(quantity, name, *key[:2], most, value, value > most, line, value > most)
 
 
 def _findings(key: Key, ours: Sequence[Route], theirs: Sequence[Route]) -> Iterator[Point]:
@@ -373,25 +373,25 @@ def _value(
     low, high = limit.low, limit.high
     if room is not None:
         low, high = min(item.low for item in before) - room, max(item.high for item in before) + room
-    seen = [item.fields[name] for _, item in after]
-    ranges = [_range(side) for side in (before, seen)]
+    fields = [item.fields[name] for _, item in after]
+    ranges = [_range(side) for side in (before, fields)]
     text = f"{topic} {name}: {_text(ranges[1])} instead of {_text(ranges[0])}"
-    was, now = (fmean([item.mean for item in side if item.count] or [np.nan]) for side in (before, seen))
-    had_none = any(np.isnan(item.kept).any() for item in before)
-    found: list[tuple[tuple[int, float], float]] = []
+    was, now = (fmean([item.mean for item in side if item.count] or [np.nan]) for side in (before, fields))
+    had_none = any(np.isnan(item.first_values).any() for item in before)
+    outliers: list[tuple[tuple[int, float], float]] = []
     for run, item in after:
-        values = item.fields[name].kept
+        values = item.fields[name].first_values
         outside = np.flatnonzero(~((values >= low) & (values <= high)) & ~(np.isnan(values) & had_none))
         if len(outside):
             number, time_ns = item.place(int(outside[0]))
-            found.append(((number, (time_ns - run.info["start_ns"]) / 1e9), float(values[outside[0]])))
-    if found:
-        first, value = found[0]
+            outliers.append(((number, (time_ns - run.info["start_ns"]) / 1e9), float(values[outside[0]])))
+    if outliers:
+        first, value = outliers[0]
         text += f"; first {value:.6g} in message {first[0]:,} at {first[1]:.3f} s"
-        worse = _most(len(found), len(after))
+        worse = _most(len(outliers), len(after))
         yield Point("value", topic, None, None, was, now, worse, text, field=name, first=first)
         return
-    stuck = not to_cfs and all(item.is_constant and item.count >= FEWEST_DELAYS for item in seen)
+    stuck = not to_cfs and all(item.is_constant and item.count >= FEWEST_DELAYS for item in fields)
     stuck = stuck and not any(item.is_constant for item in before)
     text += "; it does not change any more" if stuck else ""
     yield Point("value", topic, None, None, was, now, stuck, text, stuck, field=name)
@@ -413,7 +413,7 @@ def _routes(run: RunSummary) -> dict[Key, dict[str, Any]]:
         if row["msg_id"] is None:
             continue
         key = _key(row)
-        known = rows.setdefault(
+        entry = rows.setdefault(
             key,
             {
                 "name": run.mission.own_name(row["topic"] or row["name"] or row["msg_id"], key[2]),
@@ -429,26 +429,26 @@ def _routes(run: RunSummary) -> dict[Key, dict[str, Any]]:
                 "spread": run.spreads.get(key, 0.0),
             },
         )
-        known["count"] += row["count"]
-        low, high = known["bytes"]
-        known["bytes"] = min(low, row["bytes_min"]), max(high, row["bytes_max"])
+        entry["count"] += row["count"]
+        low, high = entry["bytes"]
+        entry["bytes"] = min(low, row["bytes_min"]), max(high, row["bytes_max"])
         for label, count in row["findings"].items():
-            known["findings"][label] += count
+            entry["findings"][label] += count
     judged = {*map(_key, run.doctor["routes"])}
     others = [row for row in run.info["routes"] if _key(row) not in judged]
     for row in (*run.doctor["routes"], *others):
-        if known := rows.get(_key(row), {}):
-            known["rate_hz"] += row["rate_hz"]
+        if entry := rows.get(_key(row), {}):
+            entry["rate_hz"] += row["rate_hz"]
     for row in run.doctor["routes"]:
-        if known := rows.get(_key(row), {}):
-            known["sent"] += row["sent"]
-            known["delays"] += row["seen"]
-            both = known["latency_ms"], latency_ms(row)
-            known["latency_ms"] = max((item for item in both if item is not None), default=None)
+        if entry := rows.get(_key(row), {}):
+            entry["sent"] += row["sent"]
+            entry["delays"] += row["seen"]
+            both = entry["latency_ms"], latency_ms(row)
+            entry["latency_ms"] = max((item for item in both if item is not None), default=None)
     for row in run.doctor["balance"]:
-        if known := rows.get(_key(row), {}):
-            for what in _GONE:
-                known[what] += row[what]
+        if entry := rows.get(_key(row), {}):
+            for quantity in _GONE:
+                entry[quantity] += row[quantity]
     return rows
 
 
@@ -459,8 +459,8 @@ def _key(row: Mapping[str, Any]) -> Key:
 def _elsewhere(run: RunSummary, routes: set[Key]) -> dict[str, Any]:
     """Return what did not arrive and is of no route, beside all datagrams."""
     rows = [row for row in run.doctor["balance"] if _key(row) not in routes]
-    gone = {what: sum(row[what] for row in rows) for what in _GONE}
-    return {"sent": run.info["datagrams"], "spread": 0.0, **gone}
+    losses = {quantity: sum(row[quantity] for row in rows) for quantity in _GONE}
+    return {"sent": run.info["datagrams"], "spread": 0.0, **losses}
 
 
 def comparison_json(

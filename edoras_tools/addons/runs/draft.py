@@ -224,8 +224,8 @@ class ExpectationUpdate:
             if not item.passed:
                 before = list(self._lines)
                 self._widen(item)
-                what = "widened" if self._lines != before else "left as it is"
-                self.notes.append(f"{item.about}: {item.name}: {what}; found {item.found}")
+                change = "widened" if self._lines != before else "left as it is"
+                self.notes.append(f"{item.about}: {item.name}: {change}; found {item.found}")
         self.text = "".join(f"{line}\n" for line in self._lines)
 
     def _widen(self, item: CheckResult) -> None:

@@ -82,8 +82,8 @@ def _fields(
         if name not in theirs.fields or not field.count:
             continue
         room = rooms.get(name, rooms.get("", _PERCENT) / 100 * (field.high - field.low))
-        low, high = _extremes(field.kept, first, end)
-        values = theirs.fields[name].kept
+        low, high = _extremes(field.first_values, first, end)
+        values = theirs.fields[name].first_values
         outside = (values < low - room) | (values > high + room) | (np.isnan(values) & ~np.isnan(low))
         if outside.any():
             place = int(outside.argmax())

@@ -142,7 +142,7 @@ class Figures:
         if packets.only_samples and parts.diagnosis is not None:
             samples, rows = parts.samples(packets)
             rates = [rate_hz(item.count, item.last_ns - item.first_ns) for item in samples]
-            return cls._counted(
+            return cls._of(
                 samples, [item for item in rates if item], rows, parts.ledger, size=None, latency=None
             )
         accounts = parts.accounts(subject)
@@ -150,7 +150,7 @@ class Figures:
         slowest = max((item for item in waits if item is not None), default=None)
         low = min((item.bytes_min for item in accounts), default=0)
         high = max((item.bytes_max for item in accounts), default=0)
-        return cls._counted(
+        return cls._of(
             accounts,
             [item.rate_hz for item in accounts if item.count > 1],
             parts.balance(subject),
@@ -160,7 +160,7 @@ class Figures:
         )
 
     @classmethod
-    def _counted(
+    def _of(
         cls,
         own: Sequence[Account | SampleStream],
         rates: Sequence[float],

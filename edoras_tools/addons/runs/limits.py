@@ -75,7 +75,7 @@ def _worth(runs: int) -> int:
     return max(1, _WORTH // runs)
 
 
-def _seen(values: Sequence[float], text: Callable[[float], str]) -> str:
+def _range_text(values: Sequence[float], text: Callable[[float], str]) -> str:
     """Return what was seen in words."""
     if len(values) == 1:
         return f"{text(values[0])} in 1 run"
@@ -102,7 +102,7 @@ def topic_limits(
         interval = tolerance_interval(rates, own, _worth(count))
         low = max(interval.low, 0.0)
         lasts = low and all(item.end_silence * (item.rate or 0.0) <= TO_END for item in runs)
-        why = _seen(rates, lambda value: f"{value:.4g} Hz")
+        why = _range_text(rates, lambda value: f"{value:.4g} Hz")
         yield "rate", RunLimit(low, interval.high, why, " to the end" if lasts else "")
         yield "silence", _time_limit([item.silence for item in runs])
     if sizes := [size for item in runs if item.size is not None for size in item.size]:
@@ -116,7 +116,7 @@ def topic_limits(
 def _time_limit(values: Sequence[float]) -> RunLimit:
     spread = _TIME * sum(values) / len(values) + _LEAST_S
     high = tolerance_interval(values, spread, _WORTH).high  # a longest time is no mean of many
-    return RunLimit(0, high, _seen(values, lambda value: f"{value:.3g} s"))
+    return RunLimit(0, high, _range_text(values, lambda value: f"{value:.3g} s"))
 
 
 def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, RunLimit]]:
@@ -128,7 +128,7 @@ def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, R
             continue
         numbers = [int(getattr(item, key)) for item in runs]
         shares = [number / item.sent for number, item in zip(numbers, runs, strict=True)]
-        whole = _seen(shares, "{:.3%}".format)
+        whole = _range_text(shares, "{:.3%}".format)
         if len(runs) == 1:
             whole = f"{numbers[0]:,} of {runs[0].sent:,} in 1 run"
         if not any(numbers):
@@ -198,9 +198,9 @@ def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> 
         freedom: how many runs that expectation is worth.
     """
     count = len(values)
-    seen = variance(values) * (count - 1) if count > 1 else 0.0
+    squares = variance(values) * (count - 1) if count > 1 else 0.0
     total = freedom + count - 1
-    deviation = math.sqrt((seen + freedom * spread * spread) / total)
+    deviation = math.sqrt((squares + freedom * spread * spread) / total)
     normal = NormalDist()
     part = 2 / (9 * total)
     chi_square = total * (1 - part + normal.inv_cdf(1 - MEAN_CONFIDENCE) * math.sqrt(part)) ** 3

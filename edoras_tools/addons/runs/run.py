@@ -175,8 +175,8 @@ class Run:
         routes = [self.context.mission.routes[index] for index in subject.packets.routes]
         own = {(route.link.label, route.msg_id) for route in routes if not (captured and route.to_cfs)}
         ids = {key.msg_id for key in subject.packets.keys}
-        known = ((key, value) for key, value in self.spreads.items() if key[2] == subject.spacecraft)
-        return hypot(*(value for key, value in known if key[:2] in own or key[1] in ids))
+        pairs = ((key, value) for key, value in self.spreads.items() if key[2] == subject.spacecraft)
+        return hypot(*(value for key, value in pairs if key[:2] in own or key[1] in ids))
 
     def whole(self) -> Figures:
         """Return the figures of all messages."""

@@ -40,7 +40,7 @@ class FieldValues:
         low: lowest value; infinite without a number.
         high: highest value.
         count: numbers seen; those that are NaN are none.
-        kept: f64, of the first messages.
+        first_values: f64, of the first messages.
         is_whole: whether it is a whole number or a flag.
         is_flag: whether it is true or false.
     """
@@ -51,7 +51,7 @@ class FieldValues:
     is_whole: bool = False
     is_flag: bool = False
     _sum: float = 0.0
-    _kept: list[NDArray[np.float64]] = field(default_factory=list)
+    _first_values: list[NDArray[np.float64]] = field(default_factory=list)
     _kept_count: int = 0
 
     def add(self, values: NDArray[Any]) -> None:
@@ -59,7 +59,7 @@ class FieldValues:
         self.is_whole, self.is_flag = values.dtype.kind in "iub", values.dtype.kind == "b"
         numbers = values.astype(np.float64)
         if (room := _MOST - self._kept_count) > 0:
-            self._kept.append(numbers[:room])
+            self._first_values.append(numbers[:room])
             self._kept_count += len(numbers[:room])
         numbers = numbers[np.isfinite(numbers)]
         self.count += len(numbers)
@@ -73,9 +73,9 @@ class FieldValues:
         return self._sum / self.count
 
     @property
-    def kept(self) -> NDArray[np.float64]:
+    def first_values(self) -> NDArray[np.float64]:
         """Values of the first messages, f64."""
-        return np.concatenate([np.zeros(0), *self._kept])
+        return np.concatenate([np.zeros(0), *self._first_values])
 
     @property
     def is_constant(self) -> bool:
@@ -85,7 +85,7 @@ class FieldValues:
     @property
     def is_moving(self) -> bool:
         """Whether it still went where it had never been when the run ended: a longer run goes on."""
-        values = self.kept
+        values = self.first_values
         if self.is_constant or len(values) < _FEWEST:
             return not self.is_constant
         late = (1 - _END) * len(values)
@@ -142,8 +142,8 @@ class ValueCount:
                     continue
                 valid = np.flatnonzero(item.columns.valid)
                 topic = self.topics.setdefault(item.topic, TopicValues(routes[item.topic].to_cfs))
-                chosen = own.take(item.owner[valid])
-                topic.note(chosen.datagram("number"), chosen.datagram("time_ns"))
+                part = own.take(item.owner[valid])
+                topic.note(part.datagram("number"), part.datagram("time_ns"))
                 for name, values in _columns(item.columns.fields):
                     topic.fields.setdefault(name, FieldValues()).add(values[valid])
 

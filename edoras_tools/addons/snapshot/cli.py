@@ -32,27 +32,27 @@ def fire(path: Path) -> str:
     return ask(path)
 
 
-def plan(asked: SnapshotOptions) -> SnapshotPlan:
+def plan(request: SnapshotOptions) -> SnapshotPlan:
     """Return the options in the form that the sink takes."""
-    given, before = asked.trigger or [], dict(asked.before or ())
+    triggers, before = request.trigger or [], dict(request.before or ())
     labels = {item.label: int(item) for item in Finding}
     usual = SnapshotPlan()
     findings = 0
-    for kind, rest in given:
+    for kind, rest in triggers:
         if kind == "finding":
             findings |= labels[rest] if rest else int(NOTABLE)
     return SnapshotPlan(
         before.get("time", usual.before_ns),
-        usual.after_ns if asked.after is None else asked.after,
-        asked.before_size or before.get("size", usual.before_bytes),
+        usual.after_ns if request.after is None else request.after,
+        request.before_size or before.get("size", usual.before_bytes),
         findings,
-        tuple(rest for kind, rest in given if kind == "where"),
-        frozenset(rest for kind, rest in given if kind == "rule" and rest),
-        ("rule", "") in given,
+        tuple(rest for kind, rest in triggers if kind == "where"),
+        frozenset(rest for kind, rest in triggers if kind == "rule" and rest),
+        ("rule", "") in triggers,
     )
 
 
-def _triggers(asked: SnapshotOptions, stack: ExitStack) -> Triggers:
+def _triggers(request: SnapshotOptions, stack: ExitStack) -> Triggers:
     """Open the triggers of this machine; a stack closes them.
 
     Raises:
@@ -60,14 +60,14 @@ def _triggers(asked: SnapshotOptions, stack: ExitStack) -> Triggers:
     """
     is_terminal = sys.stdin is not None and sys.stdin.isatty()
     keys = stack.enter_context(Keys()) if is_terminal else None
-    return stack.enter_context(listening(keys, asked.socket))
+    return stack.enter_context(listening(keys, request.socket))
 
 
 def record(
     source: Source,
     bench: Workbench,
     target: Target,
-    asked: SnapshotOptions,
+    request: SnapshotOptions,
     selection: Selection,
     limits: Limits,
     printing: PrintOptions,
@@ -80,7 +80,7 @@ def record(
     """
     with ExitStack() as stack:
         stack.callback(source.close)
-        triggers = _triggers(asked, stack)
+        triggers = _triggers(request, stack)
         watch = stack.enter_context(
             watcher(source, None, quiet=printing.quiet or printing.json, live=source.live)
         )
@@ -88,7 +88,7 @@ def record(
             source,
             bench,
             target,
-            plan(asked),
+            plan(request),
             selection=selection,
             limits=limits,
             watcher=watch,

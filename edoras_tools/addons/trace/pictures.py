@@ -66,7 +66,7 @@ def timing_picture(timing: Timing, zero_ns: int) -> str:
     inside = depth[mine] if len(rounds.wakes_ns) else depth[mine] * 0 + 1
     points = list(zip(seconds.tolist(), inside.tolist(), rounds.out[mine].tolist(), strict=True))
     most = max([rounds.limit, *inside.tolist()]) + 1
-    name = texts.named(timing)
+    name = texts.name_on_link(timing)
     frame = charts.Frame(span, most, "messages", f"{name}: {'; '.join(texts.facts(timing))}")
     for when in window.wakes_ns:
         frame.line([((when - window.start_ns) / 1e9, 0.0), ((when - window.start_ns) / 1e9, most)], "wake")
@@ -96,7 +96,7 @@ def trace_page(subject: MessageTrace | Timing, zero_ns: int, name: str, origin: 
         title, picture = texts.title(subject), trace_picture(subject, zero_ns)
         lines = [line.plain for line in texts.ladder(subject, zero_ns, 80)]
     else:
-        title, picture = texts.named(subject), f"{_KEY}{timing_picture(subject, zero_ns)}"
+        title, picture = texts.name_on_link(subject), f"{_KEY}{timing_picture(subject, zero_ns)}"
         lines = [line.plain for line in texts.diagram(subject, zero_ns, 80)]
     text = f'<div class="scroll"><pre>{escape(chr(10).join(lines))}</pre></div>'
     body = [parts.heading(name), f'<figure class="chart">{picture}</figure>', text, parts.footer(origin)]

@@ -361,8 +361,8 @@ def _inner(way: LedgerWay, first: int, size: int, base: float) -> list[HopRate]:
         if is_behind := late > _BACKLOG_S * base:
             number, late = number + round(late * size / row.came), 0
         # What no count has yet says nothing of the rate, but where ever more of it waits.
-        counted = (row.came if not first else size) - late - row.not_captured
-        share, exact = share * (1 - number / max(counted, number, 1)), exact and sure and not is_behind
+        passed = (row.came if not first else size) - late - row.not_captured
+        share, exact = share * (1 - number / max(passed, number, 1)), exact and sure and not is_behind
         figures = (base * share, round(size * share), exact) if row.observed else (None, None)
         hops.append(HopRate(row.hop, *figures))
     return hops

@@ -38,10 +38,10 @@ def title(trace: MessageTrace) -> str:
     """Return which message it is: ``/cmd_vel (0x1827 on CI), message 25 of 600``."""
     if trace.link == "" or not trace.of:
         return clean(trace.topic or "a message")
-    return clean(f"{named(trace)}, message {trace.nth:,} of {trace.of:,}")
+    return clean(f"{name_on_link(trace)}, message {trace.nth:,} of {trace.of:,}")
 
 
-def named(item: MessageTrace | Timing) -> str:
+def name_on_link(item: MessageTrace | Timing) -> str:
     """Return ``/cmd_vel (0x1827 on CI)``; where no mission names a topic, ``0x1827 on CI``."""
     which = f"0x{item.msg_id:04x} on {item.link.upper()}" if item.msg_id >= 0 else item.link.upper()
     return f"{item.topic} ({which})" if item.topic and item.topic[:2] != "0x" else which
@@ -239,7 +239,7 @@ def diagram(timing: Timing, zero_ns: int, width: int) -> list[Text]:
         marks[at] = "✗" if "✗" in {mark, marks[at]} else mark
         if len(rounds.wakes_ns):
             waits[at] = str(depth[place]) if depth[place] < 10 else "+"
-    lines = [Text(clip(clean(named(timing)), width), palette.STRONG)]
+    lines = [Text(clip(clean(name_on_link(timing)), width), palette.STRONG)]
     lines += [Text(part) for text in facts(timing) for part in wrap(clean(text), width)]
     begin = (window.start_ns - zero_ns) / 1e9
     lines += [Text(""), Text(f"from {begin:.3f} s, a column is {step / 1e6:.0f} ms", palette.DIM)]

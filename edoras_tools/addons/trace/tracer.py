@@ -253,8 +253,8 @@ class Tracer:
             way = queue.pop()
             streams = {id(item.stream) for item in way}
             every = self._ways_out(way[-1]) if not way[-1].behind else ()
-            onward = [there for _, there in every if id(there.stream) not in streams]
-            queue += [[*way, there] for there in reversed(onward)]
+            onward = [target for _, target in every if id(target.stream) not in streams]
+            queue += [[*way, target] for target in reversed(onward)]
             if not onward:
                 yield way
 
@@ -354,7 +354,7 @@ class Tracer:
         if onward is None:
             return
         same = "the same packet" if onward.stream.msg_id == leg.stream.msg_id else "the same values"
-        hop = next(hop for hop, there in self._ways_out(leg) if there.at == onward.at)
+        hop = next(hop for hop, target in self._ways_out(leg) if target.at == onward.at)
         single = self._is_single(hop, leg)
         text = f"{same} came out" + ("" if single else "; others had them too: the latest is taken")
         yield TraceStep(APPLICATION, text, "proven" if single else "by model")
@@ -391,7 +391,7 @@ class Tracer:
     def _usual(self, legs: Sequence[_Leg]) -> Latency | None:
         """Return the delay of all messages that went the same way, from the first to the last step."""
         if len(legs) == 2:
-            return next((h.latency for h, there in self._ways_out(legs[0]) if there.at == legs[1].at), None)
+            return next((h.latency for h, target in self._ways_out(legs[0]) if target.at == legs[1].at), None)
         stream = legs[0].stream
         mission = self._case.rows.mission_time_ns[stream.rows]
         if len(legs) > 2 or stream.link.to_cfs or stream.instance == NOBODY or not (mission > 0).any():
@@ -487,8 +487,8 @@ def _text(entry: LedgerEntry, case: Case) -> str:
     return case.called(entry.text) or ENDING_TEXTS[entry.ending]
 
 
-def _ending(entry: LedgerEntry, witness: Witness, case: Case, said: str = "") -> MessageEnd:
-    text = said or _text(entry, case)
+def _ending(entry: LedgerEntry, witness: Witness, case: Case, wording: str = "") -> MessageEnd:
+    text = wording or _text(entry, case)
     text = f"lost: {text}" if entry.ending == "lost" and not text.startswith("lost") else text
     return MessageEnd(entry.ending, case.called(entry.hop), text, witness, entry.cause)
 

@@ -106,8 +106,8 @@ class Tracing(Examination):
         if self._passed:
             raise RouteError(f"--nth {request.nth}: {request.topic} has {plural(self._passed, 'message')}")
         hint = did_you_mean(request.topic or "", list(self._names), 3) or "edoras info shows what is there"
-        what = repr(request.topic) if request.topic else "any topic"
-        raise RouteError(f"no message of {what} is there; {hint}")
+        subject = repr(request.topic) if request.topic else "any topic"
+        raise RouteError(f"no message of {subject} is there; {hint}")
 
     def _look(self, case: Case) -> None:
         request = self.request
@@ -130,8 +130,8 @@ class Tracing(Examination):
             self.trace = Tracer(case).nth(streams, request.nth - self._passed) if streams else None
             self._passed += sum(messages_in(item) for item in streams)
         elif request.window is not None:
-            found = [(item, request.topic) for item in streams] if request.topic else self._every(case)
-            if rates := [topic_rates(case, *item, request.window) for item in found]:
+            pairs = [(item, request.topic) for item in streams] if request.topic else self._every(case)
+            if rates := [topic_rates(case, *item, request.window) for item in pairs]:
                 self._rates[case.mission.number] = rates
         elif streams:
             timings = [_timing(case, item, request.topic or "") for item in streams]

@@ -161,11 +161,11 @@ def uninstall() -> Iterator[tuple[Path, bool]]:
 
 def _is_ours(folder: Path) -> bool:
     """Tell whether a profile is as it was written, but for what Wireshark writes itself."""
-    ours, there = (
+    ours, theirs = (
         {item.name: item.read_bytes() for item in place.iterdir() if item.is_file()}
         for place in (_PROFILE_FILES, folder)
     )
-    return ours | {_BY_WIRESHARK: b""} == there | {_BY_WIRESHARK: b""}
+    return ours | {_BY_WIRESHARK: b""} == theirs | {_BY_WIRESHARK: b""}
 
 
 def install_extcap(folder: Path | None = None, *, force: bool = False) -> Path:

@@ -318,11 +318,11 @@ def samples_of(rows: ColumnRows) -> list[KnownSamples]:
 
     def make() -> list[KnownSamples]:
         context = rows.context
-        found: list[KnownSamples] = []
+        groups: list[KnownSamples] = []
         for link in (item for item in context.links if item.samples):
             own = rows.indices()[np.flatnonzero(rows.column("link") == link)]
-            found += link.sample_reader().known(context.types, context.endpoints, rows.batch, own)
-        return found
+            groups += link.sample_reader().known_samples(context.types, context.endpoints, rows.batch, own)
+        return groups
 
     samples: list[KnownSamples] = rows.once("samples", make)
     return samples

@@ -305,8 +305,8 @@ def _read_messages(rows: ColumnRows) -> Series:
         # The decoder reports no findings for a packet that the capture cut.
         invalid[row] = rows.take(np.array([row])).packets()[0].message is None
     present &= ~invalid
-    for held in structs_of(rows).values():
-        present[held.rows] = True
+    for group in structs_of(rows).values():
+        present[group.rows] = True
     return Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), present)
 
 

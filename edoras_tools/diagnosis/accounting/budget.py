@@ -81,10 +81,10 @@ def _unlisted(link: FlightLink, profile: SimProfile) -> tuple[str, ...]:
     if bridge not in table:
         return (f"SBN's table has no peer {bridge}: cFS refuses what the bridge sends",)
     place = table[bridge]
-    told = (link.udp_receive_ip, link.udp_receive_port)
-    if place.port != told[1] or (told[0] != _ANY and place.address != told[0]):
+    ends = (link.udp_receive_ip, link.udp_receive_port)
+    if place.port != ends[1] or (ends[0] != _ANY and place.address != ends[0]):
         where = f"{place.address}:{place.port}"
-        return (f"SBN's table has {bridge} at {where}, and the bridge listens at {told[0]}:{told[1]}",)
+        return (f"SBN's table has {bridge} at {where}, and the bridge listens at {ends[0]}:{ends[1]}",)
     return ()
 
 
@@ -130,9 +130,9 @@ def _budget(route: Route, types: TypeStore, profile: SimProfile, headers: cfe.He
     fixed = types.fixed_size(route.type) if types.has(route.type) else None
     size = None
     if fixed is not None:
-        named = route.envelope if route.envelope and route.envelope != "auto" else str(DEFAULT)
+        envelope = route.envelope if route.envelope and route.envelope != "auto" else str(DEFAULT)
         network = HEADER.size if route.link.peers else 0
-        size = network + headers.size(route.msg_id) + EnvelopeFormat.of_name(named).size + fixed
+        size = network + headers.size(route.msg_id) + EnvelopeFormat.of_name(envelope).size + fixed
     command = headers.msg_ids.is_command(route.msg_id)
     return Budget(route, limit_hz, hop, reason, size, tuple(_traps(route, size, profile, command=command)))
 

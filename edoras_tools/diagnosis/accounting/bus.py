@@ -142,10 +142,10 @@ class _Gaps:
     low_ns: NDArray[np.int64]
     high_ns: NDArray[np.int64]
 
-    def take(self, chosen: NDArray[Any]) -> _Gaps:
+    def take(self, rows: NDArray[Any]) -> _Gaps:
         """Return some of them."""
         columns = self.at, self.rows, self.number, self.low_ns, self.high_ns
-        return _Gaps(self.of, *(column[chosen] for column in columns))
+        return _Gaps(self.of, *(column[rows] for column in columns))
 
     def among(self, stream: Stream) -> Among:
         """Return the messages that they are, of a stream that lacks them."""
@@ -189,19 +189,19 @@ class Telemetry:
         The next one is one of them, and its counts that are missing; not what cFS publishes for others while
         an SBN peer is away.
         """
-        found = stream.missing + 1
+        counts = stream.missing + 1
         for part in self.parts:
             routed = part.cause is None or part.cause[0] != "route"
             if part.stream is stream and part.closed and stream.link.peers and routed:
-                found[part.span.first] = 1
-        return found
+                counts[part.span.first] = 1
+        return counts
 
     def tell(self) -> None:
         """Make losses of what is missing, once the claims have their counts."""
         for claim in self.claims:
-            taken = self.parts[claim.key].taken
+            totals = self.parts[claim.key].taken
             for (_, kind), number in claim.by_kind().items():
-                taken[kind] += number
+                totals[kind] += number
             if claim.rank == Rank.POSSIBLE:  # behind the last message that came, where no gap shows it
                 self.parts[claim.key].missing += sum(claim.taken.values())
         for part in self.parts:
@@ -257,9 +257,9 @@ class Telemetry:
     def _missing(self, stream: Stream) -> _Gaps:
         """Return what is missing by sequence counts."""
         case, missing = self._case, stream.missing - self._dropped(stream)
-        made = case.instances.made_ns[stream.rows] if stream.instance != NOBODY else stream.time_ns
+        made_ns = case.instances.made_ns[stream.rows] if stream.instance != NOBODY else stream.time_ns
         at = np.flatnonzero(missing[:-1])
-        return _Gaps(stream, at, at, missing[at], made[at] - _SLACK_NS, made[at + 1] + _SLACK_NS)
+        return _Gaps(stream, at, at, missing[at], made_ns[at] - _SLACK_NS, made_ns[at + 1] + _SLACK_NS)
 
     def _not_handed_on(self, stream: Stream, hop: Hop) -> _Gaps:
         """Return what came in and did not go out: what was lost further up is that link's loss."""
@@ -288,13 +288,13 @@ class Telemetry:
 
     def _dropped_unseen(self) -> None:
         """Add what a proxy dropped before a stream begins here, or behind its end: no gap shows it."""
-        left: dict[int, int] = {}
+        rest: dict[int, int] = {}
         for stream in self._case.streams:
-            done = self._case.done_to(stream)
-            here = left.get(id(done), len(done.dropped))
-            left[id(done)] = here - self.ended(stream, "proxied")
+            faults = self._case.done_to(stream)
+            number = rest.get(id(faults), len(faults.dropped))
+            rest[id(faults)] = number - self.ended(stream, "proxied")
         for stream in self._case.streams:
-            if more := left.pop(id(self._case.done_to(stream)), 0):
+            if more := rest.pop(id(self._case.done_to(stream)), 0):
                 self.ends[id(stream)]["proxied"] += more
 
     def _dropped(self, stream: Stream) -> NDArray[np.int64]:
@@ -302,7 +302,7 @@ class Telemetry:
 
         A proxy dropped them on purpose, or they came damaged.
         """
-        found = np.zeros(len(stream), np.int64)
+        numbers = np.zeros(len(stream), np.int64)
         dropped = self._case.done_to(stream).counts(peers=stream.link.peers)
         damaged = self._case.damaged_of(stream).sequence_count.astype(np.int64).tolist()
         before = self._case.rows.sequence_count[stream.rows].astype(np.int64)
@@ -311,11 +311,11 @@ class Telemetry:
             for count in counts:
                 # Of gaps that a count fits into, where counts have wrapped, the first that has room.
                 fits = (count - before - 1) % MODULUS < stream.missing
-                at = np.flatnonzero(fits & (found < stream.missing))
+                at = np.flatnonzero(fits & (numbers < stream.missing))
                 if len(at):
-                    found[at[0]] += 1
+                    numbers[at[0]] += 1
                     self.ends[id(stream)][ending] += 1
-        return found
+        return numbers
 
     def _claim_closed(self, part: Part, gap: _Gaps) -> None:
         """Claim counts of what is missing: a pipe that nobody empties fills up, and the bus counts that."""
@@ -374,18 +374,18 @@ class Telemetry:
     def _tell_closed(self, part: Part) -> None:
         """Make losses of what is missing while the way out was closed, of what was counted at least."""
         pipe = self._case.pipe_of(part.stream)
-        counted = {
+        texts = {
             kind: f"0x803: {COUNTER_NAMES[kind]} +{number:,} while nobody emptied {pipe}"
             for kind, number in part.taken.items()
         }
         if part.cause is not None:
             kind_, hop, text = part.cause
-            part.evidence = [text, *counted.values()]
+            part.evidence = [text, *texts.values()]
             self._lose(part, kind_, part.missing, part.missing, "high").hop = hop
             return
         for kind, number in part.taken.items():
             part.evidence = [
-                counted[kind],
+                texts[kind],
                 "Telemetry Output was not sending then: it would not have sent them either",
             ]
             self._lose(part, kind, number, part.missing, "medium")
@@ -408,14 +408,14 @@ class Telemetry:
         kinds: list[tuple[bool, PipeKind]] = []
         for kind in COUNTERS:
             events = self._naming(part, kind)
-            named = bool(events and events.within(*window))
+            is_named = bool(events and events.within(*window))
             if events:
                 part.evidence.append(
                     f"event CFE_SB {PIPE_EVENTS[kind]} x{events.count}: {events.records[0].message}"
                 )
             # Without its counter a full pipe proves nothing.
-            if named or (self._grown(part, COUNTERS[kind]) and pressed(case, stream, span, kind, gaps)):
-                kinds.append((not named, kind))
+            if is_named or (self._grown(part, COUNTERS[kind]) and pressed(case, stream, span, kind, gaps)):
+                kinds.append((not is_named, kind))
         if not kinds and part.owner not in self._counts and stream.link.only_from_cfs and not via:
             own = slice(span.first, span.last + 1)
             period_ns = queues.telemetry_pipe(case.profile).round_ns
@@ -428,7 +428,7 @@ class Telemetry:
         """Return the events that name a MsgId at Telemetry Output's pipe, or at a peer's."""
         output = part.stream.link.only_from_cfs
         about = self._case.events_about(part.owner, part.stream.msg_id, kind)
-        return next((said for item, said in about if (item.at_output if output else item.at_peer)), None)
+        return next((events for item, events in about if (item.at_output if output else item.at_peer)), None)
 
     def _tail(self, key: int) -> None:
         """Claim counts of what was lost behind the last message that came: no gap shows it."""
@@ -466,11 +466,11 @@ class Telemetry:
 
     def _tell(self, part: Part) -> None:
         """Make losses of what is missing from a span."""
-        taken = part.taken.total()
-        rest = part.missing - taken
+        total = part.taken.total()
+        rest = part.missing - total
         likeliest = max(part.taken, key=lambda kind: part.taken[kind], default=None)
         more = max(0, min(rest, part.outside))
-        if taken and likeliest is not None:
+        if total and likeliest is not None:
             # Where no count was seen, a pipe that was full before and after was full.
             part.taken[likeliest] += more
             rest -= more
@@ -481,9 +481,9 @@ class Telemetry:
             if part.owner in self._counts
             else "0x803 of this cFS is not in the capture, so its counters cannot tell where"
         )
-        for counted, number in part.taken.items():
+        for cause, number in part.taken.items():
             if number:
-                self._lose(part, counted, number, of, "high").uncounted = more * (counted == likeliest)
+                self._lose(part, cause, number, of, "high").uncounted = more * (cause == likeliest)
         dropped = self._never_whole(part)
         if rest > 0 and (cut := min(rest, dropped)):
             part.evidence.append(f"the first fragments of {cut:,} of them came, and no later ones")
@@ -548,16 +548,16 @@ class Telemetry:
     @cached_property
     def _fragmented(self) -> list[tuple[int, int]]:
         """From when to when no later fragments came: what the capture missed stands between whole ones."""
-        found = []
+        spans = []
         for stream in self._case.streams:
-            begun = np.sort(np.array(self._beginnings(stream), np.int64))
+            starts = np.sort(np.array(self._beginnings(stream), np.int64))
             times = stream.time_ns
-            for at in np.flatnonzero(stream.missing >= _LEAST_FRAGMENTED).tolist() if len(begun) else ():
+            for at in np.flatnonzero(stream.missing >= _LEAST_FRAGMENTED).tolist() if len(starts) else ():
                 start_ns, end_ns = int(times[at]), int(times[min(at + 1, len(times) - 1)])
-                inside = begun[(begun > start_ns) & (begun < end_ns)]
+                inside = starts[(starts > start_ns) & (starts < end_ns)]
                 if len(inside) >= _LEAST_FRAGMENTED:
-                    found.append((int(inside[0]), int(inside[-1])))
-        return found
+                    spans.append((int(inside[0]), int(inside[-1])))
+        return spans
 
     def _cut(self, stream: Stream) -> bool:
         """Tell whether the capture cut off when packets were made, without which two cFS are one."""

@@ -147,10 +147,10 @@ class Claim:
 
     def by_kind(self) -> dict[tuple[int, PipeKind], int]:
         """Return how many of each kind each instance counted of them."""
-        found: dict[tuple[int, PipeKind], int] = {}
+        counts: dict[tuple[int, PipeKind], int] = {}
         for (instance, kind, _), number in self.taken.items():
-            found[instance, kind] = found.get((instance, kind), 0) + number
-        return found
+            counts[instance, kind] = counts.get((instance, kind), 0) + number
+        return counts
 
 
 def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0) -> None:
@@ -247,7 +247,7 @@ def settle_known(
 
 
 def hand_on(
-    counts: Counts, instance: int, kind: PipeKind, named: Sequence[Claim], claims: Sequence[Claim]
+    counts: Counts, instance: int, kind: PipeKind, givers: Sequence[Claim], claims: Sequence[Claim]
 ) -> None:
     """Hand what some claims were given on to others of the same traffic, what surely is missing first.
 
@@ -255,17 +255,17 @@ def hand_on(
 
     Args:
         counts: of the instance, which counted all of it as of one kind.
-        named: claims that have it.
+        givers: claims that have it.
         claims: those that are to have it.
     """
     table = _Table(instance, kind, counts, claims, 0)
-    for place, number in (item for each in named for item in each.taken.items()):
-        left = number
+    for place, number in (item for each in givers for item in each.taken.items()):
+        rest = number
         for at in sorted(table.within(place[2]), key=lambda at: claims[at].rank):
-            if part := min(left, claims[at].open):
+            if part := min(rest, claims[at].open):
                 claims[at].give(place, part)
-                left -= part
-        table.left[place[2]] += left
+                rest -= part
+        table.left[place[2]] += rest
 
 
 def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: dict[int, int]) -> None:
@@ -313,29 +313,29 @@ def settle_possible(
         what several share.
     """
     tables = _tables(counts, claims).values()
-    found: dict[tuple[int, PipeKind, frozenset[int]], Shared] = {}
+    shared: dict[tuple[int, PipeKind, frozenset[int]], Shared] = {}
     has_rest = True
     for rank in sorted({claim.rank for claim in claims if claim.rank >= Rank.POSSIBLE}):
         for place in range(len(COUNTERS)):
             for table in tables:
                 asking = {at for at in table.asking if table.prefers(at, rank, place)}
                 for second in np.flatnonzero(table.left).tolist() if asking else ():
-                    held = [at for at in table.within(second) if at in asking and claims[at].open]
+                    takers = [at for at in table.within(second) if at in asking and claims[at].open]
                     span = counts[table.instance].times[second : second + 2].tolist()
-                    flows = table.sharers(second, held, rivals, span)
+                    flows = table.sharers(second, takers, rivals, span)
                     if flows and has_rest:
                         settle_rest(counts, claims)
                         has_rest = False
-                    table.give_surplus(second, held, rivals, span)
-                    number = table.give(second, held, reserve=bool(flows))
+                    table.give_surplus(second, takers, rivals, span)
+                    number = table.give(second, takers, reserve=bool(flows))
                     if flows and number:
                         key = table.instance, table.kind, flows
-                        item = found.setdefault(key, Shared(*key, 0, *span))
+                        item = shared.setdefault(key, Shared(*key, 0, *span))
                         item.number += number
                         item.end_ns = span[1]
     if not rivals:
         _pass_on(counts, [claim for claim in claims if claim.rank != Rank.MISSING])
-    return list(found.values())
+    return list(shared.values())
 
 
 def _pass_on(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
@@ -353,16 +353,16 @@ def _reached(
     tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], start: Place
 ) -> set[int]:
     """Return the open claims that some counts can go to, by moving those of others."""
-    todo, places, seen = [start], {start}, set[int]()
+    todo, places, reached = [start], {start}, set[int]()
     while todo:
         place = todo.pop()
         for at in tables[place[0], place[1]].within(place[2]):
-            if at not in seen:
-                seen.add(at)
+            if at not in reached:
+                reached.add(at)
                 others = {item for item in claims[at].taken if item[:2] in tables} - places
                 places |= others
                 todo += others
-    return {at for at in seen if claims[at].open}
+    return {at for at in reached if claims[at].open}
 
 
 class _Table:
@@ -395,21 +395,21 @@ class _Table:
 
     def within(self, second: int) -> list[int]:
         """Return the claims whose time holds a second."""
-        there = np.flatnonzero((self._first <= second) & (self._last >= second))
-        return [self.asking[place] for place in there.tolist()]
+        places = np.flatnonzero((self._first <= second) & (self._last >= second))
+        return [self.asking[place] for place in places.tolist()]
 
     def sharers(
-        self, second: int, held: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]
+        self, second: int, takers: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]
     ) -> frozenset[int]:
         """Return which traffic shares the counts of a second; none where each has its own.
 
         Args:
-            held: claims that may take them.
+            takers: claims that may take them.
             span: when the second begins and ends, ns.
         """
         unseen = {rival.flow for rival in self._unseen(rivals, span)}
-        flows = frozenset(self._claims[at].flow for at in held) | unseen
-        is_all = not unseen and int(self.left[second]) >= sum(self._claims[at].open for at in held)
+        flows = frozenset(self._claims[at].flow for at in takers) | unseen
+        is_all = not unseen and int(self.left[second]) >= sum(self._claims[at].open for at in takers)
         return frozenset() if is_all or len(flows) == 1 else flows
 
     def _unseen(self, rivals: Sequence[Rival], span: Sequence[int]) -> list[Rival]:
@@ -422,35 +422,35 @@ class _Table:
         ]
 
     def give_surplus(
-        self, second: int, held: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]
+        self, second: int, takers: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]
     ) -> None:
         """Give each traffic the counts of a second that all others together cannot have; see ``sharers``."""
         unseen = sum(rival.most for rival in self._unseen(rivals, span))
         open_ = Counter[int]()
-        for at in held:
+        for at in takers:
             open_[self._claims[at].flow] += self._claims[at].open
         beyond = int(self.left[second]) - open_.total() - unseen
         for flow, own in open_.items():
             if (most := min(own, beyond + own)) > 0:
-                self.give(second, [at for at in held if self._claims[at].flow == flow], most=most)
+                self.give(second, [at for at in takers if self._claims[at].flow == flow], most=most)
 
     def serve(self, asking: Sequence[int]) -> None:
         """Give counts to claims: to all whose time holds a count, by how much of each is open."""
         first = {at: int(self._first[self._place[at]]) for at in asking}
-        order, held, next_ = sorted(asking, key=first.__getitem__), list[int](), 0
+        order, takers, next_ = sorted(asking, key=first.__getitem__), list[int](), 0
         for second in np.flatnonzero(self.left).tolist():
             while next_ < len(order) and first[order[next_]] <= second:
-                held.append(order[next_])
+                takers.append(order[next_])
                 next_ += 1
-            held = [at for at in held if self._last[self._place[at]] >= second and self._claims[at].open]
-            self.give(second, held)
+            takers = [at for at in takers if self._last[self._place[at]] >= second and self._claims[at].open]
+            self.give(second, takers)
 
-    def give(self, second: int, held: Sequence[int], *, reserve: bool = False, most: int = 1 << 32) -> int:
+    def give(self, second: int, takers: Sequence[int], *, reserve: bool = False, most: int = 1 << 32) -> int:
         """Give so many counts of a second at most to claims, or reserve them for these; return how many."""
-        turn = second % max(1, len(held))  # what does not divide goes to another one each time
-        held = [*held[turn:], *held[:turn]]
-        before, opened = int(self.left[second]), [self._claims[at].open for at in held]
-        for at, share in zip(held, shares(min(before, most), opened, opened), strict=True):
+        turn = second % max(1, len(takers))  # what does not divide goes to another one each time
+        takers = [*takers[turn:], *takers[:turn]]
+        before, opened = int(self.left[second]), [self._claims[at].open for at in takers]
+        for at, share in zip(takers, shares(min(before, most), opened, opened), strict=True):
             if share and reserve:
                 self._claims[at].reserved += share
             elif share:
@@ -514,19 +514,19 @@ def _path(
 
 def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[int]:
     """Divide a number by weights into whole parts, none above its most; what does not fit is left."""
-    out, left = [0] * len(weights), number
-    while left > 0:
+    out, rest = [0] * len(weights), number
+    while rest > 0:
         free = [at for at in range(len(out)) if out[at] < most[at] and weights[at] > 0]
         if not free:
             break
         total = sum(weights[at] for at in free)
-        exact = [left * weights[at] / total for at in free]
+        exact = [rest * weights[at] / total for at in free]
         parts = [min(int(value), most[at] - out[at]) for value, at in zip(exact, free, strict=True)]
         if not any(parts):  # what does not divide: one each, as far as it goes
-            parts = (np.argsort(np.argsort(-np.array(exact), kind="stable")) < left).astype(int).tolist()
+            parts = (np.argsort(np.argsort(-np.array(exact), kind="stable")) < rest).astype(int).tolist()
         for at, part in zip(free, parts, strict=True):
             out[at] += part
-        left = number - sum(out)
+        rest = number - sum(out)
     return out
 
 

@@ -137,8 +137,8 @@ def unled_silences(case: Case, stream: Stream) -> list[tuple[int, int]]:
         return []
     if stream.link.peers:
         rows = case.rows
-        there = (rows.source == stream.sender) & (rows.destination == stream.receiver)
-        times = rows.time_ns[there & (rows.msg_id != NO_MSG_ID)]
+        own = (rows.source == stream.sender) & (rows.destination == stream.receiver)
+        times = rows.time_ns[own & (rows.msg_id != NO_MSG_ID)]
     else:
         times = _sent_by(case, stream.sender)
     silent = np.flatnonzero(np.diff(times) > _SILENT_WAKES * case.profile.to_wake_ns)
@@ -184,15 +184,15 @@ def silences(
         enabled_ns: when commands were sent that enable it.
         boot_ns: it began then, and is silent from then on; as the first of the times where it is one.
     """
-    found = []
+    spans = []
     most_ns = np.full(len(sent_ns), _SILENT_WAKES * wake_ns)[1:]
     most_ns[:1][sent_ns[:1] == boot_ns] = wake_ns
     for at in np.flatnonzero(np.diff(sent_ns) > most_ns).tolist():
         start_ns, end_ns = int(sent_ns[at]), int(sent_ns[at + 1])
         inside = [when for when in enabled_ns if start_ns < when < end_ns]
         if inside and min(inside) > end_ns - _SILENT_WAKES * wake_ns:
-            found.append((start_ns, end_ns))
-    return found
+            spans.append((start_ns, end_ns))
+    return spans
 
 
 @dataclass(slots=True)
@@ -221,14 +221,14 @@ class Unheard:
 
 def unheard(case: Case) -> dict[int, Unheard]:
     """Return it by the id of the stream; a stream is there if its peer was silent at all."""
-    found: dict[int, Unheard] = {}
+    by_stream: dict[int, Unheard] = {}
     party, closed = case.network.party, case.unreachable.closed
     for ends, connection in case.network.connections.items():
         silences = list(connection.silences(case.end_ns))
         for stream in case.streams if silences or connection.restarts else ():
             if not stream.link.peers or (party(stream.receiver), party(stream.sender)) != ends:
                 continue
-            item = found.setdefault(id(stream), Unheard(connection.peer))
+            item = by_stream.setdefault(id(stream), Unheard(connection.peer))
             times = stream.time_ns
             for silence in silences:
                 inside = np.flatnonzero((times > silence.start_ns) & (times < silence.until_ns)).tolist()
@@ -240,11 +240,11 @@ def unheard(case: Case) -> dict[int, Unheard]:
                 else:
                     item.unaccounted += len(inside)
             for restart in connection.restarts:
-                gone = (times > restart.dead_ns) & (times < restart.back_ns)
-                item.restarted += np.flatnonzero(gone).tolist()
+                dead = (times > restart.dead_ns) & (times < restart.back_ns)
+                item.restarted += np.flatnonzero(dead).tolist()
                 unread = (times > restart.read_ns) & (times <= restart.dead_ns)
                 item.uncertain += int((unread & ~closed[stream.rows]).sum())
-    return found
+    return by_stream
 
 
 UDP_PORT: Final = "port"
@@ -283,9 +283,9 @@ class Unreached:
 
 def unreached(case: Case) -> list[Unreached]:
     """Return it by stream, in the order of the streams."""
-    found, times = case.unreachable, case.rows.time_ns
+    errors, times = case.unreachable, case.rows.time_ns
     fate_of = np.zeros(len(case.rows), np.int8)
-    for mark, mask in ((_UNCERTAIN, found.uncertain), (_REFUSED, found.refused), (_SHUT, found.closed)):
+    for mark, mask in ((_UNCERTAIN, errors.uncertain), (_REFUSED, errors.refused), (_SHUT, errors.closed)):
         fate_of[mask] = mark
     if not fate_of.any():
         return []
@@ -509,17 +509,17 @@ class Stops:
             back_ns = min(back_ns, item.end_ns)
         fate.newer |= inside & (times > back_ns)
         inside = inside & (times <= back_ns)
-        held = inside & ((times <= item.start_ns + round_ns) | (times > back_ns - round_ns))
+        unsure = inside & ((times <= item.start_ns + round_ns) | (times > back_ns - round_ns))
         if item.app not in executive_services.SCHEDULERS:
-            self._hold(fate, held)
-            inside = inside & ~held
+            self._hold(fate, unsure)
+            inside = inside & ~unsure
         return inside
 
     @staticmethod
-    def _hold(fate: Fate, held: NDArray[np.bool_]) -> None:
+    def _hold(fate: Fate, unsure: NDArray[np.bool_]) -> None:
         """Count messages that an application may have held when it ended, or lost."""
-        fate.open &= ~held
-        fate.ends["held"] += int(held.sum())
+        fate.open &= ~unsure
+        fate.ends["held"] += int(unsure.sum())
 
     def _mark_closed(self, fate: Fate) -> None:
         """Mark the messages that came over SBN, or were to leave over it, when that was closed (rule 11)."""
@@ -562,11 +562,11 @@ class Stops:
         before = np.flatnonzero(newest & (fate.stream.time_ns < first_ns))
         if not (track and out.counted and case.rows.sequence_count[out.rows[0]] == 1 and len(before)):
             return newest
-        counted = track.growth("no_subscribers", int(fate.stream.time_ns[0]), first_ns)
+        number = track.growth("no_subscribers", int(fate.stream.time_ns[0]), first_ns)
         others = track.growth("no_subscribers", first_ns + _STOPS_NS)
-        if not others and 0 < counted < len(before):
+        if not others and 0 < number < len(before):
             newest[before] = False
-            newest[before[np.linspace(0, len(before) - 1, counted).round().astype(int)]] = True
+            newest[before[np.linspace(0, len(before) - 1, number).round().astype(int)]] = True
         return newest
 
     def _hold_one(
@@ -576,14 +576,14 @@ class Stops:
 
         An application is woken at other times, too.
         """
-        held = np.zeros(len(inside), bool)
+        unsure = np.zeros(len(inside), bool)
         rows = np.flatnonzero(inside & ~newest)
         arrived = np.flatnonzero(fate.arrived)
         if fate.keeps_newest and len(rows) and len(arrived) and not arrived[0] < rows[0] < arrived[-1]:
             sent = np.flatnonzero(inside & newest)
-            held[[rows[-1], *sent[-1:]]] = True
-            self._hold(fate, held)
-        return held
+            unsure[[rows[-1], *sent[-1:]]] = True
+            self._hold(fate, unsure)
+        return unsure
 
     def _mark_unread(self, fate: Fate) -> None:
         """Mark the messages that came over SBN while that surely did not run, where none can be followed."""
@@ -619,8 +619,8 @@ class Stops:
                 fate.claim(rows)
                 kind, hop, text = self._causes[place]
                 evidence = [text]
-                if counted := fate.counted_in_stop[place]:
-                    evidence.append(f"0x803 counted {counted:,} of them: nobody read the pipe")
+                if number := fate.counted_in_stop[place]:
+                    evidence.append(f"0x803 counted {number:,} of them: nobody read the pipe")
                 self.losses.append(fate.loss(kind, rows, evidence, hop=hop))
 
     def _unfollowed(self, fate: Fate, own: Sequence[Outage]) -> None:
@@ -657,12 +657,12 @@ def _newest(fate: Fate, hop: Hop) -> NDArray[np.bool_]:
     Where it counts what it sends, as many as are missing there, spread evenly.
     """
     out = hop.out
-    times, left = fate.stream.time_ns, out.time_ns
-    steps = np.diff(left)[out.missing[:-1] == 0]
+    times, out_ns = fate.stream.time_ns, out.time_ns
+    steps = np.diff(out_ns)[out.missing[:-1] == 0]
     period = int(np.median(steps)) if len(steps) >= _LEAST_ROUNDS else 0
     newest = np.ones(len(times), bool)
     if fate.newer.any() and period >= _FASTER * float(np.median(np.diff(times))):
-        read = left - _delay(times, left, hop)
+        read = out_ns - _delay(times, out_ns, hop)
         before = read[np.maximum(np.searchsorted(read, times) - 1, 0)]
         turn = (times - before) // period
         newest = np.append((np.diff(before) != 0) | (np.diff(turn) != 0), True)
@@ -676,14 +676,14 @@ def _newest(fate: Fate, hop: Hop) -> NDArray[np.bool_]:
     return newest
 
 
-def _delay(times: NDArray[np.int64], left: NDArray[np.int64], hop: Hop) -> int:
+def _delay(times: NDArray[np.int64], out_ns: NDArray[np.int64], hop: Hop) -> int:
     """Return how long before what it sends an application took its messages, ns: the newest it had, no later.
 
     Args:
         times: when its messages were sent.
-        left: when what it sends was captured.
+        out_ns: when what it sends was captured.
     """
     came = hop.in_rows < len(times) - 1
-    at, sent = hop.in_rows[came], left[hop.out_rows[came]]
+    at, sent = hop.in_rows[came], out_ns[hop.out_rows[came]]
     least, most = sent - times[at + 1], sent - times[at]
     return max(0, int(least.max() + most.min()) // 2) if len(at) else 0

@@ -212,22 +212,22 @@ class Commands:
         """Tell lost what came to one capture and never to the next; leave open what that may lack."""
         masks = self._case.rows.undelivered, self._case.prepared.perhaps_astray
         silent = self._case.unheard.get(id(stream))
-        chosen, perhaps = (
+        rows, perhaps = (
             np.setdiff1d(np.flatnonzero(mask[stream.rows]), silent.unheard if silent else [])
             for mask in masks
         )
-        text = f"{plural(len(chosen), 'datagram')} came to one capture, and not to the next on their way"
+        text = f"{plural(len(rows), 'datagram')} came to one capture, and not to the next on their way"
         if fate is not None:
-            self._lose(fate, "network", chosen, text)
+            self._lose(fate, "network", rows, text)
             if not self._case.ingests_at(stream.receiver):
                 fate.ends["crowded"] += fate.claim(perhaps[: len(perhaps) * stream.link.only_to_cfs])
             return
         self.telemetry.ends[id(stream)]["astray"] = len(perhaps)
-        if len(chosen):
-            first_ns, last_ns = stream.time_ns[chosen[[0, -1]]].tolist()
-            loss = Loss("after", BEHIND, len(chosen), first_ns, last_ns, "high", msg_id=stream.msg_id)
+        if len(rows):
+            first_ns, last_ns = stream.time_ns[rows[[0, -1]]].tolist()
+            loss = Loss("after", BEHIND, len(rows), first_ns, last_ns, "high", msg_id=stream.msg_id)
             loss.stream, loss.of = stream, len(stream)
-            loss.evidence, loss.among = [text], Among(stream, chosen)
+            loss.evidence, loss.among = [text], Among(stream, rows)
             self.losses.append(loss)
 
     def _down(self, fate: Fate) -> None:
@@ -248,9 +248,9 @@ class Commands:
                 ended_ns, boot_ns = max(before), later.boot_ns(case.profile)
                 if not ended_ns < boot_ns <= later.first_ns:  # its clock begins elsewhere
                     boot_ns = int(said_ns[said_ns > ended_ns].min(initial=later.first_ns))
-                chosen = np.flatnonzero(fate.open & (times > ended_ns) & (times < boot_ns))
-                text = f"{plural(len(chosen), 'message')} over SBN while it was not running"
-                self._lose(fate, "down", chosen, text)
+                rows = np.flatnonzero(fate.open & (times > ended_ns) & (times < boot_ns))
+                text = f"{plural(len(rows), 'message')} over SBN while it was not running"
+                self._lose(fate, "down", rows, text)
 
     def _not_taken(self, fate: Fate) -> None:
         """Tell lost what came while nobody was there to take it, or to a closed port."""
@@ -361,15 +361,15 @@ class Commands:
         ]
         # One datagram that is named is that one; what many of a span may be comes after.
         for item in sorted(refused, key=lambda item: item.end_ns - item.start_ns):
-            left = item.lost or 0
-            first = next(self._alike(item), None) if left else None
+            rest = item.lost or 0
+            first = next(self._alike(item), None) if rest else None
             if first is not None:
                 fate, within = first
                 if within.sum() == 1 and item.confidence == "high":
                     self._give_way(fate, np.flatnonzero(within & fate.arrived))
-                self._place(item, fate, np.flatnonzero((fate.open | fate.blind) & within), left)
-                left = 0  # what is not open arrived, or is told of by another verdict
-            self.unplaced[id(item)] = left
+                self._place(item, fate, np.flatnonzero((fate.open | fate.blind) & within), rest)
+                rest = 0  # what is not open arrived, or is told of by another verdict
+            self.unplaced[id(item)] = rest
 
     @staticmethod
     def _give_way(fate: Fate, rows: Places) -> None:
@@ -405,12 +405,12 @@ class Commands:
         They are wrong where a message arrived that they refuse.
         """
         self.unplaced |= dict.fromkeys(map(id, refused), 0)
-        found: dict[int, list[tuple[Verdict, NDArray[np.bool_]]]] = {}
+        verdicts: dict[int, list[tuple[Verdict, NDArray[np.bool_]]]] = {}
         for item in refused:
             for fate, within in self._alike(item):
-                found.setdefault(id(fate), []).append((item, within))
+                verdicts.setdefault(id(fate), []).append((item, within))
         for fate in self.fates.values():
-            own = found.get(id(fate), []) if fate.seen else []
+            own = verdicts.get(id(fate), []) if fate.seen else []
             if any((item.lost or 0) > (within & ~fate.arrived).sum() for item, within in own):
                 continue
             for item, within in own:
@@ -466,32 +466,32 @@ class Commands:
     def _untold(self, fate: Fate) -> int:
         """Return of how many messages nothing has told what became of them."""
         lost = sum(loss.lost for loss in self.losses if loss.stream is fate.stream)
-        taken = fate.refused.total() + sum(fate.ends[how] for how in ("queued", "crowded", "late"))
-        return max(0, len(fate.stream) - lost - taken)
+        others = fate.refused.total() + sum(fate.ends[how] for how in ("queued", "crowded", "late"))
+        return max(0, len(fate.stream) - lost - others)
 
     def _number(self, fates: Sequence[Fate]) -> None:
         """Hold the one stream of commands whose values are cut off against the number that the robot got."""
         rows = self._case.rows
-        there = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
+        robot = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
         unseen = [
             fate
             for fate in fates
             if fate.stream.link.only_to_cfs and not (fate.seen or fate.stream.is_housekeeping)
         ]
-        if not len(there) or len(unseen) != 1 or any(hop.out.link.last_hop for hop in self._case.hops):
+        if not len(robot) or len(unseen) != 1 or any(hop.out.link.last_hop for hop in self._case.hops):
             return
         (fate,) = unseen
         cut = rows.has(Finding.CAPTURE_CUT)
-        if cut[there].any() or cut[fate.stream.rows].any():
-            left = self._untold(fate) + fate.ends["queued"] + fate.ends["late"]
-            fate.reached = min(left, len(there))
-            left -= fate.reached
+        if cut[robot].any() or cut[fate.stream.rows].any():
+            rest = self._untold(fate) + fate.ends["queued"] + fate.ends["late"]
+            fate.reached = min(rest, len(robot))
+            rest -= fate.reached
             # What the robot got CI had read, counted or not.
-            fate.ends["queued"] = min(fate.ends["queued"], left)
-            fate.ends["late"] = min(fate.ends["late"], left - fate.ends["queued"])
-            left -= fate.ends["queued"] + fate.ends["late"]
+            fate.ends["queued"] = min(fate.ends["queued"], rest)
+            fate.ends["late"] = min(fate.ends["late"], rest - fate.ends["queued"])
+            rest -= fate.ends["queued"] + fate.ends["late"]
             late = fate.stream.time_ns > self._case.end_ns - WAITS_NS
-            fate.ends["unaccounted"] = max(0, left - int(late.sum()))
+            fate.ends["unaccounted"] = max(0, rest - int(late.sum()))
 
     def _commanded(self, fate: Fate) -> None:
         """Hold commands to Telemetry Output against its own counters in 0x880.
@@ -520,13 +520,13 @@ class Commands:
             tails: id of a stream to what counters have of it behind its last message.
             shared: counts that several kinds of traffic share.
         """
-        left = [item.number for item in shared]
+        rest = [item.number for item in shared]
         for fate in fates:
             own = [at for at, item in enumerate(shared) if id(fate.stream) in item.flows]
             fate.ends["shared"] = sum(shared[at].number for at in own)
             if fate.seen:
                 self._rest(fate, tails)
-                self._share(fate, own, left)
+                self._share(fate, own, rest)
                 last = [
                     loss.span for loss in self.losses if loss.stream is fate.stream and loss.kind in COUNTERS
                 ]
@@ -559,17 +559,17 @@ class Commands:
         ends["unaccounted"] = unaccounted - more
 
     @staticmethod
-    def _share(fate: Fate, own: Sequence[int], left: list[int]) -> None:
+    def _share(fate: Fate, own: Sequence[int], rest: list[int]) -> None:
         """Let what counters have of several together be some of what is left.
 
         Args:
             own: which counts it shares with other traffic.
-            left: of each count, how many may still be messages that did not come out; they become fewer.
+            rest: of each count, how many may still be messages that did not come out; they become fewer.
         """
         ends = fate.ends
         for at in own:
-            part = min(left[at], ends["unaccounted"])
-            left[at] -= part
+            part = min(rest[at], ends["unaccounted"])
+            rest[at] -= part
             ends["unaccounted"] -= part
             ends["elsewhere"] += part
             ends["shared"] -= part
@@ -678,10 +678,10 @@ def _outside_bursts(case: Case, losses: Sequence[tuple[Loss, int]], sent: int) -
         losses: each with how many of it are in doubt.
         sent: messages of all streams, those included that are missing.
     """
-    known = [
+    items = [
         (item, most, item.among) for item, most in losses if item.among and item.among.missing is not None
     ]
-    gaps = [(among.stream.time_ns[among.rows], among.missing) for _, _, among in known]
+    gaps = [(among.stream.time_ns[among.rows], among.missing) for _, _, among in items]
     if not gaps:
         return
     whose = np.repeat(np.arange(len(gaps)), [len(times) for times, _ in gaps])
@@ -703,9 +703,9 @@ def _outside_bursts(case: Case, losses: Sequence[tuple[Loss, int]], sent: int) -
     within = numbers[inside].tolist()
     doubtful = numbers.copy()
     doubtful[inside] = shares(largest_number(int(passed[beyond].sum()), of, others), within, within)
-    for place, number in enumerate(np.bincount(whose, doubtful, len(known)).tolist()):
+    for place, number in enumerate(np.bincount(whose, doubtful, len(items)).tolist()):
         if number:
-            yield known[place][0], min(int(number), known[place][1])
+            yield items[place][0], min(int(number), items[place][1])
 
 
 def _leave_quiet(case: Case, telemetry: Telemetry) -> None:

@@ -125,8 +125,8 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
     others = not robot and 2 * late.sum() > (sent_ns >= 0).sum()
     if others or case.quality.missing > _LACKING * case.quality.checked:
         late[:] = False  # other messages had the same values, or what waited before them was not captured
-    begun = when > case.start_ns + _rounds(case, hops[0])
-    odd = (sent_ns < 0) & begun & ~_older(sent_ns, when)
+    later = when > case.start_ns + _rounds(case, hops[0])
+    odd = (sent_ns < 0) & later & ~_older(sent_ns, when)
     last_ns = _sent_before(rows, [hop.into for hop in hops], out, robot=robot)
     copy = odd & _once_more(rows, out)
     old = odd & (last_ns >= 0) & (copy | _old(case, hops, out, sent_ns, last_ns))
@@ -150,9 +150,9 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
 
 def _older(sent_ns: Integers, when: Integers) -> Mask:
     """Tell what came out of the backlog with which the capture began: the first that was sent here waited."""
-    known = np.flatnonzero(sent_ns >= 0)
-    waited = len(known) > 0 and when[known[0]] - sent_ns[known[0]] > _SLACK_NS
-    return (np.arange(len(when)) < known[0]) if waited else np.zeros(len(when), bool)
+    sent = np.flatnonzero(sent_ns >= 0)
+    waited = len(sent) > 0 and when[sent[0]] - sent_ns[sent[0]] > _SLACK_NS
+    return (np.arange(len(when)) < sent[0]) if waited else np.zeros(len(when), bool)
 
 
 def _none_sent(case: Case, robot: Stream) -> WayContent | None:

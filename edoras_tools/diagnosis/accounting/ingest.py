@@ -160,21 +160,21 @@ def ingests(case: Case) -> list[Ingest]:
     to_ci = np.flatnonzero(came)
     samples = _samples(case)
     places = {system: _endpoint(case, to_ci, own, alone=len(samples) == 1) for system, own in samples.items()}
-    taken = Counter(places.values())
-    found = []
+    uses = Counter(places.values())
+    accounts = []
     for system, own in samples.items():
         endpoint = places[system]
         # Of two CIs at one address and port nothing tells which was meant.
-        if endpoint is not None and taken[endpoint] == 1 and len(own) > 1:
-            counted = _Counted(case, endpoint, system, _to(case, to_ci, endpoint), own)
-            account = counted.account()
+        if endpoint is not None and uses[endpoint] == 1 and len(own) > 1:
+            counter = _Counted(case, endpoint, system, _to(case, to_ci, endpoint), own)
+            account = counter.account()
             if account.lost_on_network or (account.lost and account.not_captured):
-                late = counted.account(_UNDER_WAY_NS)
+                late = counter.account(_UNDER_WAY_NS)
                 # What a slow network explains is no loss, and no copy: rule 8.
                 if not late.lost_on_network or late.not_captured < account.not_captured:
                     account = replace(late, unsure=account.unsure)
-            found.append(account)
-    return [*found, *_by_kernel(case, to_ci, {item.endpoint for item in found})]
+            accounts.append(account)
+    return [*accounts, *_by_kernel(case, to_ci, {item.endpoint for item in accounts})]
 
 
 def _to(case: Case, to_ci: NDArray[np.intp], endpoint: int) -> NDArray[np.intp]:
@@ -183,18 +183,18 @@ def _to(case: Case, to_ci: NDArray[np.intp], endpoint: int) -> NDArray[np.intp]:
     return np.asarray(mine[np.argsort(case.rows.time_ns[mine], kind="stable")])
 
 
-def _by_kernel(case: Case, to_ci: NDArray[np.intp], counted: Collection[int]) -> Iterator[Ingest]:
+def _by_kernel(case: Case, to_ci: NDArray[np.intp], endpoints: Collection[int]) -> Iterator[Ingest]:
     """Yield the account of every CI without a count here, of whose socket the kernel counted drops."""
     places = np.unique(case.rows.destination[to_ci]).tolist()
     ports = Counter(case.endpoints[item].port for item in places)
     for endpoint in places:
         port = case.endpoints[endpoint].port
         # Of two hosts' sockets nothing tells which one the counter is of.
-        if endpoint not in counted and ports[port] == 1 and (drops := case.host.by_port.get(port)):
+        if endpoint not in endpoints and ports[port] == 1 and (drops := case.host.by_port.get(port)):
             mine = _to(case, to_ci, endpoint)
             span, lost = case.span(mine), min(drops, len(mine))
-            before, taken = Before("socket", lost, *span), len(mine) - lost
-            yield Ingest(endpoint, NOBODY, mine, *span, taken, [before], by_kernel=True)
+            before, number = Before("socket", lost, *span), len(mine) - lost
+            yield Ingest(endpoint, NOBODY, mine, *span, number, [before], by_kernel=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,18 +213,18 @@ def _samples(case: Case) -> dict[int, list[_Sample]]:
     rows, instances = case.rows, case.instances
     samples = case.payloads.ingest
     row, counts = samples["row"], (samples["packets"] + samples["errors"]) % _MODULUS
-    found: dict[int, dict[int, _Sample]] = {}
+    by_system: dict[int, dict[int, _Sample]] = {}
     own = (instances.of_row[row] != NOBODY) & among(rows.link[row], lambda link: link.only_from_cfs)
     row = row[own]
     columns = instances.of_row[row], rows.source[row], samples["time_ns"][own], rows.mission_time_ns[row]
-    for instance, source, seen, mission_ns, count in zip(
+    for instance, source, seen_ns, mission_ns, count in zip(
         *(column.tolist() for column in (*columns, counts[own])), strict=True
     ):
-        if instance == instances.owner(source, seen):
+        if instance == instances.owner(source, seen_ns):
             made_ns = mission_ns + instances.items[instance].offset_ns
-            sample = _Sample(seen, made_ns, count, instance, source)
-            found.setdefault(instances.systems[instance], {}).setdefault(seen, sample)
-    return {system: [of[when] for when in sorted(of)] for system, of in found.items()}
+            sample = _Sample(seen_ns, made_ns, count, instance, source)
+            by_system.setdefault(instances.systems[instance], {}).setdefault(seen_ns, sample)
+    return {system: [of[when] for when in sorted(of)] for system, of in by_system.items()}
 
 
 def _endpoint(case: Case, to_ci: NDArray[np.intp], own: Sequence[_Sample], *, alone: bool) -> int | None:
@@ -240,15 +240,15 @@ def _endpoint(case: Case, to_ci: NDArray[np.intp], own: Sequence[_Sample], *, al
         return places[0]
     items = case.instances.items
     host, address = items[own[0].instance].host, case.endpoints[own[0].source].address
-    there = zip(items, case.instances.systems, strict=True)
-    shared = len({system for item, system in there if item.host == host}) > 1
-    here = [place for place in places if case.endpoints[place].address == address]
-    if len(here) > 1 or shared:
+    pairs = zip(items, case.instances.systems, strict=True)
+    shared = len({system for item, system in pairs if item.host == host}) > 1
+    fits = [place for place in places if case.endpoints[place].address == address]
+    if len(fits) > 1 or shared:
         names = {items[sample.instance].name for sample in own} - {""}
         processor = max(names, default="").partition(":")[2]
         port = command_ingest.PORT + int(processor) - 1 if processor.isdecimal() else 0
-        here = [place for place in here if case.endpoints[place].port == port]
-    return here[0] if len(here) == 1 else None
+        fits = [place for place in fits if case.endpoints[place].port == port]
+    return fits[0] if len(fits) == 1 else None
 
 
 class _Counted:
@@ -291,7 +291,7 @@ class _Counted:
         own, count, most = self._own, self._count, self._most
         account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
         sent = np.searchsorted(self._sent_ns, self._seen, "right")
-        starts = [at for at in range(1, len(own)) if _anew(own[at - 1], own[at])]
+        starts = [at for at in range(1, len(own)) if _began_again(own[at - 1], own[at])]
         lost = before = last = idle_ns = 0
         crowded = False
         for first, end in pairwise([0, *starts, len(own)]):
@@ -382,12 +382,12 @@ class _Counted:
     def _restarts_ns(self, start_ns: int, end_ns: int) -> list[int]:
         """Return when its cFS was told to restart, of the commands to it between two times."""
         rows, payloads = self._case.rows, self._case.payloads
-        found = [
+        restarts = [
             int(rows.time_ns[item.row])
             for item in payloads.about_apps(executive_services.RESTART)
             if rows.destination[item.row] == self._endpoint
         ]
-        return [when for when in found if start_ns < when <= end_ns]
+        return [when for when in restarts if start_ns < when <= end_ns]
 
     def _next_sign_ns(self, instance: int, ended_ns: int) -> int:
         """Return when a cFS that last gave a sign at a time would have given the next one."""
@@ -400,8 +400,8 @@ class _Counted:
         """Add what was sent since a CI was stopped, where it did not start again."""
         for item in self._case.outages:
             if item.app in command_ingest.NAMES and item.system == self._system and item.end_ns is None:
-                told = self._commanded_ns(self._own[-1].seen_ns - SECOND, item.ended_ns)
-                since_ns = max(told, default=item.ended_ns)
+                stops_ns = self._commanded_ns(self._own[-1].seen_ns - SECOND, item.ended_ns)
+                since_ns = max(stops_ns, default=item.ended_ns)
                 if unread := int((self._sent_ns > since_ns).sum()):
                     span = since_ns, int(self._sent_ns[-1])
                     account.losses.append(Before("ci_stopped", unread, *span, said=item.witness))
@@ -429,12 +429,12 @@ class _Counted:
         A sample is older than its datagram by up to a round of Telemetry Output, or as its clock says, and CI
         read up to a wake-up before.
         """
-        seen, count, wake_ns = self._seen[part], self._count[part], self._profile.ci_wake_ns
+        seen_ns, count, wake_ns = self._seen[part], self._count[part], self._profile.ci_wake_ns
         read = np.diff(count, prepend=count[0])
-        steps = np.diff(seen, prepend=seen[0])
+        steps = np.diff(seen_ns, prepend=seen_ns[0])
         busy = read > _BUSY * self._most * np.maximum(1.0, steps / wake_ns)
         # Fewer than one wake-up can read: it was empty after the last. Else after an earlier one, or never.
-        oldest = np.minimum(seen - self._profile.to_wake_ns, self._made[part]) - wake_ns - _SLACK_NS
+        oldest = np.minimum(seen_ns - self._profile.to_wake_ns, self._made[part]) - wake_ns - _SLACK_NS
         oldest -= np.where(read < self._most, 0, steps)
         out_ns, sent_ns = self._read_ns
         last = np.searchsorted(out_ns, self._made[part] - _SLACK_NS) - 1
@@ -443,10 +443,10 @@ class _Counted:
     def _reset(self, before: _Sample, after: _Sample) -> bool:
         """Tell whether it was told to set its counters to 0 between two samples of one boot."""
         rows = self._case.rows
-        told = (rows.destination == self._endpoint) & (rows.known_id == command_ingest.COMMAND_MSG_ID)
-        told &= rows.function_code == command_ingest.RESET_COUNTERS
-        told &= (rows.time_ns > before.seen_ns - DRAINS_NS) & (rows.time_ns < after.seen_ns)
-        return before.instance == after.instance and bool(told.any())
+        resets = (rows.destination == self._endpoint) & (rows.known_id == command_ingest.COMMAND_MSG_ID)
+        resets &= rows.function_code == command_ingest.RESET_COUNTERS
+        resets &= (rows.time_ns > before.seen_ns - DRAINS_NS) & (rows.time_ns < after.seen_ns)
+        return before.instance == after.instance and bool(resets.any())
 
     def _most_older(self, end: int) -> int:
         """Return the most that a first count can have fewer than were sent: CI takes one after the other.
@@ -529,7 +529,7 @@ def _read_by(hops: Sequence[Hop]) -> tuple[NDArray[np.int64], NDArray[np.int64]]
     return every[order], np.maximum.accumulate(until[order])
 
 
-def _anew(before: _Sample, after: _Sample) -> bool:
+def _began_again(before: _Sample, after: _Sample) -> bool:
     """Tell whether a count began anew between two samples."""
     return before.instance != after.instance or after.count < before.count
 
@@ -665,13 +665,13 @@ class BeforeCi:
 
     def _before_ci(self, account: Ingest, before: Before) -> None:
         """Share out what was lost before CI: to what did not come out, else by how much was sent."""
-        left, fates = before.lost, self._to(account)
+        rest, fates = before.lost, self._to(account)
         # Of those of which a counter has what was read, or all comes out, the others were not.
         seen = [fate for fate in fates if fate.refused or (fate.seen and not fate.keeps_newest)]
         evidence = _evidence(account, before)
         if before.cause in _OUTAGES:
             closed, may = self._case.unreachable.closed, self._open(fates, before, before.since_ns)
-            left = max(left, sum(int((own & closed[fate.stream.rows]).sum()) for fate, own in may))
+            rest = max(rest, sum(int((own & closed[fate.stream.rows]).sum()) for fate, own in may))
         if before.said:
             for fate in fates:  # nor will it come
                 never = fate.waits & (fate.stream.time_ns > before.since_ns)
@@ -685,16 +685,16 @@ class BeforeCi:
         errors = self._case.unreachable.closed | self._case.unreachable.refused
         may = self._open(fates, before, before.since_ns)
         may = [(fate, own & errors[fate.stream.rows]) for fate, own in may]
-        quoted = self._spread(may, before, left, evidence)
-        left -= quoted
+        quoted = self._spread(may, before, rest, evidence)
+        rest -= quoted
         if quoted and before.cause == "network":
             evidence.append(f"{QUOTED}{quoted:,} of them came back")
         for those, since_ns in spans:
-            left -= self._spread(self._open(those, before, since_ns), before, left, evidence)
-        if left:  # of no stream, as those without a MsgId
+            rest -= self._spread(self._open(those, before, since_ns), before, rest, evidence)
+        if rest:  # of no stream, as those without a MsgId
             span = before.start_ns, before.end_ns
             hop = LOST_AT[before.cause]
-            self.losses.append(Loss(before.cause, hop, left, *span, "medium", evidence=evidence))
+            self.losses.append(Loss(before.cause, hop, rest, *span, "medium", evidence=evidence))
 
     def _open(self, fates: Sequence[Fate], before: Before, since_ns: int) -> list[_May]:
         """Return which messages nothing has told of were sent since a time, until all was lost."""
@@ -718,9 +718,9 @@ class BeforeCi:
             last = int(np.flatnonzero(fate.arrived)[-1]) if fate.arrived.any() else inside[-1]
             sure = inside[(inside > last) | (fate.keeps_newest & ~fate.newer[inside])][:share]
             others = np.setdiff1d(inside, sure)
-            chosen = np.union1d(sure, _spread_evenly(others, share - len(sure)))
-            fate.claim(chosen)
-            self.losses.append(fate.loss(before.cause, chosen, evidence, among=inside))
+            rows = np.union1d(sure, _spread_evenly(others, share - len(sure)))
+            fate.claim(rows)
+            self.losses.append(fate.loss(before.cause, rows, evidence, among=inside))
         return sum(parts)
 
     def outnumbered(self, account: Ingest) -> None:
@@ -771,13 +771,13 @@ class BeforeCi:
                 behind = fate.stream.time_ns > account.last_ns
                 fate.ends["late"] = int(behind.sum())
                 fate.open &= ~behind
-            chosen = np.isin(fate.stream.rows, late)
+            waiting = np.isin(fate.stream.rows, late)
             # More than a socket holds do not wait, as long as nobody gave it more room.
             beyond = int(np.isin(fate.stream.rows, late[: -self._case.profile.socket_queue]).sum())
-            fate.ends["queued"] += int(chosen.sum()) - beyond
+            fate.ends["queued"] += int(waiting.sum()) - beyond
             fate.ends["crowded"] += beyond
-            fate.open &= ~chosen
-            fate.waits &= ~chosen
+            fate.open &= ~waiting
+            fate.waits &= ~waiting
 
 
 def _evidence(account: Ingest, before: Before) -> list[str]:

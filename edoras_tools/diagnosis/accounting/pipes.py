@@ -134,21 +134,23 @@ class Pipes:
             if self._case.goes_to(stream, instance) and self._leaves(fate, instance)
         ]
         kinds = [
-            kind for kind in COUNTERS if any(self._named(stream, kind, instance)[0] for instance in group)
+            kind
+            for kind in COUNTERS
+            if any(self._from_events(stream, kind, instance)[0] for instance in group)
         ]
-        named = bool(kinds)
+        has_events = bool(kinds)
         # Of traffic that nobody can follow events tell that it has a part in what others' counts may be.
-        if not group or not (fate.seen or (named and self._case.hops)):
+        if not group or not (fate.seen or (has_events and self._case.hops)):
             return
         kinds += [kind for kind in COUNTERS if kind not in kinds]
         low_ns, high_ns = self._times(fate)
         which = np.searchsorted([item.first for item in fate.spans], np.arange(len(stream)), "right") - 1
         counts = [self._counts[instance] for instance in group]
-        for place, there in enumerate(_standing(fate)):
-            if place == _BLIND and not named:
+        for place, mask in enumerate(_standing(fate)):
+            if place == _BLIND and not has_events:
                 continue
-            rows, rank = np.flatnonzero(there), _RANKS[place]
-            if named:
+            rows, rank = np.flatnonzero(mask), _RANKS[place]
+            if has_events:
                 rank = Rank.PRESSED if rank == Rank.ABSENT else rank
             elif not self._bursts(fate):
                 rank = _UNNAMED.get(rank, rank + len(_RANKS))
@@ -193,8 +195,8 @@ class Pipes:
             for (instance, kind), number in claim.by_kind().items():
                 first = (instance, kind, BEFORE) in claim.taken
                 self.lose(own.fate.stream, cut, kind, number, instance, among, first=first)
-                chosen = own.rows[at : at + number]
-                own.fate.open[chosen] = own.fate.waits[chosen] = own.fate.blind[chosen] = False
+                places = own.rows[at : at + number]
+                own.fate.open[places] = own.fate.waits[places] = own.fate.blind[places] = False
                 at += number
 
     def _leaves(self, fate: Fate, instance: int) -> bool:
@@ -236,15 +238,15 @@ class Pipes:
             before = loss.among.rows if loss.among else among[:0]
             loss.among = Among(stream, np.union1d(before, among))
             return
-        reported, said = self._named(stream, kind, instance)
+        reported, report = self._from_events(stream, kind, instance)
         evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them{_FIRST if first else ''}"]
         hop, sender = (reported.pipe, reported.sender) if reported else (APP, "")
         confidence: Confidence = "high" if reported else "medium"
-        if said is not None:
-            if events := said.within(cut.start_ns - LEAD_NS, cut.end_ns + TAIL_NS):
-                evidence.insert(0, f"event CFE_SB {PIPE_EVENTS[kind]} x{events}: {said.records[0].message}")
+        if report is not None:
+            if events := report.within(cut.start_ns - LEAD_NS, cut.end_ns + TAIL_NS):
+                evidence.insert(0, f"event CFE_SB {PIPE_EVENTS[kind]} x{events}: {report.records[0].message}")
             track = self._case.tracks[instance]
-            if track.growth(COUNTERS[kind], said.last_ns + LEAD_NS) > 0 and said.count >= STOPS_AFTER - 2:
+            if track.growth(COUNTERS[kind], report.last_ns + LEAD_NS) > 0 and report.count >= STOPS_AFTER - 2:
                 evidence.append(f"cFS stops this event after {STOPS_AFTER}; the counter goes on")
         else:
             evidence.append("no event names it: suppressed, filtered, or lost itself")
@@ -255,7 +257,7 @@ class Pipes:
         self._same[key] = loss
         self.losses.append(loss)
 
-    def _named(
+    def _from_events(
         self, stream: Stream, kind: PipeKind, instance: int
     ) -> tuple[ReportedLoss | None, LossEvents | None]:
         return next(iter(self._case.events_about(instance, stream.msg_id, kind)), (None, None))
@@ -319,8 +321,8 @@ def _beside(
     times: NDArray[np.int64], starts: NDArray[np.int64], ends: NDArray[np.int64], missing: NDArray[np.int64]
 ) -> bool:
     """Tell whether most of what is missing is missing where one of some times lies."""
-    there = np.searchsorted(times, ends) > np.searchsorted(times, starts)
-    return int(missing[there].sum()) * 2 > int(missing.sum())
+    inside = np.searchsorted(times, ends) > np.searchsorted(times, starts)
+    return int(missing[inside].sum()) * 2 > int(missing.sum())
 
 
 @dataclass(frozen=True, slots=True)
@@ -425,45 +427,45 @@ class Leftover:
         for instance, counts in self._counts.items():
             # What is counted now was sent up to a round of CI before.
             away = self._case.is_away(counts.times[:-1] - WAITS_NS - LEAD_NS, counts.times[1:])
-            for kind, left in counts.left.items():
-                if number := int(left[away].sum()):
+            for kind, rest in counts.left.items():
+                if number := int(rest[away].sum()):
                     self.uncaptured[instance] += number
-                    left[away] = 0
-                if left.any() or counts.first.get(kind, 0):
+                    rest[away] = 0
+                if rest.any() or counts.first.get(kind, 0):
                     self._leftover(instance, counts, kind)
 
     def _absent(self) -> Iterator[tuple[ReportedLoss, LossEvents, PipeKind]]:
         """Yield what events name at a pipe and the capture lacks, as a scheduler's wake-ups."""
-        for item, said in self._case.reported_losses.items():
+        for item, report in self._case.reported_losses.items():
             if item.at_pipe and not (self._seen_behind(item) or self._fed(item, item.instance)):
-                yield item, said, item.at_pipe
+                yield item, report, item.at_pipe
 
     def _followed(self) -> Iterator[tuple[ReportedLoss, LossEvents, PipeKind, Stream]]:
         """Yield what events name at the pipe of an application that can be seen to pass on what it gets."""
-        for item, said in self._case.reported_losses.items():
+        for item, report in self._case.reported_losses.items():
             if item.at_pipe and not (item.at_output or item.at_peer):
                 fate = self._fed(item, item.instance)
                 if fate is not None and fate.seen:
-                    yield item, said, item.at_pipe, fate.stream
+                    yield item, report, item.at_pipe, fate.stream
 
     def take_named(self) -> None:
         """Give counts to what events name: each of them is one."""
-        for item, said, kind in self._absent():
-            for claim in self._settled(item, said, kind):
+        for item, report, kind in self._absent():
+            for claim in self._settled(item, report, kind):
                 if number := sum(claim.taken.values()):
                     times = claim.low_ns, claim.high_ns
-                    self._blame(self._named(item, said), 0, item.instance, kind, number, times)
-        for item, said, kind, stream in self._followed():
-            if named := self._settled(item, said, kind):
+                    self._blame(self._from_events(item, report), 0, item.instance, kind, number, times)
+        for item, report, kind, stream in self._followed():
+            if claims := self._settled(item, report, kind):
                 own = [claim for claim in self._pipes.claims if claim.flow == id(stream)]
-                hand_on(self._counts[item.instance], item.instance, kind, named, own)
+                hand_on(self._counts[item.instance], item.instance, kind, claims, own)
 
-    def _settled(self, item: ReportedLoss, said: LossEvents, kind: PipeKind) -> list[Claim]:
+    def _settled(self, item: ReportedLoss, report: LossEvents, kind: PipeKind) -> list[Claim]:
         """Return claims of what events name, a claim a second, with the counts that they were given."""
         counts = self._counts.get(item.instance)
         if counts is None:
             return []
-        times, claims = self._case.instances.made_ns[[record.row for record in said.records]], []
+        times, claims = self._case.instances.made_ns[[record.row for record in report.records]], []
         for key, (_, members) in enumerate(by_value(counts.seconds(times))):
             span, of = (int(times[members].min()), int(times[members].max())), (item.instance,)
             claims.append(Claim(key, *span, len(members), (kind,), of, Rank.PRESSED, id(item)))
@@ -474,18 +476,18 @@ class Leftover:
     def rivals(self) -> list[Rival]:
         """Return such traffic: it may go on being lost after cFS has stopped its events."""
         events = Counter[tuple[int, str]]()
-        for item, said in self._case.reported_losses.items():
-            events[item.instance, item.kind] += said.count
-        found = []
-        for item, said, kind in self._absent():
+        for item, report in self._case.reported_losses.items():
+            events[item.instance, item.kind] += report.count
+        out = []
+        for item, report, kind in self._absent():
             is_stopped = events[item.instance, kind] >= STOPS_AFTER - 2
-            end_ns = NEVER if is_stopped else said.last_ns + TAIL_NS
-            found.append(Rival(id(item), item.instance, kind, said.first_ns - TAIL_NS, end_ns))
+            end_ns = NEVER if is_stopped else report.last_ns + TAIL_NS
+            out.append(Rival(id(item), item.instance, kind, report.first_ns - TAIL_NS, end_ns))
         for outage, end_ns in self._ticked():  # its pipe gets more while nobody reads it
             most = ceil((end_ns - outage.start_ns) / SECOND) - self._case.profile.app_msg_limit
             own = [at for at in self._counts if self._case.instances.systems[at] == outage.system]
-            found += [Rival(id(outage), at, "limit", outage.start_ns, end_ns, most) for at in own if most > 0]
-        return found
+            out += [Rival(id(outage), at, "limit", outage.start_ns, end_ns, most) for at in own if most > 0]
+        return out
 
     def _ticked(self) -> Iterator[tuple[Outage, int]]:
         """Yield the times in which one that gets something once a second did not run, and when each ended."""
@@ -496,27 +498,27 @@ class Leftover:
     def tell(self) -> None:
         """Make losses of what nothing explains."""
         for instance, counts in self._counts.items():
-            for kind, left in counts.left.items():
-                if number := int(left.sum()):
-                    span = counts.span(np.flatnonzero(left))
+            for kind, rest in counts.left.items():
+                if number := int(rest.sum()):
+                    span = counts.span(np.flatnonzero(rest))
                     text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
                     self._losses.append(Loss("unknown", BUS, number, *span, "low", instance, evidence=[text]))
 
     def _leftover(self, instance: int, counts: Counts, kind: PipeKind) -> None:
-        candidates, left = self._candidates(instance, kind), counts.left[kind]
+        candidates, rest = self._candidates(instance, kind), counts.left[kind]
         for item in candidates:
             fate = self._fates.get(id(item.stream))
             if fate is not None and not fate.seen:
                 sent = fate.stream.time_ns[fate.open]
                 fate.ends["earlier"] += min(counts.first.get(kind, 0), int((sent < counts.times[0]).sum()))
         groups: dict[tuple[tuple[int, range], ...], list[int]] = {}
-        for second in np.flatnonzero(left).tolist():
+        for second in np.flatnonzero(rest).tolist():
             times = counts.span([second])
             active = ((index, item.active(*times)) for index, item in enumerate(candidates))
             key = tuple((index, spans) for index, spans in active if spans)
             groups.setdefault(key, []).append(second)
         for active_, seconds in groups.items():
-            number, times = int(left[seconds].sum()), counts.span(seconds)
+            number, times = int(rest[seconds].sum()), counts.span(seconds)
             rivals = [candidates[index] for index, _ in active_]
             most = sum(item.most(spans) for item, (_, spans) in zip(rivals, active_, strict=True))
             share = min(number, most)
@@ -530,32 +532,32 @@ class Leftover:
                 self._together(Shared(instance, kind, flows, share, *times), {item.named for item in rivals})
             number -= share
             for second in seconds:
-                part = min(int(left[second]), number)
+                part = min(int(rest[second]), number)
                 number -= part
-                left[second] = part
+                rest[second] = part
 
     def _candidates(self, instance: int, kind: PipeKind) -> list[_Candidate]:
         """Return what may be counted: what events name, else what is sent faster than a pipe takes."""
-        case, found = self._case, []
-        for reported, said in case.reported_losses.items():
+        case, candidates = self._case, []
+        for reported, report in case.reported_losses.items():
             if (reported.instance, reported.kind) != (instance, kind):
                 continue
             out = self._seen_behind(reported)
             # What leaves by a pipe and is seen behind it has gaps, which are counted there; what is lost
             # behind the last message that was seen leaves none.
-            if any(stream.time_ns[-1] > said.first_ns for stream in out):
+            if any(stream.time_ns[-1] > report.first_ns for stream in out):
                 continue
             fate = self._fed(reported, instance)
             if fate is None:
-                found.append(self._named(reported, said))
+                candidates.append(self._from_events(reported, report))
             elif not fate.seen:
-                found.append(self._candidate(fate.stream, reported.pipe, reported.sender, said))
-        return found or (list(self._suspects(instance)) if kind == "limit" else [])
+                candidates.append(self._candidate(fate.stream, reported.pipe, reported.sender, report))
+        return candidates or (list(self._suspects(instance)) if kind == "limit" else [])
 
-    def _named(self, reported: ReportedLoss, said: LossEvents) -> _Candidate:
+    def _from_events(self, reported: ReportedLoss, report: LossEvents) -> _Candidate:
         out = self._seen_behind(reported)
         lost_from = out[0] if len(out) == 1 else None
-        return _Candidate(reported.msg_id, reported.pipe, None, lost_from, (), 0, reported.sender, said)
+        return _Candidate(reported.msg_id, reported.pipe, None, lost_from, (), 0, reported.sender, report)
 
     def _seen_behind(self, reported: ReportedLoss) -> list[Stream]:
         """Return the streams of its MsgId behind the pipe that a reported loss was at."""
@@ -568,29 +570,29 @@ class Leftover:
         ]
 
     def _candidate(
-        self, stream: Stream, pipe: str, sender: str = "", said: LossEvents | None = None
+        self, stream: Stream, pipe: str, sender: str = "", report: LossEvents | None = None
     ) -> _Candidate:
         case, spans, since_ns = self._case, stream.spans, self._older_ns.get(stream.receiver, 0)
         ingests = case.ingests_at(stream.receiver)
         # Where CI read others, more came than is here; an application that was stopped takes nothing.
-        seen = stream.link.only_to_cfs and not any(item.not_captured for item in ingests)
+        visible = stream.link.only_to_cfs and not any(item.not_captured for item in ingests)
         fate = self._fates.get(id(stream))
-        seen &= fate is None or fate.unfollowed is None
-        queue = queues.application_pipe(case.profile) if seen else None
+        visible &= fate is None or fate.unfollowed is None
+        queue = queues.application_pipe(case.profile) if visible else None
         late = [item for item in ingests if item.waiting or item.older_until_ns or item.lost]
         times, reads = stream.time_ns, case.profile.ci_datagrams_per_wake
         crowded = most_at_once(times, case.profile.ci_wake_ns) > reads  # it waits in CI's socket
         counted_ns = DRAINS_NS if late or crowded or not ingests else LATE_NS
         return _Candidate(
-            stream.msg_id, pipe, stream, stream, spans, since_ns, sender, said, times, queue, counted_ns
+            stream.msg_id, pipe, stream, stream, spans, since_ns, sender, report, times, queue, counted_ns
         )
 
     def _fed(self, reported: ReportedLoss, instance: int) -> Fate | None:
         """Return the traffic that the messages of a reported loss came from, if the capture has it."""
-        wanted = carrying("flight" if reported.sender.startswith("SBN") else "ground", to_cfs=True)
+        link = carrying("flight" if reported.sender.startswith("SBN") else "ground", to_cfs=True)
         for fate in self._fates.values():
             stream = fate.stream
-            same = stream.msg_id == reported.msg_id and stream.link is wanted
+            same = stream.msg_id == reported.msg_id and stream.link is link
             if same and self._case.goes_to(stream, instance):
                 return fate
         return None

@@ -145,18 +145,18 @@ def find_copies(
     for _, rows in by_value(conversation.astype(np.int64)):
         if not repeated[rows].any():
             continue
-        for known in (True, False):
-            mine = rows[(identification[rows] != 0) == known]
+        for has_id in (True, False):
+            mine = rows[(identification[rows] != 0) == has_id]
             twice = mine[repeated[mine]]
             if not len(twice):
                 continue
             sizes = group_size[mine[first[mine]]]
             steady = float((sizes > 1).mean()) >= _STEADY and len(sizes) >= _LEAST_GROUPS
-            if not known:
+            if not has_id:
                 steady = len(sizes) >= _LEAST_GROUPS and float((sizes == 2).mean()) >= _NEARLY_ALL
             copied = np.ones(len(twice), bool) if steady else elsewhere[twice]
             out.copy[twice[copied]] = True
-            if known:
+            if has_id:
                 out.duplicate[twice[~copied]] = True
     return out
 
@@ -187,31 +187,31 @@ class Once:
 
     def keep(self, batch: PacketBatch, columns: Columns) -> Mask:
         """Return which datagrams of a batch are to be counted; those of no link all are."""
-        kept = np.ones(len(batch), bool)
+        mask = np.ones(len(batch), bool)
         rows = np.flatnonzero(columns.link != OTHER)
         if len(rows) < len(batch):
             batch = batch.take(rows)
         network, identification, life = network_headers(batch)
         conversation = _conversation(batch)
         short = _glance(batch, conversation, identification)
-        told: tuple[NDArray[Any], ...] = batch.time_ns, identification, conversation
+        base: tuple[NDArray[Any], ...] = batch.time_ns, identification, conversation
 
-        def whole(chosen: Places | slice) -> tuple[NDArray[Any], ...]:
+        def whole(some: Places | slice) -> tuple[NDArray[Any], ...]:
             """Return what ``find_copies`` asks for, of some datagrams."""
-            frame = batch.frame_offset[chosen]
-            tap = of_bytes(batch.data, frame, network[chosen] - frame) + life[chosen]
-            prints = of_bytes(batch.data, batch.offset[chosen], batch.length[chosen])
-            return *(column[chosen] for column in told), tap, prints, short[chosen]
+            frame = batch.frame_offset[some]
+            tap = of_bytes(batch.data, frame, network[some] - frame) + life[some]
+            prints = of_bytes(batch.data, batch.offset[some], batch.length[some])
+            return *(column[some] for column in base), tap, prints, short[some]
 
         last = self._last or whole(slice(0))
         if _perhaps_again(np.append(last[-1], short), np.append(last[0], batch.time_ns)):
-            asked = [np.concatenate(pair) for pair in zip(last, whole(slice(None)), strict=True)]
-            copy = find_copies(*asked[:-1]).copy[len(last[0]) :]
-            kept[rows[copy]] = False
+            both = [np.concatenate(pair) for pair in zip(last, whole(slice(None)), strict=True)]
+            copy = find_copies(*both[:-1]).copy[len(last[0]) :]
+            mask[rows[copy]] = False
             self.copies += int(copy.sum())
         late = batch.time_ns > batch.time_ns.max(initial=0) - _WITHIN_NS
         self._last = whole(np.flatnonzero(late))
-        return kept
+        return mask
 
     def notes(self) -> list[str]:
         """Return a line where there were any."""
@@ -349,15 +349,15 @@ def who_doubled(
     """
     out = np.zeros(len(rows), np.int8)
     to_cfs = among(rows.link, lambda link: link.to_cfs and link.packets)
-    kept = ~copies.copy
-    answers = np.flatnonzero(kept & ~copies.duplicate & among(rows.link, lambda link: link.from_cfs))
+    once = ~copies.copy
+    answers = np.flatnonzero(once & ~copies.duplicate & among(rows.link, lambda link: link.from_cfs))
     votes: dict[int, int] = {}
     for receiver in np.unique(rows.destination[copies.duplicate & to_cfs]).tolist():
-        mine = np.flatnonzero(kept & to_cfs & (rows.destination == receiver))
+        mine = np.flatnonzero(once & to_cfs & (rows.destination == receiver))
         own = copies.duplicate[mine]
         vote = 0
-        for counted in _tracks(rows, receiver, samples, sources, endpoints):
-            vote += _by_counts(rows.time_ns[mine], own, *counted)
+        for track in _tracks(rows, receiver, samples, sources, endpoints):
+            vote += _by_counts(rows.time_ns[mine], own, *track)
         vote = vote or _by_answers(rows, mine, own, answers)
         at_once = int(copies.at_once[mine[own]].sum())
         votes[receiver] = 2 * vote - at_once if vote else 0
@@ -395,10 +395,10 @@ def _by_counts(sent_ns: Integers, again: Mask, seen_ns: Integers, total: Integer
     twice = np.concatenate(([0], np.cumsum(again)))
     while step < len(seen_ns):
         first, last = np.arange(0, len(seen_ns) - step, step), np.arange(step, len(seen_ns), step)
-        counted = total[last] - total[first]
+        growth = total[last] - total[first]
         least, most = (early[last], late[first]), (late[last], early[first])
         fits = [
-            (counted >= np.maximum(low, 0)) & (counted <= high)
+            (growth >= np.maximum(low, 0)) & (growth <= high)
             for low, high in (
                 tuple(end - begin - less * (twice[end] - twice[begin]) for end, begin in (least, most))
                 for less in (0, 1)
@@ -424,8 +424,8 @@ def _by_answers(rows: Rows, mine: Places, again: Mask, answers: Places) -> int:
     number = np.searchsorted(went, values, "right") - np.searchsorted(went, values)
     alone = number[(came == 1) & ~doubled & (number > 0) & (values != 0)]
     usual = int(np.median(alone)) if len(alone) else 0  # it may leave on several ways
-    told = number[(came == 2) & doubled & (values != 0)]
-    return int((told == 2 * usual).sum()) - int((told == usual).sum()) if usual else 0
+    twice = number[(came == 2) & doubled & (values != 0)]
+    return int((twice == 2 * usual).sum()) - int((twice == usual).sum()) if usual else 0
 
 
 _LEAST_ECHOES: Final = 3

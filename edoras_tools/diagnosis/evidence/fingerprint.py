@@ -56,18 +56,18 @@ def of_values(
     columns = types.columns(type_name, data, offset, length)
     plain, stamped = (np.zeros(len(columns), np.uint64) for _ in range(2))
     texts: list[tuple[str, Any]] = []
-    counted = False
+    numeric = False
     for name, column in columns.fields.items():
         values = column if isinstance(column, np.ndarray) else column.values
         if values.dtype == object:
             texts.append((name, column))
             continue
-        counted = True
+        numeric = True
         part = _field(name, column)
         stamped += part
         if not name.endswith(("stamp.sec", "stamp.nanosec")):
             plain += part
-    if not counted:
+    if not numeric:
         for name, column in texts:
             plain += _text(name, column)
         stamped = plain
@@ -90,9 +90,9 @@ def latest_equal(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers)
     goes = np.flatnonzero((order >= len(into)) & (latest >= 0))
     from_ = order[latest[goes]]
     same = (prints[order[goes]] == prints[from_]) & (prints[from_] != 0)
-    found = np.full(len(out), -1, np.intp)
-    found[order[goes[same]] - len(into)] = from_[same]
-    return found
+    origin = np.full(len(out), -1, np.intp)
+    origin[order[goes[same]] - len(into)] = from_[same]
+    return origin
 
 
 def paired(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> Places:
@@ -100,9 +100,9 @@ def paired(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> Pl
     prints, order = _in_order(into, into_ns, out, out_ns)
     opening, closing = brackets(prints[order], order < len(into))
     real = prints[order[opening]] != 0
-    found = np.full(len(out), -1, np.intp)
-    found[order[closing[real]] - len(into)] = order[opening[real]]
-    return found
+    origin = np.full(len(out), -1, np.intp)
+    origin[order[closing[real]] - len(into)] = order[opening[real]]
+    return origin
 
 
 def _in_order(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> tuple[Prints, Places]:
@@ -236,20 +236,18 @@ class SharedFields:
             offset: i64, first byte of each message, encapsulation included; -1 where there is none.
             length: i32, bytes of each.
         """
-        found = np.zeros(len(batch), np.uint64)
+        prints = np.zeros(len(batch), np.uint64)
         structs, types, routes = self._context.structs, self._context.types, self._context.mission.routes
         if not self._shared or types is None:
-            return found
+            return prints
         column = partial(getattr, columns)
         bare = payloads(structs, column, partial(getattr, batch), batch.data)
-        for held in structs.payloads_of(bare.take(bare.key >= UDP_KEY), column, batch.data):
-            if held.bound.topic in self._shared:
-                told = held.encode()
-                read = structs.types.columns(
-                    held.bound.type, told.data, told.start, told.size.astype(np.int32)
-                )
-                names = self._shared[held.bound.topic][1]
-                found[held.rows] = of_fields(
+        for group in structs.payloads_of(bare.take(bare.key >= UDP_KEY), column, batch.data):
+            if group.bound.topic in self._shared:
+                cdr = group.encode()
+                read = structs.types.columns(group.bound.type, cdr.data, cdr.start, cdr.size.astype(np.int32))
+                names = self._shared[group.bound.topic][1]
+                prints[group.rows] = of_fields(
                     {name: np.asarray(read.fields[own]) for name, (own, _) in names.items()}
                 )
         for kind, names in reversed(self._shared.values()):
@@ -259,8 +257,8 @@ class SharedFields:
             told_values = {
                 name: np.asarray(read.fields[name]).astype(own) for name, (_, own) in names.items()
             }
-            found[rows] = np.where(read.valid, of_fields(told_values), 0)
-        return found
+            prints[rows] = np.where(read.valid, of_fields(told_values), 0)
+        return prints
 
 
 def _by_name(columns: MessageColumns) -> dict[str, tuple[str, np.dtype[Any]]]:

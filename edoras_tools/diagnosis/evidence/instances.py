@@ -143,11 +143,11 @@ class Instances:
             names.setdefault(item.host, set()).add(item.name)
         whose = []
         for item in self.items:
-            named = names[item.host] - {""}
-            whose.append((item.host, item.name or (next(iter(named)) if len(named) == 1 else "")))
+            others = names[item.host] - {""}
+            whose.append((item.host, item.name or (next(iter(others)) if len(others) == 1 else "")))
         followed = _in_turn(whose, [(item.first_ns, item.last_ns) for item in self.items])
-        known: dict[tuple[int, str, int], int] = {}
-        return [known.setdefault((*who, turn), len(known)) for who, turn in zip(whose, followed, strict=True)]
+        index: dict[tuple[int, str, int], int] = {}
+        return [index.setdefault((*who, turn), len(index)) for who, turn in zip(whose, followed, strict=True)]
 
     def system(self, instance: int) -> int:
         """Return the number of the cFS of an instance; 0 for nobody."""
@@ -155,17 +155,17 @@ class Instances:
 
     def label(self, instance: int) -> str:
         """Return an instance's name for the user, with address and port if another cFS has the same ones."""
-        item, there = self.items[instance], ""
+        item, where = self.items[instance], ""
         if self.others_named(instance):
-            there = f" at {self._addresses[item.host]}"
+            where = f" at {self._addresses[item.host]}"
             if len(self._systems_at[item.name, item.host]) > 1:
                 ports = {
                     self._ports[source]
-                    for source, known in self._owners.items()
-                    if any(self.systems[one] == self.systems[instance] for _, one in known if one != NOBODY)
+                    for source, owners in self._owners.items()
+                    if any(self.systems[one] == self.systems[instance] for _, one in owners if one != NOBODY)
                 }
-                there += f", which sends from {' and '.join(map(str, sorted(ports)))}" if ports else ""
-        return (f"cFS {item.name}" if item.name else "cFS") + there
+                where += f", which sends from {' and '.join(map(str, sorted(ports)))}" if ports else ""
+        return (f"cFS {item.name}" if item.name else "cFS") + where
 
     def others_named(self, instance: int) -> bool:
         """Return whether another cFS has the name of an instance."""
@@ -174,25 +174,25 @@ class Instances:
     @cached_property
     def _systems_at(self) -> dict[tuple[str, int | None], set[int]]:
         """The cFS that have a name at an address; None: at any."""
-        found: dict[tuple[str, int | None], set[int]] = {}
+        systems: dict[tuple[str, int | None], set[int]] = {}
         for item, system in zip(self.items, self.systems, strict=True):
-            found.setdefault((item.name, item.host), set()).add(system)
-            found.setdefault((item.name, None), set()).add(system)
-        return found
+            systems.setdefault((item.name, item.host), set()).add(system)
+            systems.setdefault((item.name, None), set()).add(system)
+        return systems
 
     @staticmethod
     def _name(rows: Rows, members: Places, says: dict[int, str]) -> str:
         """Return an instance's own name: from its events, else as SBN sender."""
         events = members[rows.known_id[members] == cfe.EVENT_MSG_ID]
-        told = Counter(says[row] for row in events.tolist() if row in says)
-        if told:
-            return told.most_common(1)[0][0]
+        names = Counter(says[row] for row in events.tolist() if row in says)
+        if names:
+            return names.most_common(1)[0][0]
         network = members[among(rows.link[members], lambda link: link.peers)]
         return rows.usual_sender(network)[0] if len(network) else ""
 
     def _when_made(self, rows: Rows) -> Integers:
         """Return when each packet was made, in capture time, by the quickest of its time: clocks drift."""
-        made = rows.time_ns.copy()
+        made_ns = rows.time_ns.copy()
         for index in range(len(self.items)):
             own = np.flatnonzero((self.of_row == index) & (rows.mission_time_ns > 0))
             delay = rows.time_ns[own] - rows.mission_time_ns[own]
@@ -205,8 +205,8 @@ class Instances:
             before = np.where(apart[:-1], least[1:-1], least[:-2])
             after = np.where(apart[1:], least[1:-1], least[2:])
             quickest = np.minimum(np.minimum(before, after), least[1:-1])
-            made[own] -= delay - quickest[window]
-        return made
+            made_ns[own] -= delay - quickest[window]
+        return made_ns
 
     def _find_owners(self, rows: Rows) -> dict[int, list[tuple[int, int]]]:
         """Find the instance that owns each telemetry socket: events never come from another instance."""
@@ -214,11 +214,11 @@ class Instances:
         telemetry = among(rows.link, lambda link: link.only_from_cfs) & (self.of_row != NOBODY)
         for source in np.unique(rows.source[telemetry]).tolist():
             own = telemetry & (rows.source == source)
-            said = own & (rows.known_id == cfe.EVENT_MSG_ID)
-            found = self.of_row[said if said.any() else own]
-            values, first, counts = np.unique(found, return_index=True, return_counts=True)
-            if said.any():
-                times = rows.time_ns[np.flatnonzero(said)[first]]
+            events = own & (rows.known_id == cfe.EVENT_MSG_ID)
+            publishers = self.of_row[events if events.any() else own]
+            values, first, counts = np.unique(publishers, return_index=True, return_counts=True)
+            if events.any():
+                times = rows.time_ns[np.flatnonzero(events)[first]]
                 owners[source] = sorted(zip(times.tolist(), values.tolist(), strict=True))
             else:
                 owners[source] = [(0, int(values[counts.argmax()]))]
@@ -227,15 +227,15 @@ class Instances:
     def output(self, source: int) -> int:
         """Return where Telemetry Output first sent from, if it restarted and has another port now."""
         mine = {index for _, index in self._owners.get(source, [])}
-        same = [other for other, known in self._owners.items() if {index for _, index in known} == mine]
+        same = [other for other, owners in self._owners.items() if {index for _, index in owners} == mine]
         return same[0] if len(mine) == 1 and NOBODY not in mine and len(same) > 1 else source
 
     def owner(self, source: int, time_ns: int) -> int:
         """Return the instance whose Telemetry Output sends from an endpoint at a time, or ``NOBODY``."""
-        known = self._owners.get(source)
-        if not known:
+        owners = self._owners.get(source)
+        if not owners:
             return NOBODY
-        return known[max(bisect_right(known, time_ns, key=itemgetter(0)) - 1, 0)][1]
+        return owners[max(bisect_right(owners, time_ns, key=itemgetter(0)) - 1, 0)][1]
 
     def named(self, name: str, time_ns: int, source: int) -> int:
         """Return the instance of a name that was there at a time; the nearest where none was.
@@ -245,7 +245,7 @@ class Instances:
             source: the endpoint that speaks for it: of two of one name, the one of its address is meant.
         """
         fits = [index for index, item in enumerate(self.items) if item.name == name]
-        here = [index for index in fits if self.items[index].host == self.hosts[source]]
+        near = [index for index in fits if self.items[index].host == self.hosts[source]]
         if not fits:
             return NOBODY
 
@@ -253,7 +253,7 @@ class Instances:
             item = self.items[index]
             return max(item.first_ns - time_ns, time_ns - item.last_ns, 0)
 
-        return min(here or fits, key=away)
+        return min(near or fits, key=away)
 
     def saying(self, event: EventRecord) -> int:
         """Return the instance that said something, by the packet's time, else by the name in it."""
@@ -271,13 +271,13 @@ def _in_turn(whose: Sequence[Hashable], spans: Sequence[tuple[int, int]]) -> lis
         spans: from when to when.
     """
     ends: dict[Hashable, list[int]] = {}
-    found = [0] * len(spans)
+    turns = [0] * len(spans)
     for at in sorted(range(len(spans)), key=lambda item: spans[item]):
         before = ends.setdefault(whose[at], [])
         free = [turn for turn, end_ns in enumerate(before) if spans[at][0] > end_ns - BOOT_APART_NS]
-        found[at] = free[0] if free else len(before)
-        before[found[at] : found[at] + 1] = [spans[at][1]]
-    return found
+        turns[at] = free[0] if free else len(before)
+        before[turns[at] : turns[at] + 1] = [spans[at][1]]
+    return turns
 
 
 def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArray[np.int32]) -> list[Places]:
@@ -298,15 +298,15 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     owner = {int(rows.source[row]): says[row] for row in events.tolist() if row in says}
     first, port = numbered(rows.source[output])
     peers = tuple(names)
-    told = []
+    senders = []
     for source in rows.source[output[first]].tolist():
-        here = {name for host, name in peers if host == hosts[source]}
-        name = owner.get(source) or (here.pop() if len(here) == 1 else f"from {source}")
-        told.append((int(hosts[source]), name))
+        near = {name for host, name in peers if host == hosts[source]}
+        name = owner.get(source) or (near.pop() if len(near) == 1 else f"from {source}")
+        senders.append((int(hosts[source]), name))
     times = [rows.time_ns[output[port == at]] for at in range(len(first))]
-    turns = _in_turn(told, [(int(item.min()), int(item.max())) for item in times])
+    turns = _in_turn(senders, [(int(item.min()), int(item.max())) for item in times])
     names += [
-        (host, f"{name} {turn}" if turn else name) for (host, name), turn in zip(told, turns, strict=True)
+        (host, f"{name} {turn}" if turn else name) for (host, name), turn in zip(senders, turns, strict=True)
     ]
     label = np.concatenate((who, len(peers) + port))
     label[len(who) :][from_ >= 0] = who[from_[from_ >= 0]]
@@ -322,7 +322,7 @@ def _conflict(rows: Rows, members: Places) -> bool:
     Where frames are cut, less is left of it on one link than on another, and that is no other content.
     """
     counters = members[rows.known_id[members] == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID]
-    _, given = numbered(rows.sequence_count[counters], rows.packet_length[counters])
-    different, _ = numbered(given, rows.packet_print[counters])
-    counts = np.bincount(given[different])
+    _, content = numbered(rows.sequence_count[counters], rows.packet_length[counters])
+    different, _ = numbered(content, rows.packet_print[counters])
+    counts = np.bincount(content[different])
     return int((counts > 1).sum()) > int((counts > 0).sum()) // 4

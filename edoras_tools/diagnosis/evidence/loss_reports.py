@@ -109,7 +109,7 @@ def tracks(rows: Rows, payloads: Payloads, instances: Instances) -> dict[int, Tr
     for port in np.unique(source).tolist():
         source[source == port] = instances.output(port)
     way = rows.link[samples["row"]].astype(np.int64) << 32 | source
-    found = {}
+    by_instance = {}
     for index in np.unique(instance[instance != NOBODY]).tolist():
         own = np.flatnonzero(instance == index)
         first, which = numbered(way[own])
@@ -118,17 +118,17 @@ def tracks(rows: Rows, payloads: Payloads, instances: Instances) -> dict[int, Tr
             track = _track(samples, own[which == number], instances)
             # Counters that step back again and again are those of two instances, and tell nothing.
             if track.resets <= 1 + len(track.times) // 10:
-                found[index] = track
+                by_instance[index] = track
                 break
-    return found
+    return by_instance
 
 
-def _track(samples: Samples, chosen: Places, instances: Instances) -> Track:
-    made_ns = instances.made_ns[samples["row"][chosen]]
+def _track(samples: Samples, rows: Places, instances: Instances) -> Track:
+    made_ns = instances.made_ns[samples["row"][rows]]
     order = np.argsort(made_ns, kind="stable")
     # Of one time there is one sample: what comes again is the same.
     order = order[np.diff(made_ns[order], prepend=made_ns[order[:1]] - 1) > 0]
-    return Track.of(made_ns[order], {name: samples[name][chosen[order]] for name in _WIDTHS})
+    return Track.of(made_ns[order], {name: samples[name][rows[order]] for name in _WIDTHS})
 
 
 PipeKind = Literal["limit", "overflow"]
@@ -215,18 +215,18 @@ class LossEvents:
 def parse_loss_event(record: EventRecord, instance: int = NOBODY) -> ReportedLoss | None:
     """Return what an event names; None if it is not about a loss."""
     kind = _KINDS.get(record.event_id) if record.app == software_bus.NAME else None
-    found = software_bus.EVENTS[record.event_id].pattern.match(record.message) if kind else None
-    if kind is None or found is None:
+    match = software_bus.EVENTS[record.event_id].pattern.match(record.message) if kind else None
+    if kind is None or match is None:
         return None
-    parts = found.groupdict()
+    parts = match.groupdict()
     return ReportedLoss(kind, instance, int(parts["msg_id"], 16), parts.get("pipe", ""), parts["sender"])
 
 
 def reported_losses(events: Iterable[EventRecord], instances: Instances) -> dict[ReportedLoss, LossEvents]:
     """Return everything that events name, with the events."""
-    found: dict[ReportedLoss, LossEvents] = {}
+    reports: dict[ReportedLoss, LossEvents] = {}
     for record in events:
         reported = parse_loss_event(record, instances.saying(record))
         if reported:
-            found.setdefault(reported, LossEvents()).records.append(record)
-    return found
+            reports.setdefault(reported, LossEvents()).records.append(record)
+    return reports

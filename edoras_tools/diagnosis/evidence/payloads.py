@@ -85,16 +85,16 @@ class Samples:
 
     def over(self, place: NDArray[np.int64]) -> Self:
         """Return those that have a place in another table, not below 0, in its order."""
-        told = self._whole().copy()
-        told[0] = place[told[0]]
-        told = told[:, told[0] >= 0]
-        return replace(self, _parts=[told[:, np.argsort(told[0], kind="stable")]])
+        whole = self._whole().copy()
+        whole[0] = place[whole[0]]
+        whole = whole[:, whole[0] >= 0]
+        return replace(self, _parts=[whole[:, np.argsort(whole[0], kind="stable")]])
 
     def timed(self, time_ns: NDArray[np.int64]) -> Self:
         """Return them with other capture times, one a row of the table."""
-        told = self._whole().copy()
-        told[1] = time_ns[told[0]]
-        return replace(self, _parts=[told])
+        whole = self._whole().copy()
+        whole[1] = time_ns[whole[0]]
+        return replace(self, _parts=[whole])
 
     def ordered(self, widths: Mapping[str, int]) -> Self:
         """Return them with counters in the byte order in which they change least: they grow by little.
@@ -241,14 +241,14 @@ class Payloads:
             base: row of the table that the batch's first datagram has.
         """
         downward = among(columns.link, lambda link: link.from_cfs and link.packets)
-        known = cfe.known_ids(columns.msg_id, columns.headers)
+        ids = cfe.known_ids(columns.msg_id, columns.headers)
         for samples, msg_id, layout, names in (
             (self.housekeeping, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, *_BUS_COUNTERS),
             (self.ingest, command_ingest.HOUSEKEEPING_MSG_ID, *_CI_COUNTERS),
             (self.ingest, command_ingest.HOUSEKEEPING_MSG_ID, *_CI_7_COUNTERS),
             (self.commanded, telemetry_output.HOUSEKEEPING_MSG_ID, *_TO_COUNTERS),
         ):
-            rows = np.flatnonzero(downward & (known == msg_id))
+            rows = np.flatnonzero(downward & (ids == msg_id))
             # What follows the counters is not read; a capture may have cut it off.
             size = max(layout.by_name[name].end for name in names)
             have = columns.packet_length[rows] - columns.header_length[rows]
@@ -266,10 +266,10 @@ class Payloads:
         listed = (columns.sbn_msg_type == sbn.MsgType.SUB) | (columns.sbn_msg_type == sbn.MsgType.UNSUB)
         listed &= (columns.findings & np.uint32(Finding.CAPTURE_CUT)) == 0
         self._subscribe(batch, np.flatnonzero(listed), base)
-        changes = _CHANGES[np.maximum(known, 0)] & ~among(columns.link, lambda link: link.only_from_cfs)
+        changes = _CHANGES[np.maximum(ids, 0)] & ~among(columns.link, lambda link: link.only_from_cfs)
         changes &= columns.function_code > 0
         for row in np.flatnonzero(changes).tolist()[: max(0, _MOST - len(self.commands))]:
-            key = int(known[row]), int(columns.function_code[row])
+            key = int(ids[row]), int(columns.function_code[row])
             content = _payload(batch, columns, row)
             cut = bool(columns.findings[row] & np.uint32(Finding.CAPTURE_CUT))
             if (values := arguments_of(*key, content, cut=cut)) is not None:
@@ -302,20 +302,20 @@ class Payloads:
     def _of(self, msg_id: int, codes: Collection[int]) -> list[CommandRecord]:
         return [item for item in self.commands if item.msg_id == msg_id and item.function_code in codes]
 
-    def over(self, kept: NDArray[np.intp], count: int) -> Payloads:
+    def over(self, rows: NDArray[np.intp], count: int) -> Payloads:
         """Return those of the rows that are kept, for a table of only these rows, in their order.
 
         Args:
-            kept: the rows that are kept, as they shall stand; -1 for one whose payload is not believed.
+            rows: the rows that are kept, as they shall stand; -1 for one whose payload is not believed.
         """
         place = np.full(count + 1, -1, np.int64)
-        place[kept] = np.arange(len(kept))
+        place[rows] = np.arange(len(rows))
         place[-1] = -1
 
         def moved(items: list[Any]) -> Any:
-            found = ((int(place[item.row]), item) for item in items)
-            there = sorted((pair for pair in found if pair[0] >= 0), key=lambda pair: pair[0])
-            return [replace(item, row=row) for row, item in there]
+            pairs = ((int(place[item.row]), item) for item in items)
+            ordered = sorted((pair for pair in pairs if pair[0] >= 0), key=lambda pair: pair[0])
+            return [replace(item, row=row) for row, item in ordered]
 
         columns: dict[str, Any] = {name: getattr(self, name).over(place) for name in _SAMPLES}
         return replace(self, **columns, **{name: moved(getattr(self, name)) for name in _RECORDS})
@@ -342,11 +342,11 @@ class Payloads:
         first, which = numbered(prints)
         places = np.zeros(len(first), np.int64)
         for number, at in enumerate(first.tolist()):
-            known = self._content.setdefault(int(prints[at]), len(self.contents))
-            if known == len(self.contents):
+            index = self._content.setdefault(int(prints[at]), len(self.contents))
+            if index == len(self.contents):
                 end = int(start[at]) + max(0, int(length[at]))
                 self.contents.append(_subscriptions(batch.data[int(start[at]) : end].tobytes()))
-            places[number] = known
+            places[number] = index
         self.subscriptions.add(base + rows, batch.time_ns[rows], places[which])
 
 
@@ -356,8 +356,8 @@ def events_in(batch: PacketBatch, columns: Columns, base: int = 0) -> Iterator[E
     Args:
         base: row of the table that the batch's first datagram has.
     """
-    known = cfe.known_ids(columns.msg_id, columns.headers)
-    rows = np.flatnonzero((known == cfe.EVENT_MSG_ID) & (columns.packet_offset >= 0))
+    ids = cfe.known_ids(columns.msg_id, columns.headers)
+    rows = np.flatnonzero((ids == cfe.EVENT_MSG_ID) & (columns.packet_offset >= 0))
     have = columns.packet_length[rows] - columns.header_length[rows]
     downward = among(columns.link[rows], lambda link: link.from_cfs and link.packets)
     sound = downward & (have >= cfe.EVENT.size - 2)  # some builds leave out the last two bytes
@@ -382,9 +382,9 @@ def _events(
     for name in ("app_name", "message"):
         slot = cfe.EVENT.by_name[name]
         column = np.ascontiguousarray(payload[:, slot.start : slot.end]).view(f"S{slot.end - slot.start}")
-        found = column[:, 0].tolist()  # most are said again and again
-        unlike = {text: text.split(b"\0", 1)[0].decode("utf-8", "replace") for text in set(found)}
-        texts[name] = [unlike[text] for text in found]
+        raw = column[:, 0].tolist()  # most are said again and again
+        unlike = {text: text.split(b"\0", 1)[0].decode("utf-8", "replace") for text in set(raw)}
+        texts[name] = [unlike[text] for text in raw]
     for row, number, time_ns, app, event_id, event_type, spacecraft_id, processor_id, message in zip(
         rows.tolist(),
         batch.number[rows].tolist(),
@@ -400,10 +400,10 @@ def _events(
 
 def _subscriptions(payload: bytes) -> SubscriptionMessage:
     try:
-        ident, wanted = sbn.parse_subscriptions(payload)
+        ident, items = sbn.parse_subscriptions(payload)
     except TruncatedError:
-        ident, wanted = payload[: sbn.IDENT_BYTES].split(b"\0")[0].decode("ascii", "replace"), ()
-    return SubscriptionMessage(tuple(item.msg_id for item in wanted), ident)
+        ident, items = payload[: sbn.IDENT_BYTES].split(b"\0")[0].decode("ascii", "replace"), ()
+    return SubscriptionMessage(tuple(item.msg_id for item in items), ident)
 
 
 def _payload(batch: PacketBatch, columns: Columns, row: int) -> bytes:

@@ -218,9 +218,9 @@ class Network:
             if peer[0] and observer[0] in flight_software and peer != observer:
                 heard = network[np.isin(way, ways[peer, observer])]
                 sent = network[np.isin(way, ways.get((observer, peer), []))]
-                said = sent if len(sent) else heard
+                signs = sent if len(sent) else heard
                 app = sent[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
-                alive_ns = int(rows.time_ns[said[0]])
+                alive_ns = int(rows.time_ns[signs[0]])
                 changes = self._changes(rows, heard, alive_ns, end_ns, _farewells(rows, sent))
                 changes = _believed(changes, rows.time_ns[app])
                 changes = _greeted(changes, rows, sent, app)
@@ -298,7 +298,7 @@ class Network:
 
     def unsubscribed_within(self, msg_id: int, start_ns: int, end_ns: int) -> bool:
         """Tell whether a MsgId was unsubscribed in a span of time."""
-        return any(start_ns <= when <= end_ns and msg_id in wanted for when, wanted in self._unsubscribed)
+        return any(start_ns <= when <= end_ns and msg_id in msg_ids for when, msg_ids in self._unsubscribed)
 
 
 def _farewells(rows: Rows, sent: Places) -> list[tuple[int, int]]:
@@ -308,13 +308,13 @@ def _farewells(rows: Rows, sent: Places) -> list[tuple[int, int]]:
     """
     goodbye = rows.sbn_msg_type[sent] == sbn.MsgType.DISCONNECT
     others = rows.time_ns[sent[~goodbye]]
-    found: list[tuple[int, int]] = []
+    spans: list[tuple[int, int]] = []
     for when in rows.time_ns[sent[goodbye]].tolist():
         at = int(np.searchsorted(others, when, "right"))
         again = int(others[at]) - _ANSWERS_NS if at < len(others) else int(np.iinfo(np.int64).max)
-        if not found or when > found[-1][1]:
-            found.append((when, again))
-    return found
+        if not spans or when > spans[-1][1]:
+            spans.append((when, again))
+    return spans
 
 
 def _believed(changes: list[PeerChange], sent_ns: Integers) -> list[PeerChange]:
@@ -372,15 +372,15 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
     answering = 2 * len(answers) >= len(app_ns)
     # What one that answers does not answer shows a shorter silence, too.
     long_ns = max(_SHORT_NS // 3, 2 * usual_ns) if answering else max(_SHORT_NS, _FACTOR * usual_ns)
-    found = []
+    restarts = []
     for place in np.flatnonzero(steps > long_ns).tolist():
         start_ns, end_ns = times[place : place + 2].tolist()
         followed = any(start_ns <= item.time_ns < end_ns for item in changes)
         read_ns = int(answers[answers <= start_ns].max(initial=0)) if answering else start_ns
         unread_ns = read_ns if answering else start_ns + usual_ns
-        asked = int(((app_ns > unread_ns) & (app_ns < end_ns)).sum())
-        anew = subs[(subscribes >= end_ns) & (subscribes < end_ns + SECOND // 4)]
-        if followed or not asked or not len(anew):
+        number = int(((app_ns > unread_ns) & (app_ns < end_ns)).sum())
+        again = subs[(subscribes >= end_ns) & (subscribes < end_ns + SECOND // 4)]
+        if followed or not number or not len(again):
             continue
         if repeats:
             beyond = [
@@ -388,11 +388,11 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
                 - ((sent_ns > end_ns) & (sent_ns < until)).sum()
                 for until in (end_ns + _ANSWERS_NS, end_ns + _STILL_NS)
             ]
-            if not answering or max(beyond) > asked // 2 or len(answers) + asked > len(sent_ns):
+            if not answering or max(beyond) > number // 2 or len(answers) + number > len(sent_ns):
                 continue
-        around = int(heard[place]), int(heard[anew[0]])
-        found.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around, read_ns))
-    return found
+        around = int(heard[place]), int(heard[again[0]])
+        restarts.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around, read_ns))
+    return restarts
 
 
 def _name(kind: int) -> str:

@@ -98,46 +98,46 @@ def prepare(
     rows, payloads, disordered = in_time_order(recorder)
     flows, endpoints = recorder.conversations.judge(), recorder.endpoints
     kind = _kinds(rows, flows, endpoints)
-    if not _counted(rows, payloads, kind):
+    if not _has_strangers(rows, payloads, kind):
         # CI did not count them: whatever the ports say, they did not reach it.
         kind[kind == _PLACE[ConversationKind.STRANGER]] = _PLACE[ConversationKind.FOREIGN]
     foreign = kind == _PLACE[ConversationKind.FOREIGN]
-    left = _Left(rows, np.arange(len(rows)))
-    left.keep(~foreign)
-    names = one_name(left.rows, endpoints)
+    rest = _Left(rows, np.arange(len(rows)))
+    rest.keep(~foreign)
+    names = one_name(rest.rows, endpoints)
     if (names != np.arange(len(names))).any():
-        ends = {name: names[getattr(left.rows, name)] for name in ("source", "destination")}
-        left.rows = followed(replace(left.rows, **ends))
-    lost, standing = find_damaged(left.rows, number_hosts(endpoints), shared=shared)
-    damaged = left.rows.take(standing)
+        ends = {name: names[getattr(rest.rows, name)] for name in ("source", "destination")}
+        rest.rows = followed(replace(rest.rows, **ends))
+    lost, standing = find_damaged(rest.rows, number_hosts(endpoints), shared=shared)
+    damaged = rest.rows.take(standing)
     if lost.any():
-        left.keep(~lost)
-        left.rows = followed(left.rows)
-    passed = find_relayed(left.rows, endpoints)
-    lost_there = tuple(loss for item in passed for loss in item.losses(left.rows))
+        rest.keep(~lost)
+        rest.rows = followed(rest.rows)
+    passed = find_relayed(rest.rows, endpoints)
+    lost_there = tuple(loss for item in passed for loss in item.losses(rest.rows))
     if passed:
         # What was damaged behind a relay did not come out of it.
-        ways = left.rows.way(np.concatenate([item.behind for item in passed]))
+        ways = rest.rows.way(np.concatenate([item.behind for item in passed]))
         damaged = damaged.take(~np.isin(damaged.way(), ways))
-        source, behind = left.rows.source.copy(), np.ones(len(left.rows), bool)
+        source, behind = rest.rows.source.copy(), np.ones(len(rest.rows), bool)
         for item in passed:
-            source[item.behind] = item.sources(left.rows)
+            source[item.behind] = item.sources(rest.rows)
             behind[item.before] = False
-        left.rows = replace(left.rows, source=source)
-        left.keep(behind)
-        left.rows = followed(left.rows)
-    relayed = before_proxy(left.rows, proxied)
-    left.keep(~relayed)
+        rest.rows = replace(rest.rows, source=source)
+        rest.keep(behind)
+        rest.rows = followed(rest.rows)
+    relayed = before_proxy(rest.rows, proxied)
+    rest.keep(~relayed)
     sources = names[rows.source[payloads.ingest["row"]]]
-    copy, duplicate, perhaps, alone = _doubled(left.rows, payloads, sources, endpoints, proxied)
-    doubled = left.rows.take(np.flatnonzero(perhaps))
-    left.keep(~copy)
-    stranger = kind[left.places] == _PLACE[ConversationKind.STRANGER]
-    if len(left.places) < len(rows) or stranger.any():
-        payloads = payloads.over(np.where(stranger, -1, left.places), len(rows))
-    left.rows = replace(left.rows, undelivered=_find_astray(left.rows, astray, sure=True))
+    copy, duplicate, perhaps, alone = _doubled(rest.rows, payloads, sources, endpoints, proxied)
+    doubled = rest.rows.take(np.flatnonzero(perhaps))
+    rest.keep(~copy)
+    stranger = kind[rest.places] == _PLACE[ConversationKind.STRANGER]
+    if len(rest.places) < len(rows) or stranger.any():
+        payloads = payloads.over(np.where(stranger, -1, rest.places), len(rows))
+    rest.rows = replace(rest.rows, undelivered=_find_astray(rest.rows, astray, sure=True))
     return Prepared(
-        rows=_emptied(left.rows, stranger) if stranger.any() else left.rows,
+        rows=_emptied(rest.rows, stranger) if stranger.any() else rest.rows,
         payloads=payloads,
         flows=flows,
         foreign=int(foreign.sum()),
@@ -147,7 +147,7 @@ def prepare(
         duplicates=np.flatnonzero(duplicate[~copy]),
         damaged=damaged,
         doubled=doubled,
-        perhaps_astray=_find_astray(left.rows, astray, sure=False) | alone[~copy],
+        perhaps_astray=_find_astray(rest.rows, astray, sure=False) | alone[~copy],
         disordered=disordered,
         translated={
             endpoints[index].address: endpoints[name].address
@@ -224,7 +224,7 @@ def _kinds(rows: Rows, flows: Sequence[Flow], endpoints: Sequence[Endpoint]) -> 
     return out
 
 
-def _counted(rows: Rows, payloads: Payloads, kind: NDArray[np.int8]) -> bool:
+def _has_strangers(rows: Rows, payloads: Payloads, kind: NDArray[np.int8]) -> bool:
     """Tell whether CI's counter holds the strangers' datagrams, as far as it is there to tell."""
     samples = payloads.ingest
     if len(samples) < 2:
@@ -238,11 +238,11 @@ def _counted(rows: Rows, payloads: Payloads, kind: NDArray[np.int8]) -> bool:
     return 2 * (grown - own) >= strange
 
 
-def _different(rows: Rows, chosen: Mask) -> int:
+def _different(rows: Rows, mask: Mask) -> int:
     """Return how many datagrams some rows are: one with equal bytes and identification may be a copy."""
-    own = np.flatnonzero(chosen & (rows.identification != 0))
+    own = np.flatnonzero(mask & (rows.identification != 0))
     first, _ = numbered(rows.bytes_print[own], rows.identification[own])
-    return int(chosen.sum()) - len(own) + len(first)
+    return int(mask.sum()) - len(own) + len(first)
 
 
 def _disordered(rows: Rows) -> int:
@@ -272,7 +272,7 @@ def _goes_back(rows: Rows, far: Places) -> bool:
     return votes > 0
 
 
-def _emptied(rows: Rows, chosen: Mask) -> Rows:
+def _emptied(rows: Rows, mask: Mask) -> Rows:
     """Return the rows, some of them as datagrams that hold no packet."""
     none = {
         "msg_id": NO_MSG_ID,
@@ -286,7 +286,7 @@ def _emptied(rows: Rows, chosen: Mask) -> Rows:
     return replace(
         rows,
         **{
-            name: np.where(chosen, np.array(value).astype(getattr(rows, name).dtype), getattr(rows, name))
+            name: np.where(mask, np.array(value).astype(getattr(rows, name).dtype), getattr(rows, name))
             for name, value in none.items()
         },
     )

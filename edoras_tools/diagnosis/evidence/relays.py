@@ -112,17 +112,17 @@ RouteWay = tuple[int, bool, int]
 
 def proxied(faults: Sequence[Fault]) -> dict[RouteWay, Proxied]:
     """Return what was done, by link, way and MsgId."""
-    found: dict[RouteWay, Proxied] = {}
-    gone: dict[tuple[int, int, bytes], Counter[str]] = {}
+    result: dict[RouteWay, Proxied] = {}
+    kinds: dict[tuple[int, int, bytes], Counter[str]] = {}
     for fault in faults:
-        item = found.setdefault((fault.link.code, fault.to_cfs, fault.msg_id), Proxied())
+        item = result.setdefault((fault.link.code, fault.to_cfs, fault.msg_id), Proxied())
         item.start_ns = min(item.start_ns or fault.time_ns, fault.time_ns)
         item.end_ns = max(item.end_ns, fault.time_ns)
         if fault.rule:
             item.rules[fault.rule] = None
         if fault.detail.startswith(_DROPPED) or fault.kind == _OVERFLOW:
             # Of two rules that drop one datagram both are recorded.
-            same = gone.setdefault((fault.time_ns, fault.stream, fault.original), Counter())
+            same = kinds.setdefault((fault.time_ns, fault.stream, fault.original), Counter())
             before = max(same.values(), default=0)
             same[fault.rule] += 1
             if max(same.values()) > before:
@@ -131,7 +131,7 @@ def proxied(faults: Sequence[Fault]) -> dict[RouteWay, Proxied]:
             item.doubled += int(fault.detail[len(_TIMES[0]) : -len(_TIMES[1])]) - 1
         else:
             item.others[fault.kind] += 1
-    return found
+    return result
 
 
 _WITHIN_NS: Final = 20 * MILLISECOND
@@ -148,19 +148,19 @@ def before_proxy(rows: Rows, proxied: Mapping[RouteWay, Proxied]) -> NDArray[np.
         prints = _prints([data for _, data in item.dropped])
         if not len(own) or len(np.unique(prints)) < max(1, _LEAST * len(prints)):
             continue
-        found = _there(rows, own, prints, np.array([when for when, _ in item.dropped], np.int64))
-        if len(found) < _LEAST * len(prints):
+        matches = _matching(rows, own, prints, np.array([when for when, _ in item.dropped], np.int64))
+        if len(matches) < _LEAST * len(prints):
             continue
-        ways = np.unique(way[found])
+        ways = np.unique(way[matches])
         in_front = np.isin(way, ways) & among(rows.link, lambda kind: kind.packets)
         if (~in_front[own]).any():
             out |= in_front
         else:
-            out[found] = True
+            out[matches] = True
     return out
 
 
-def _there(
+def _matching(
     rows: Rows, own: NDArray[np.intp], prints: NDArray[np.uint64], times: NDArray[np.int64]
 ) -> NDArray[np.intp]:
     """Return the rows that are, by their bytes and time, one of some datagrams."""
@@ -222,19 +222,19 @@ def _forwarded(rows: Rows, endpoints: Sequence[Endpoint]) -> set[tuple[int, int]
     if not onward.any():
         return set()
     ways, number = np.unique(np.stack((way[early], way[late]))[:, onward], axis=1, return_counts=True)
-    there, sizes = np.unique(way, return_counts=True)
-    size = dict(zip(there.tolist(), sizes.tolist(), strict=True))
+    values, sizes = np.unique(way, return_counts=True)
+    size = dict(zip(values.tolist(), sizes.tolist(), strict=True))
     likely = [
         (count, _ends(one, other))
         for (one, other), count in zip(ways.T.tolist(), number.tolist(), strict=True)
         if count >= _NEARLY_ALL * min(size[one], size[other])
     ]
-    found = {ends for count, both in likely if count >= _LEAST_DATAGRAMS for ends in both}
-    known = {frozenset(endpoints[index].address for index in ends) for ends in found}
+    pairs = {ends for count, both in likely if count >= _LEAST_DATAGRAMS for ends in both}
+    addresses = {frozenset(endpoints[index].address for index in ends) for ends in pairs}
     for _, both in likely:
-        if all(frozenset(endpoints[index].address for index in ends) in known for ends in both):
-            found |= both
-    return found
+        if all(frozenset(endpoints[index].address for index in ends) in addresses for ends in both):
+            pairs |= both
+    return pairs
 
 
 def _ends(one: int, other: int) -> set[tuple[int, int]]:
@@ -301,8 +301,8 @@ def pair_up(
         early_ns: the second clock may be so much behind the first one.
     """
     origin = paired(into, into_ns, out, out_ns + early_ns)
-    found = np.flatnonzero(origin >= 0)
-    segment = Segment(origin[found], found, out_ns[found] - into_ns[origin[found]])
+    places = np.flatnonzero(origin >= 0)
+    segment = Segment(origin[places], places, out_ns[places] - into_ns[origin[places]])
     return segment.take(segment.took_ns <= LONGEST_NS)
 
 
@@ -365,8 +365,8 @@ class RelayedWay:
 
     def delay_ns(self, rows: Rows) -> float:
         """Return how much later they usually left it."""
-        known = self.made_of >= 0
-        return float(np.median((rows.time_ns[self.behind] - rows.time_ns[self.before[self.made_of]])[known]))
+        valid = self.made_of >= 0
+        return float(np.median((rows.time_ns[self.behind] - rows.time_ns[self.before[self.made_of]])[valid]))
 
     def losses(self, rows: Rows) -> Iterator[LostInRelay]:
         """Yield what the relay did to each MsgId that has no sequence count to show it."""

@@ -126,16 +126,16 @@ class Rows:
     def of(cls, tables: Sequence[Any], **columns: NDArray[Any]) -> Self:
         """Return rows with the columns that are given; the rest from ``tables``, later ones first."""
         rest = [item.name for item in fields(cls) if item.name not in columns]
-        taken = {name: getattr(table, name) for name in rest for table in tables if hasattr(table, name)}
-        return cls(**taken, **columns)
+        own = {name: getattr(table, name) for name in rest for table in tables if hasattr(table, name)}
+        return cls(**own, **columns)
 
     @classmethod
     def of_messages(cls, **columns: NDArray[Any]) -> Self:
         """Return rows of messages without packets: columns that are not given are zero; no count counts."""
         count, empty = len(columns["time_ns"]), _none()
-        known = {"findings": np.full(count, Finding.SEQUENCE_UNSET, np.uint32), **columns}
+        values = {"findings": np.full(count, Finding.SEQUENCE_UNSET, np.uint32), **columns}
         kinds = {item.name: getattr(empty, item.name).dtype for item in fields(cls)}
-        return cls(**{name: known.get(name, np.zeros(count, kind)) for name, kind in kinds.items()})
+        return cls(**{name: values.get(name, np.zeros(count, kind)) for name, kind in kinds.items()})
 
     def take(self, rows: NDArray[Any] | slice) -> Self:
         """Return the rows that an index array, a mask or a slice chooses."""
@@ -233,18 +233,18 @@ class Recorder:
         columns = with_garbled(columns, batch)
         self.conversations.add(batch, columns)
         commands = robot_commands(columns, batch, self.context.structs)
-        chosen = np.flatnonzero(among(columns.link, lambda link: link.packets) | commands)
+        own = np.flatnonzero(among(columns.link, lambda link: link.packets) | commands)
         beside = among(columns.link, lambda link: link.quotes)
-        self.left_out += len(batch) - len(chosen) - int(beside.sum())
+        self.left_out += len(batch) - len(own) - int(beside.sum())
         beside |= among(columns.link, lambda link: link.last_hop) & ~commands
-        for rows in (np.flatnonzero(beside), chosen):  # what carries a state comes behind it
+        for rows in (np.flatnonzero(beside), own):  # what carries a state comes behind it
             if len(rows):
                 whole = len(rows) == len(batch)
                 part = (batch, columns) if whole else (batch.take(rows), columns.take(rows))
                 (self._apart or self.keep)(*part)
-        if len(chosen):
-            self._count += len(chosen)
-            self._times.append(batch.time_ns[chosen])
+        if len(own):
+            self._count += len(own)
+            self._times.append(batch.time_ns[own])
 
     def keep(self, batch: PacketBatch, columns: Columns) -> None:
         """Keep what is needed of the datagrams of a batch.
@@ -274,11 +274,11 @@ class Recorder:
             identification = identification.astype(np.uint16)
         tap = of_bytes(batch.data, batch.frame_offset, network - batch.frame_offset)
         source, destination = self._ends(batch)
-        told = self._sequences.follow(batch, columns)
-        self._told.append(told)
+        sequences = self._sequences.follow(batch, columns)
+        self._told.append(sequences)
         self._parts.append(
             Rows.of(
-                (batch, columns, told),
+                (batch, columns, sequences),
                 source=source,
                 destination=destination,
                 known_id=cfe.known_ids(columns.msg_id, columns.headers),
@@ -291,7 +291,7 @@ class Recorder:
                 streamed=np.zeros(len(batch), bool) if batch.streams is None else batch.streams,
                 undelivered=wrong_checksums(batch, network),
                 bytes_print=whole,
-                counted=told.stream >= 0,
+                counted=sequences.stream >= 0,
                 packet_print=packet,
                 body_print=body,
                 value_print=plain,
@@ -345,12 +345,12 @@ class Recorder:
         end = columns.packet_offset + columns.packet_length
         space = np.where(offset >= 0, (end - offset), 0).astype(np.int32)
         vain = np.zeros(len(batch), np.int32)
-        known = cfe.known_ids(columns.msg_id, columns.headers)
-        open_ = (offset < 0) & (columns.packet_offset >= 0) & ~np.isin(known, list(MSG_ID_NAMES))
-        command = VERSION_1.is_command(known)
-        for envelope, asked in zip(self.context.unrouted, (open_ & ~command, open_ & command), strict=True):
+        ids = cfe.known_ids(columns.msg_id, columns.headers)
+        open_ = (offset < 0) & (columns.packet_offset >= 0) & ~np.isin(ids, list(MSG_ID_NAMES))
+        command = VERSION_1.is_command(ids)
+        for envelope, some in zip(self.context.unrouted, (open_ & ~command, open_ & command), strict=True):
             behind = (end - payload - envelope.size).astype(np.int32)
-            rows = np.flatnonzero(asked & (behind >= _ENCAPSULATION))
+            rows = np.flatnonzero(some & (behind >= _ENCAPSULATION))
             if not len(rows):
                 continue
             head = gather(batch.data, payload[rows], envelope.size + _ENCAPSULATION)
@@ -362,10 +362,10 @@ class Recorder:
             # A route's envelope is one whatever it looks like; elsewhere its shape has to tell.
             routed = (columns.findings[rows] & np.uint32(Finding.ENVELOPE_OVERRUN)) != 0
             over = claimed > behind[rows].astype(np.uint64)
-            told = (over & shaped & (claimed <= capacity)) | routed
-            told &= (columns.findings[rows] & np.uint32(Finding.CAPTURE_CUT)) == 0
-            space[rows[told]] = behind[rows[told]]
-            vain[rows[told]] = np.minimum(claimed[told], (1 << 31) - 1).astype(np.int32)
+            valid = (over & shaped & (claimed <= capacity)) | routed
+            valid &= (columns.findings[rows] & np.uint32(Finding.CAPTURE_CUT)) == 0
+            space[rows[valid]] = behind[rows[valid]]
+            vain[rows[valid]] = np.minimum(claimed[valid], (1 << 31) - 1).astype(np.int32)
             fits = shaped & ~over & (claimed <= capacity) & (columns.route[rows] == NO_ROUTE)
             offset[rows[fits]] = payload[rows[fits]] + envelope.size
             length[rows[fits]] = claimed[fits].astype(np.int32)
@@ -378,18 +378,18 @@ class Recorder:
         """Return fingerprints of the bytes of each message, of its values, and of these with time stamps."""
         body = np.zeros(len(batch), np.uint64)
         types, routes = self.context.types, self.context.mission.routes
-        there = np.flatnonzero(offset >= 0)
-        body[there] = of_bytes(batch.data, offset[there] + _ENCAPSULATION, length[there] - _ENCAPSULATION)
+        own = np.flatnonzero(offset >= 0)
+        body[own] = of_bytes(batch.data, offset[own] + _ENCAPSULATION, length[own] - _ENCAPSULATION)
         plain, stamped = body.copy(), body.copy()
-        for index in np.unique(columns.route[there]).tolist():
+        for index in np.unique(columns.route[own]).tolist():
             name = routes[index].type if index != NO_ROUTE else ""
             if name and types is not None and types.has(name):
-                rows = there[columns.route[there] == index]
+                rows = own[columns.route[own] == index]
                 plain[rows], stamped[rows] = of_values(types, name, batch.data, offset[rows], length[rows])
-        told = np.flatnonzero(among(columns.link, lambda item: item.last_hop))
-        if len(told):
-            body[told], stamped[told] = robot_prints(batch, told, types)
-            plain[told] = body[told]
+        robot = np.flatnonzero(among(columns.link, lambda item: item.last_hop))
+        if len(robot):
+            body[robot], stamped[robot] = robot_prints(batch, robot, types)
+            plain[robot] = body[robot]
         return body, plain, stamped
 
     def _sample(
@@ -398,10 +398,10 @@ class Recorder:
         rows = np.flatnonzero(offset >= 0)
         first, _ = numbered(columns.link[rows], columns.msg_id[rows], length[rows])
         for row in rows[first].tolist():
-            known = self.samples.setdefault((int(columns.link[row]), int(columns.msg_id[row])), {})
+            sizes = self.samples.setdefault((int(columns.link[row]), int(columns.msg_id[row])), {})
             size = int(length[row])
-            if len(known) < _SAMPLES and size not in known:
-                known[size] = batch.data[offset[row] : offset[row] + size].tobytes()
+            if len(sizes) < _SAMPLES and size not in sizes:
+                sizes[size] = batch.data[offset[row] : offset[row] + size].tobytes()
 
 
 def followed(rows: Rows) -> Rows:
@@ -411,24 +411,24 @@ def followed(rows: Rows) -> Rows:
     """
     absent, size = np.zeros(len(rows), np.uint16), rows.packet_print.itemsize
 
-    def made(kind: type[Any], **known: Any) -> Any:
-        return kind(**{item.name: getattr(rows, item.name, absent) for item in fields(kind)} | known)
+    def make(kind: type[Any], **more: Any) -> Any:
+        return kind(**{item.name: getattr(rows, item.name, absent) for item in fields(kind)} | more)
 
-    batch = made(
+    batch = make(
         PacketBatch,
         data=rows.packet_print.view(np.uint8),
         source_address=rows.source,
         destination_address=rows.destination,
         ipv6=(),
     )
-    columns = made(Columns, packet_offset=np.arange(len(rows)) * size, packet_length=np.full(len(rows), size))
+    columns = make(Columns, packet_offset=np.arange(len(rows)) * size, packet_length=np.full(len(rows), size))
     sequences = SequenceCounts()
     return _counting(rows, sequences.whole([sequences.follow(batch, columns)]))
 
 
-def _counting(rows: Rows, told: SequenceRows) -> Rows:
+def _counting(rows: Rows, sequences: SequenceRows) -> Rows:
     """Return rows with what was told of their sequence counts."""
-    return Rows.of((rows, told), counted=told.stream >= 0)
+    return Rows.of((rows, sequences), counted=sequences.stream >= 0)
 
 
 def _none() -> Rows:

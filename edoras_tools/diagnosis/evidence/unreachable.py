@@ -101,23 +101,23 @@ def find_unreachable(
         translated: address to the address that it is another name of.
     """
     errors = recorder.errors()
-    found = Unreachable(np.zeros(len(rows), bool), np.zeros(len(rows), bool), np.zeros(len(rows), bool))
+    marks = Unreachable(np.zeros(len(rows), bool), np.zeros(len(rows), bool), np.zeros(len(rows), bool))
     if not len(errors.print) or not len(rows):
-        return found
+        return marks
     number = {endpoint: at for at, endpoint in enumerate(endpoints)}
     same = [replace(item, address=translated.get(item.address, item.address)) for item in endpoints]
     names = np.array([number.get(item, at) for at, item in enumerate(same)])
     errors = errors._replace(source=names[errors.source], destination=names[errors.destination])
     row = _quoted(rows, errors)
-    found.refused[row[(row >= 0) & ~errors.closed]] = True
+    marks.refused[row[(row >= 0) & ~errors.closed]] = True
     closing, own = errors.take(errors.closed), row[errors.closed]
-    found.closed[own[own >= 0]] = True
+    marks.closed[own[own >= 0]] = True
     times, sources = recorder.voices()
-    events = _events(rows, closing, own, found.closed, (times, names[sources]))
-    spans = _spans(events, _telling(rows, closing, events, endpoints), endpoints, found)
-    found.refused[found.closed] = False
-    found.uncertain[found.closed | found.refused] = False
-    return Unreachable(found.closed, found.refused, found.uncertain, spans)
+    events = _events(rows, closing, own, marks.closed, (times, names[sources]))
+    spans = _spans(events, _telling(rows, closing, events, endpoints), endpoints, marks)
+    marks.refused[marks.closed] = False
+    marks.uncertain[marks.closed | marks.refused] = False
+    return Unreachable(marks.closed, marks.refused, marks.uncertain, spans)
 
 
 def _quoted(rows: Rows, errors: PortErrors) -> Integers:
@@ -137,9 +137,9 @@ def _quoted(rows: Rows, errors: PortErrors) -> Integers:
     order = np.lexsort((np.arange(size) >= count, times, group))
     before, behind = (order[item] for item in brackets(group[order], order < count))
     near = times[behind] - times[before] <= _WITHIN_NS
-    found = np.full(len(quoted), -1)
-    found[behind[near] - count] = at[before[near]]
-    return found
+    owner = np.full(len(quoted), -1)
+    owner[behind[near] - count] = at[before[near]]
+    return owner
 
 
 class _Events(NamedTuple):
@@ -192,11 +192,11 @@ def _telling(rows: Rows, errors: PortErrors, events: _Events, endpoints: Sequenc
     order = np.lexsort((is_error, events.time_ns[at], pair))
     pair, times, is_error = pair[order], events.time_ns[at[order]], is_error[order]
     last = np.maximum.accumulate(np.where(is_error, np.arange(len(at)), -1))
-    known = (last >= 0) & (pair[last] == pair)
+    later = (last >= 0) & (pair[last] == pair)
     own, when = pair[is_error], times[is_error]
     many = own[_BURST:][(own[_BURST:] == own[:-_BURST]) & (when[_BURST:] - when[:-_BURST] < SECOND)]
     telling = np.zeros(len(events.port), bool)
-    telling[at[order]] = ~known | (times - times[last] >= _PATIENCE_NS) | np.isin(pair, many)
+    telling[at[order]] = ~later | (times - times[last] >= _PATIENCE_NS) | np.isin(pair, many)
     return np.asarray(telling | loops[events.port])
 
 
@@ -206,16 +206,16 @@ def _signs_of_life(events: _Events, telling: Mask) -> Mask:
     datagram = np.append(np.flatnonzero(events.kind == _DATAGRAM), size)
     behind = datagram[np.searchsorted(datagram, np.arange(size), "right")]
     following = np.minimum(behind, size - 1)
-    there = (behind < size) & (events.port[following] == events.port)
-    answered = there & events.unanswered[following]
-    alone = (events.kind == _VOICE) & (answered | ~there)
+    has_next = (behind < size) & (events.port[following] == events.port)
+    answered = has_next & events.unanswered[following]
+    alone = (events.kind == _VOICE) & (answered | ~has_next)
     return np.asarray(alone | (events.unanswered & telling & answered))
 
 
 def _spans(
-    events: _Events, telling: Mask, endpoints: Sequence[Endpoint], found: Unreachable
+    events: _Events, telling: Mask, endpoints: Sequence[Endpoint], marks: Unreachable
 ) -> list[ClosedSpan]:
-    """Return when ports were closed; mark the datagrams of rules 3 and 4 in ``found``."""
+    """Return when ports were closed; mark the datagrams of rules 3 and 4 in ``marks``."""
     port, times, row = events[:3]
     voice, error = np.flatnonzero(events.kind == _VOICE), events.kind == _ERROR
     life = _signs_of_life(events, telling)
@@ -244,10 +244,10 @@ def _spans(
         spans.append(span)
         free = np.flatnonzero(events.unanswered[first:end]) + first
         inside = free < last
-        found.closed[row[free[inside & ~telling[free]]]] = True
-        found.uncertain[row[free]] = True
+        marks.closed[row[free[inside & ~telling[free]]]] = True
+        marks.uncertain[row[free]] = True
         if span.step_ns and span.start_ns - times[before[-1]] <= _REGULAR * span.step_ns:
             late = np.arange(before[-1], first)
             late = late[times[late] >= span.start_ns - _UNREAD_NS]
-            found.uncertain[row[late[events.unanswered[late]]]] = True
+            marks.uncertain[row[late[events.unanswered[late]]]] = True
     return spans

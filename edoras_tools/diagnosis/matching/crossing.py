@@ -214,13 +214,13 @@ class _Ends:
         """Return the different fingerprints of some streams but 0, stream by stream: whose, and which."""
         mine = slice(None) if some.all() else some[self._owner]
         owner, prints = self._owner[mine], self._prints(kind, self._at[mine])
-        there = np.flatnonzero(prints)
-        once = there[numbered(owner[there], prints[there])[0]]
+        places = np.flatnonzero(prints)
+        once = places[numbered(owner[places], prints[places])[0]]
         if kind != _COUNT:
             return owner[once], prints[once]
         # A count says nothing but within one MsgId of one cFS.
-        what = self.msg_id[owner[once]] << 16 | self.instance[owner[once]] << 48
-        return owner[once], prints[once] + what.astype(np.uint64)
+        origin = self.msg_id[owner[once]] << 16 | self.instance[owner[once]] << 48
+        return owner[once], prints[once] + origin.astype(np.uint64)
 
     def keys(self, owner: Places, values: Prints, *, into: bool) -> tuple[Places, Prints]:
         """Return what equal fingerprints are looked up by: whose, and which.
@@ -252,15 +252,15 @@ def _ways_in(
                 likeliest.append(index)
         elif score[index] == score[likeliest[0]] >= _ALIKE and order[index] == order[likeliest[0]]:
             likeliest.append(index)
-    chosen: dict[int, int] = {}
+    pairs: dict[int, int] = {}
     groups: dict[Hashable, dict[int, list[int]]] = {}
     for comes, own in alike.items():
         key = out.end[comes], out.instance[comes], comes if out.last_hop[comes] else NOBODY
         if own:
             groups.setdefault(key, {})[comes] = own
     for group in groups.values():
-        chosen |= share_out(group, into.msg_id[place], out.msg_id)
-    return {comes: (int(place[index]), _COMPARED[order[index]]) for comes, index in chosen.items()}
+        pairs |= share_out(group, into.msg_id[place], out.msg_id)
+    return {comes: (int(place[index]), _COMPARED[order[index]]) for comes, index in pairs.items()}
 
 
 def share_out(alike: dict[int, list[int]], came: Integers, went: Integers) -> dict[int, int]:
@@ -350,15 +350,15 @@ def _scored(
         late = (score < _ALIKE) & out.last_hop[at] & (both >= _LEAST_DIFFERENT)
         fits = ((score >= _ALIKE) | late) & _may_follow(into, out, place, at, kinds)
         at, place, score = at[fits], place[fits], score[fits]
-        there = party.follows(place, at)
-        at, place, score = at[there], place[there], score[there]
+        valid = party.follows(place, at)
+        at, place, score = at[valid], place[valid], score[valid]
         near = -np.abs((into.msg_id[place] & 0xF) - (out.msg_id[at] & 0xF))
         ranked = np.lexsort((place, -near, -score, at))
         first = np.flatnonzero(np.append(True, np.diff(at[ranked]) != 0)[: len(ranked)])
         nth = np.arange(len(ranked)) - np.repeat(first, np.diff(np.append(first, len(ranked))))
         best = score[ranked][np.arange(len(ranked)) - nth]
-        taken = np.union1d(ranked[(score[ranked] == best) & (nth < _TIED)], np.flatnonzero(score < _ALIKE))
-        yield place[taken], at[taken], np.full(len(taken), order), score[taken], near[taken]
+        rows = np.union1d(ranked[(score[ranked] == best) & (nth < _TIED)], np.flatnonzero(score < _ALIKE))
+        yield place[rows], at[rows], np.full(len(rows), order), score[rows], near[rows]
 
 
 def _may_follow(into: _Ends, out: _Ends, place: Places, at: Places, kinds: tuple[str, str]) -> Mask:
@@ -389,8 +389,8 @@ def _likely(came: Prints, went: Prints) -> bool:
         came: fingerprints of what goes in.
         went: of what comes out.
     """
-    there = np.isin(went, came[came != 0])
-    behind = distinct(went[there.argmax() :])
+    arrived = np.isin(went, came[came != 0])
+    behind = distinct(went[arrived.argmax() :])
     there_too = np.isin(behind[behind != 0], came)
     return bool(there_too.sum() >= _LEAST_DIFFERENT and there_too.mean() > _NEARLY_ALL)
 

@@ -107,13 +107,13 @@ class Stream:
     @cached_property
     def spans(self) -> list[Span]:
         """Its parts at one rate each."""
-        found: list[Span] = []
+        out: list[Span] = []
         bounds = [0, *(np.flatnonzero(self.pauses) + 1).tolist(), len(self)]
         for first, end in pairwise(bounds):
             cuts = _changes(self.time_ns[first:end], (self.missing + ~self.repeats)[first:end])
             edges = [first, *(first + cut for cut in cuts), end]
-            found += [self._span(low, high - 1) for low, high in pairwise(edges)]
-        return found
+            out += [self._span(low, high - 1) for low, high in pairwise(edges)]
+        return out
 
     def _span(self, first: int, last: int) -> Span:
         own = slice(first, last + 1)
@@ -155,19 +155,19 @@ def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
 
 def find_robots(rows: Rows) -> list[Stream]:
     """Return what was sent to each robot: bare numbers, no MsgId and no count."""
-    there = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
-    ends = rows.source[there].astype(np.int64) << 32 | rows.destination[there]
+    own = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
+    ends = rows.source[own].astype(np.int64) << 32 | rows.destination[own]
     return [
         Stream(
-            link=table.link(int(rows.link[there[members[0]]])),
+            link=table.link(int(rows.link[own[members[0]]])),
             msg_id=NO_MSG_ID,
-            sender=int(rows.source[there[members[0]]]),
-            receiver=int(rows.destination[there[members[0]]]),
+            sender=int(rows.source[own[members[0]]]),
+            receiver=int(rows.destination[own[members[0]]]),
             processor=(0, 0),
             instance=NOBODY,
             route=NO_ROUTE,
-            rows=there[members],
-            time_ns=rows.time_ns[there[members]],
+            rows=own[members],
+            time_ns=rows.time_ns[own[members]],
             counted=False,
             missing=np.zeros(len(members), np.int64),
             pauses=np.zeros(len(members), np.bool_),
@@ -200,17 +200,17 @@ def find_resets(rows: Rows, streams: Sequence[Stream]) -> list[Reset]:
                 if start < end:
                     fell = (count[at + 1] - count[at]) % MODULUS >= FORWARD
                     spans.setdefault(stream.instance, []).append((end, start, fell))
-    found = []
+    resets = []
     for instance, members in spans.items():
-        left = sorted(members)
-        while left:
-            first_end = left[0][0]
-            same = [item for item in left if item[1] < first_end]
+        rest = sorted(members)
+        while rest:
+            first_end = rest[0][0]
+            same = [item for item in rest if item[1] < first_end]
             fell = [(start, end) for end, start, down in same if down]
             if len(fell) >= _LEAST_FELL and len(fell) * 2 > len(same):
-                found.append(Reset(instance, max(start for start, _ in fell), min(end for _, end in fell)))
-            left = [item for item in left if item[1] >= first_end]
-    return found
+                resets.append(Reset(instance, max(start for start, _ in fell), min(end for _, end in fell)))
+            rest = [item for item in rest if item[1] >= first_end]
+    return resets
 
 
 def _whole(rows: Rows, instances: Instances) -> NDArray[np.int32]:
@@ -219,21 +219,21 @@ def _whole(rows: Rows, instances: Instances) -> NDArray[np.int32]:
     network = among(rows.link, lambda link: link.peers)
     output = among(rows.link, lambda link: link.only_from_cfs)
     cases = ((network, rows.processor_id.astype(np.int64)), (output, rows.source.astype(np.int64)))
-    for there, sender in cases:
-        lost = np.flatnonzero(there & (out == NOBODY) & (rows.msg_id != NO_MSG_ID))
-        timed = np.flatnonzero(there & (instances.of_row != NOBODY))
+    for mask, sender in cases:
+        lost = np.flatnonzero(mask & (out == NOBODY) & (rows.msg_id != NO_MSG_ID))
+        timed = np.flatnonzero(mask & (instances.of_row != NOBODY))
         key = [sender]
-        if there is output and len(lost):
+        if mask is output and len(lost):
             lost = _handed_on(rows, lost, out)
         # Behind TO several instances share a MsgId; an SBN sender is one instance at a time.
-        key += [rows.msg_id.astype(np.int64)] * (there is output)
+        key += [rows.msg_id.astype(np.int64)] * (mask is output)
         both = np.concatenate((lost, timed))
         which = numbered(*(column[both] for column in key))[1]
-        known = dict(by_value(which[len(lost) :]))
+        places = dict(by_value(which[len(lost) :]))
         for who, at in by_value(which[: len(lost)]):
-            if who in known:
-                rest, same = lost[at], timed[known[who]]
-                out[rest] = _nearest(rows, rest, same, instances.of_row, by_count=there is output)
+            if who in places:
+                rest, same = lost[at], timed[places[who]]
+                out[rest] = _nearest(rows, rest, same, instances.of_row, by_count=mask is output)
     return out
 
 
@@ -244,37 +244,37 @@ def _handed_on(rows: Rows, lost: NDArray[np.intp], out: NDArray[np.int32]) -> ND
     )
     both = np.concatenate((network, lost))
     cut = rows.msg_id[both[rows.has(Finding.CAPTURE_CUT)[both]]]
-    left = []
+    rest = []
     # Cut packets are compared otherwise: a MsgId that has one apart from those that have none.
     for some in (True, False):
         mine, theirs = (item[np.isin(rows.msg_id[item], cut) == some] for item in (lost, network))
         from_ = handed_on(rows, theirs, mine)
         same = from_ >= 0
         out[mine[same]] = out[theirs[from_[same]]]
-        left.append(mine[~same])
-    return np.sort(np.concatenate(left))
+        rest.append(mine[~same])
+    return np.sort(np.concatenate(rest))
 
 
 def _nearest(
     rows: Rows,
     lost: NDArray[np.intp],
-    known: NDArray[np.intp],
+    timed: NDArray[np.intp],
     instance: NDArray[np.int32],
     *,
     by_count: bool,
 ) -> NDArray[np.int32]:
     best = np.full(len(lost), np.iinfo(np.int64).max)
     out = np.full(len(lost), NOBODY, np.int32)
-    for index in np.unique(instance[known]).tolist():
-        own = known[instance[known] == index]
+    for index in np.unique(instance[timed]).tolist():
+        own = timed[instance[timed] == index]
         at = np.searchsorted(rows.time_ns[own], rows.time_ns[lost])
         for side in (np.maximum(at - 1, 0), np.minimum(at, len(own) - 1)):
-            there = own[side]
+            near = own[side]
             if by_count:
-                step = rows.sequence_count[lost].astype(np.int64) - rows.sequence_count[there]
+                step = rows.sequence_count[lost].astype(np.int64) - rows.sequence_count[near]
                 away = np.abs((step + MODULUS // 2) % MODULUS - MODULUS // 2)
             else:
-                away = np.abs(rows.time_ns[lost] - rows.time_ns[there])
+                away = np.abs(rows.time_ns[lost] - rows.time_ns[near])
             closer = away < best
             best[closer], out[closer] = away[closer], index
     return out
@@ -286,7 +286,7 @@ def _stream(
     """Account for some rows; ``behind`` are all those behind bytes that the capture lacks."""
     first = int(members[0])
     routes = rows.route[members]
-    known = routes[routes != NO_ROUTE]
+    own = routes[routes != NO_ROUTE]
     missing = rows.missing[members]
     gaps = int(missing.sum())  # as info has them, which knows of no restart: what follows is for judging
     if among(rows.link[first], lambda link: link.only_from_cfs):
@@ -304,7 +304,7 @@ def _stream(
         receiver=int(rows.destination[first]),
         processor=(int(rows.spacecraft_id[first]), int(rows.processor_id[first])),
         instance=int(instance[first]) if not table.link(rows.link[first]).only_to_cfs else NOBODY,
-        route=int(known[0]) if len(known) else NO_ROUTE,
+        route=int(own[0]) if len(own) else NO_ROUTE,
         rows=members,
         time_ns=rows.time_ns[members],
         counted=bool(rows.counted[members].any()),
@@ -427,20 +427,20 @@ def _changes(times: NDArray[np.int64], counts: NDArray[np.int64]) -> list[int]:
     if len(offered) < _FEW:
         return []
     rates, cuts, begin = offered.tolist(), [], 0
-    known: list[float] = []  # in order, so that the median needs no sorting
+    window: list[float] = []  # in order, so that the median needs no sorting
     for at in range(1, len(rates) - 1):
-        insort(known, rates[at - 1])
-        if len(known) > _USUAL:
-            del known[bisect_left(known, rates[at - 1 - _USUAL])]
+        insort(window, rates[at - 1])
+        if len(window) > _USUAL:
+            del window[bisect_left(window, rates[at - 1 - _USUAL])]
         if at - begin < 2:
             continue
-        usual = (known[(len(known) - 1) // 2] + known[len(known) // 2]) / 2
+        usual = (window[(len(window) - 1) // 2] + window[len(window) // 2]) / 2
         low, high = sorted(rates[at : at + 2])
         other = low > usual * _CHANGE or high * _CHANGE < usual
         if other and max(usual, high) - min(usual, low) > _LEAST_HZ:
             cuts.append(int(np.searchsorted(second, at)))
             begin = at
-            known.clear()
+            window.clear()
     return [cut for cut in cuts if 0 < cut < len(times)]
 
 

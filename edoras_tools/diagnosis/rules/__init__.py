@@ -131,12 +131,12 @@ def rules() -> dict[str, Rule]:
     Raises:
         ConfigError: a package's rule cannot be loaded, or its name is taken.
     """
-    found = shipped_rules()
+    result = shipped_rules()
     for item in doors.installed("rules"):
-        if item.name in found:
+        if item.name in result:
             raise item.error("another rule has this name; uninstall one of them")
-        found[item.name] = item.load()
-    return found
+        result[item.name] = item.load()
+    return result
 
 
 SINGLE: Final = frozenset(

@@ -34,8 +34,8 @@ class AboutMessages(TypedDict):
 def subject(case: Case, members: Sequence[int] | Places) -> AboutMessages:
     """Return the MsgId and the link of the first of some rows, and the times of all; in order of time."""
     msg_id, link = int(case.rows.msg_id[members[0]]), table.link(case.rows.link[members[0]])
-    known = msg_id if msg_id != NO_MSG_ID else None
-    return {"msg_id": known, "link": link.label, "span": case.span(members)}
+    number = msg_id if msg_id != NO_MSG_ID else None
+    return {"msg_id": number, "link": link.label, "span": case.span(members)}
 
 
 def stream_subject(case: Case, stream: Stream) -> AboutMessages:
@@ -57,7 +57,7 @@ def of_messages(
     severity: Severity,
     case: Case,
     members: Places,
-    what: str,
+    text: str,
     *evidence: str,
     noun: str = "messages",
     **about: Unpack[About],
@@ -66,7 +66,7 @@ def of_messages(
 
     Args:
         members: their rows, in order of time.
-        what: the end of the sentence that begins ``3 of 40 messages on 0x0827 (/pose)``.
+        text: the end of the sentence that begins ``3 of 40 messages on 0x0827 (/pose)``.
     """
     rows, first, where = case.rows, members[0], subject(case, members)
     msg_id = int(rows.msg_id[first])
@@ -74,7 +74,7 @@ def of_messages(
     about |= {"msg_id": where["msg_id"], "link": where["link"], "span": where["span"]}
     if severity is Severity.ERROR:
         about |= {"lost": len(members), "of": of}
-    verb, _, rest = what.partition(" ")
+    verb, _, rest = text.partition(" ")
     if len(members) == 1:
         verb, rest = _OF_ONE.get(verb, verb), rest.replace("their ", "its ")
     reason = f"{len(members):,} of {of:,} {noun} on {case.name(msg_id)} {verb} {rest}"

@@ -48,11 +48,11 @@ def not_examined(case: Case) -> Iterator[Verdict]:
         away.append((reason, why, (start_ns, end_ns)))
     ends = case.telemetry.ends.values() if away and len(case.rows) else ()
     missing = sum(item["away"] for item in ends)
-    counted = f"sequence counts: {plural(missing, 'message')} that span such a time are not captured"
+    gaps = f"sequence counts: {plural(missing, 'message')} that span such a time are not captured"
     for reason, why, span in away:
-        known = [why, counted] if missing else [why]
+        facts = [why, gaps] if missing else [why]
         remedy = "what spans it says nothing of the link: examine before and after, --start and --end"
-        yield warning(reason, *known, hop="capture", span=span, remedy=remedy)
+        yield warning(reason, *facts, hop="capture", span=span, remedy=remedy)
 
 
 def capture_drops(case: Case) -> Iterator[Verdict]:
@@ -191,12 +191,12 @@ def duplicated(case: Case) -> Iterator[Verdict]:
     for rows, by_network in ((case.rows.take(prepared.duplicates), True), (prepared.doubled, False)):
         for _, own in by_value(rows.way()):
             sender, receiver = (case.endpoints[end[own[0]]] for end in (rows.source, rows.destination))
-            there = f"{plural(len(own), 'datagram')} from {sender} to {receiver}"
+            which = f"{plural(len(own), 'datagram')} from {sender} to {receiver}"
             was = "was" if len(own) == 1 else "were"
             yield note(
-                f"{there} {was} doubled by the network"
+                f"{which} {was} doubled by the network"
                 if by_network
-                else f"{there} {was} captured twice; nothing shows whether the network doubled what was sent",
+                else f"{which} {was} captured twice; nothing shows whether the network doubled what was sent",
                 "the same bytes with the same IP identification, captured at one place",
                 hop="network",
                 span=(int(rows.time_ns[own].min()), int(rows.time_ns[own].max())),
@@ -272,16 +272,16 @@ def proxy_faults(case: Case) -> Iterator[Verdict]:
             remedy="none",
         )
     for (link, to_cfs, msg_id), item in case.proxied.items():
-        done = [
-            f"{number:,} {what}"
-            for what, number in (("dropped", len(item.dropped)), ("sent again", item.doubled))
+        counts = [
+            f"{number:,} {action}"
+            for action, number in (("dropped", len(item.dropped)), ("sent again", item.doubled))
             if number
         ]
-        done += [f"{number:,} struck by {kind}" for kind, number in item.others.items()]
+        counts += [f"{number:,} struck by {kind}" for kind, number in item.others.items()]
         way = "to cFS" if to_cfs else "from cFS"
         yield verdict(
             Severity.WARNING if item.dropped else Severity.NOTE,
-            f"datagrams on {case.name(msg_id)} {way}: {', '.join(done)} on purpose by the proxy",
+            f"datagrams on {case.name(msg_id)} {way}: {', '.join(counts)} on purpose by the proxy",
             ON_PURPOSE,
             *(f"rule {rule}" for rule in item.rules),
             msg_id=msg_id if msg_id >= 0 else None,

@@ -44,16 +44,16 @@ class BadCommandKind:
 
     Attributes:
         finding: what the decoder saw.
-        what: what it is.
-        done: what cFS does about it, as measured.
+        problem: what it is.
+        reaction: what cFS does about it, as measured.
         event: what cFS says; empty where it says nothing.
         refused: whether it comes to nothing.
         refused_7: whether CI of cFS 7 refuses it, and says so.
     """
 
     finding: Finding
-    what: str
-    done: str
+    problem: str
+    reaction: str
     event: str = ""
     refused: bool = True
     refused_7: bool = False
@@ -164,18 +164,18 @@ def bad_command(case: Case) -> Iterator[Verdict]:
     bad = np.flatnonzero(wrong)
     findings = rows.findings[bad] | np.where(rows.claimed[bad] != 0, np.uint32(Finding.ENVELOPE_OVERRUN), 0)
     size = np.minimum(rows.length[bad], cfe.COMMAND_HEADER_BYTES)  # a longer one is of the same kind
-    found: dict[tuple[BadCommandKind, int], list[int]] = {}
+    by_kind: dict[tuple[BadCommandKind, int], list[int]] = {}
     for row, bits, length, msg_id in zip(
         bad.tolist(), findings.tolist(), size.tolist(), rows.msg_id[bad].tolist(), strict=True
     ):
         kind = _kind(bits, length)
         if bits & _MISMATCH.finding and kind is not _MISMATCH and refusals(case, row, int(rows.length[row])):
             kind = _MISMATCH  # CI of cFS 7 looks at this first, and nobody else gets it
-        found.setdefault((kind, msg_id), []).append(row)
-    told = {row for members in found.values() for row in members}
-    for row, kind in _refused(case, told):
-        found.setdefault((kind, int(rows.msg_id[row])), []).append(row)
-    for (kind, _), members in found.items():
+        by_kind.setdefault((kind, msg_id), []).append(row)
+    judged = {row for members in by_kind.values() for row in members}
+    for row, kind in _refused(case, judged):
+        by_kind.setdefault((kind, int(rows.msg_id[row])), []).append(row)
+    for (kind, _), members in by_kind.items():
         for together in one_by_one(members):
             yield _verdict(case, together, kind)
 
@@ -189,26 +189,26 @@ def _kind(findings: int, length: int) -> BadCommandKind:
     return _SHORT if kind.finding is Finding.TRUNCATED and length >= cfe.COMMAND_HEADER_BYTES else kind
 
 
-def _refused(case: Case, told: set[int]) -> Iterator[tuple[int, BadCommandKind]]:
+def _refused(case: Case, judged: set[int]) -> Iterator[tuple[int, BadCommandKind]]:
     """Find commands that an application refused, and whose rules the decoder does not know."""
     rows = case.rows
     code, length = _BAD_COMMANDS[3], _BAD_COMMANDS[4]
     commands = np.flatnonzero(rows.link == CI)
     times = rows.time_ns[commands]
     for record in case.payloads.events:
-        said = _REFUSED.search(record.message)
-        if not said or rows.duplicates[record.row]:
+        match = _REFUSED.search(record.message)
+        if not match or rows.duplicates[record.row]:
             continue
         low = np.searchsorted(times, record.time_ns - _ANSWERED_NS)
         near = commands[low : np.searchsorted(times, record.time_ns, "right")]
-        parts = said.groupdict()
+        parts = match.groupdict()
         near = near[rows.function_code[near] == int(parts["code"] or parts["of"])]
         if parts["msg_id"]:
             near = near[rows.msg_id[near] == int(parts["msg_id"], 16)]
         # Of several that are taken in one round each is answered.
-        if left := [row for row in near.tolist() if row not in told]:
-            told.add(left[-1])
-            yield left[-1], code if parts["code"] else length
+        if rest := [row for row in near.tolist() if row not in judged]:
+            judged.add(rest[-1])
+            yield rest[-1], code if parts["code"] else length
 
 
 def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
@@ -226,10 +226,10 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
     unheard = "" if events else _unheard(case, start_ns)
     unsure = kind.finding is Finding.COMMAND_LENGTH and (bool(unheard) or not case.has_telemetry)
     lost = None if accepted or unsure or not (kind.refused or refused) else len(members)
-    done = "accepted" if accepted else "CI drops it" if refused else kind.done
+    reaction = "accepted" if accepted else "CI drops it" if refused else kind.reaction
     return verdict(
         Severity.ERROR if lost else Severity.NOTE if kind.finding in _HARMLESS else Severity.WARNING,
-        f"{which}{kind.what}; {done}",
+        f"{which}{kind.problem}; {reaction}",
         *_evidence(case, members, kind, events, unheard),
         **subject(case, members),
         hop="CI_LAB_APP" if kind.finding is Finding.TRUNCATED or refused else None,
@@ -263,8 +263,8 @@ def _evidence(
 def _unheard(case: Case, start_ns: int) -> str:
     """Return why what cFS said of a command cannot be in the capture; empty where it can."""
     rows, until_ns = case.rows, start_ns + _ANSWERED_NS
-    there = (rows.time_ns >= start_ns) & (rows.time_ns <= until_ns)
-    if (there & (rows.known_id == cfe.EVENT_MSG_ID) & rows.has(Finding.CAPTURE_CUT)).any():
+    inside = (rows.time_ns >= start_ns) & (rows.time_ns <= until_ns)
+    if (inside & (rows.known_id == cfe.EVENT_MSG_ID) & rows.has(Finding.CAPTURE_CUT)).any():
         return "the capture cut the events of that time: what cFS said about it is not there"
     if case.has_telemetry and until_ns > case.end_ns:
         return "the capture ends before what cFS says about it is due"
@@ -275,8 +275,8 @@ def refusals(case: Case, row: int, length: int) -> list[EventRecord]:
     """Return what CI of cFS 7 said about a packet of which it had ``length`` bytes: one event, or none."""
     start_ns = int(case.rows.time_ns[row])
     for record in case.said(start_ns, start_ns + _ANSWERED_NS, *command_ingest.NAMES):
-        said = command_ingest.CUT_7.pattern.search(record.message)
-        if said and int(said["length"]) == length:
+        match = command_ingest.CUT_7.pattern.search(record.message)
+        if match and int(match["length"]) == length:
             return [record]
     return []
 
@@ -286,8 +286,8 @@ def _answers(case: Case, kind: BadCommandKind, row: int) -> list[EventRecord]:
     if not kind.event:
         return []
     rows, start_ns = case.rows, int(case.rows.time_ns[row])
-    named = int(rows.msg_id[row])
-    marks = {f"0x{named:x}", f"{named:04x}"}
+    msg_id = int(rows.msg_id[row])
+    marks = {f"0x{msg_id:x}", f"{msg_id:04x}"}
     if kind.finding is Finding.INVALID_MSG_ID:
         marks.add("(0x0)")  # so it is called in cFS 7
     pattern = re.compile(kind.event)
@@ -296,7 +296,7 @@ def _answers(case: Case, kind: BadCommandKind, row: int) -> list[EventRecord]:
             continue
         text = record.message.lower()
         names_one = "0x" in text or bool(re.search(r"cmd [0-9a-f]{4}", text))
-        if not names_one or any(mark in text for mark in marks) or named == NO_MSG_ID or "code" in text:
+        if not names_one or any(mark in text for mark in marks) or msg_id == NO_MSG_ID or "code" in text:
             return [record]
     return []
 
@@ -332,8 +332,8 @@ def stranger_commands(case: Case) -> Iterator[Verdict]:
     for (cfs, station), _ in hosts.ways(np.flatnonzero(rows.link == TO)):
         stations.setdefault(cfs, set()).add(station)
     for (sender, target), members in hosts.ways(_sound_commands(case)):
-        known = stations.get(target)
-        if not known or sender in known or sender == target:  # the flight host itself is no stranger
+        addresses = stations.get(target)
+        if not addresses or sender in addresses or sender == target:  # the flight host itself is no stranger
             continue
         kinds = members[numbered(rows.msg_id[members], rows.function_code[members])[0]].tolist()
         names = sorted({case.name(int(rows.msg_id[row])) for row in kinds})
@@ -342,7 +342,7 @@ def stranger_commands(case: Case) -> Iterator[Verdict]:
             f"{plural(len(members), 'command')} to CI at {target} from {sender}, to which no telemetry of it "
             "goes: CI obeys whoever reaches its port",
             f"{packet(case, members[0])} is the first",
-            f"telemetry goes to {', '.join(sorted(known))}",
+            f"telemetry goes to {', '.join(sorted(addresses))}",
             f"MsgIds: {listed(names, 6)}",
             *(f"it could {text}" for text in sorted(allowed)),
             place=("ci", "CI_LAB_APP"),

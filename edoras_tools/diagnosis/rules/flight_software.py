@@ -95,24 +95,24 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str) -> Verdi
     rows, down = case.rows, _down(case, *span)
     commanded = (rows.known_id == ES_COMMAND_MSG_ID) & (rows.function_code == RESTART)
     commanded &= (rows.time_ns > span[0] - SECOND) & (rows.time_ns < span[1])
-    told = [
+    orders = [
         f"packet {rows.number[row]}: the processor was told to restart"
         for row in np.flatnonzero(commanded).tolist()
     ]
     lost = sum(loss.lost for loss in down)
-    what = "command" if all(loss.stream is None or loss.stream.is_command for loss in down) else "message"
+    noun = "command" if all(loss.stream is None or loss.stream.is_command for loss in down) else "message"
     between, meanwhile = span, "counts begin again"
     remedy = f"enable Telemetry Output again as soon as cFS runs: {case.inject(ENABLE_OUTPUT)}"
     if lost:
         span = min(loss.start_ns for loss in down), max(loss.end_ns for loss in down)
         times = f"from {case.at(span[0])} to {case.at(span[1])}"
-        meanwhile = f"{plural(lost, what)} sent {times} reached nobody"
+        meanwhile = f"{plural(lost, noun)} sent {times} reached nobody"
         remedy = f"send nothing until cFS runs again; then {remedy}"
     return verdict(
         Severity.ERROR if lost else Severity.WARNING,
         f"{whose} restarted between {case.at(between[0])} and {case.at(between[1])}: {meanwhile}",
         how,
-        *told,
+        *orders,
         *(line for loss in down for line in loss.evidence),
         msg_id=down[0].msg_id if len(down) == 1 else None,
         link=down[0].stream.link.label if len(down) == 1 and down[0].stream else "ci" if down else None,
@@ -171,14 +171,14 @@ def event_suppression(case: Case) -> Iterator[Verdict]:
     """
     for instance, track in case.tracks.items():
         for kind, (name, number) in _COUNTERS.items():
-            said = [
-                told
-                for reported, told in case.reported_losses.items()
+            reports = [
+                report
+                for reported, report in case.reported_losses.items()
                 if reported.instance == instance and reported.kind == kind
             ]
-            last_ns = max((told.last_ns for told in said), default=0)
-            events = sum(told.count for told in said)
-            if not said or track.growth(name, last_ns + LEAD_NS) < 2 or track.growth(name) <= events:
+            last_ns = max((report.last_ns for report in reports), default=0)
+            events = sum(report.count for report in reports)
+            if not reports or track.growth(name, last_ns + LEAD_NS) < 2 or track.growth(name) <= events:
                 continue
             yield note(
                 f"cFS reported CFE_SB {number} {plural(events, 'time')}, the last at {case.at(last_ns)}, "
@@ -197,13 +197,13 @@ def event_squelch(case: Case) -> Iterator[Verdict]:
 
     Name the application whose events are not all here.
     """
-    seen = set()
+    apps = set()
     for record in case.said(case.start_ns, case.end_ns, SQUELCHED.app, event_ids=[SQUELCHED.event_id]):
-        found = SQUELCHED.pattern.search(record.message)
-        app = found["app"] if found else record.message
-        if (record.sender, app) in seen:
+        match = SQUELCHED.pattern.search(record.message)
+        app = match["app"] if match else record.message
+        if (record.sender, app) in apps:
             continue
-        seen.add((record.sender, app))
+        apps.add((record.sender, app))
         yield note(
             f"events of {app} on cFS {record.sender} are squelched: it says more than Event Services lets "
             "through",
@@ -224,22 +224,22 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
 
     Go through the error and critical events; then the counters that grew without one.
     """
-    told = {line for item in case.verdicts for line in item.evidence}
-    quoted = "\n".join(told)
+    quotes = {line for item in case.verdicts for line in item.evidence}
+    quoted = "\n".join(quotes)
     groups: dict[tuple[str, str, int], list[EventRecord]] = {}
-    known = {(loss.kind, loss.msg_id, loss.instance) for loss in case.losses}
-    known |= {(loss.kind, msg_id, loss.instance) for loss in case.losses for _, msg_id, _ in loss.rivals}
+    reasons = {(loss.kind, loss.msg_id, loss.instance) for loss in case.losses}
+    reasons |= {(loss.kind, msg_id, loss.instance) for loss in case.losses for _, msg_id, _ in loss.rivals}
     for record in case.payloads.events:
-        if record.event_type >= EventType.ERROR and not _is_told(case, record, quoted, known):
+        if record.event_type >= EventType.ERROR and not _is_told(case, record, quoted, reasons):
             groups.setdefault((record.sender, record.app, record.event_id), []).append(record)
     for members in groups.values():
         yield _error(case, members)
-    named = (parse_loss_event(record) for record in case.payloads.events)
-    refused = sum(item is not None and item.kind in {"invalid", "too_big"} for item in named)
+    reports = (parse_loss_event(record) for record in case.payloads.events)
+    refused = sum(item is not None and item.kind in {"invalid", "too_big"} for item in reports)
     for instance, track in case.tracks.items():
         errors = track.growth("send_errors")
         losses = sum(track.growth(name) for name in ("msg_limits", "pipe_overflows"))
-        if errors > losses + refused and not any("sends failed" in line for line in told):
+        if errors > losses + refused and not any("sends failed" in line for line in quotes):
             yield warning(
                 f"{plural(errors - losses - refused, 'send')} on the software bus of {case.label(instance)} "
                 "failed, and neither a pipe nor an event says why",
@@ -251,7 +251,7 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
             )
 
 
-def _is_told(case: Case, record: EventRecord, quoted: str, known: set[tuple[LossKind, int, int]]) -> bool:
+def _is_told(case: Case, record: EventRecord, quoted: str, reasons: set[tuple[LossKind, int, int]]) -> bool:
     """Tell whether a verdict quotes an event, or the balance has what it names."""
     if record.message in quoted:
         return True
@@ -263,7 +263,7 @@ def _is_told(case: Case, record: EventRecord, quoted: str, known: set[tuple[Loss
         return any(item.msg_id == reported.msg_id and item.lost for item in case.verdicts)
     track = case.tracks.get(instance)
     older = track is not None and int(case.instances.made_ns[record.row]) <= track.times[0]
-    return older or (reported.kind, reported.msg_id, instance) in known
+    return older or (reported.kind, reported.msg_id, instance) in reasons
 
 
 def _error(case: Case, members: list[EventRecord]) -> Verdict:

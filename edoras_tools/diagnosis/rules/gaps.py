@@ -199,26 +199,26 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
     Say how many, of which topics, and how good the capture surely is.
     """
     missed = [(item, item.ends["missed"]) for item in case.commands.fates.values()]
-    found = [(item.stream, number) for item, number in missed if number]
+    unsure = [(item.stream, number) for item, number in missed if number]
     ends = case.telemetry.ended
-    found += [(it, n) for it in case.streams if (n := ends(it, "uncertain") + ends(it, "astray"))]
-    if not found:
+    unsure += [(it, n) for it in case.streams if (n := ends(it, "uncertain") + ends(it, "astray"))]
+    if not unsure:
         return
     quality, most = case.quality, 100 * case.quality.upper_share()
-    total, streams = sum(number for _, number in found), [stream for stream, _ in found]
+    total, streams = sum(number for _, number in unsure), [stream for stream, _ in unsure]
     if quality.checked:
-        known = f"{quality.checked:,} datagrams were checked that surely passed: {quality.missing:,} lack"
+        basis = f"{quality.checked:,} datagrams were checked that surely passed: {quality.missing:,} lack"
     else:
-        known = "nothing here tells what the capture missed"
+        basis = "nothing here tells what the capture missed"
     yield warning(
         f"{plural(total, 'message')} may be lost, or the capture missed "
         f"{'it' if total == 1 else 'them'}: it may lack up to {most:.2g} % of what passed",
-        known,
+        basis,
         *(
             f"nothing at all was captured from {case.at(start_ns)} to {case.at(end_ns)}"
             for start_ns, end_ns in case.quiet
         ),
-        *(f"{case.name(stream.msg_id)}: {number:,} of {len(stream) + number:,}" for stream, number in found),
+        *(f"{case.name(stream.msg_id)}: {number:,} of {len(stream) + number:,}" for stream, number in unsure),
         *case.drops_text(),
         msg_id=streams[0].msg_id if len(streams) == 1 else None,
         link=streams[0].link.label if len({stream.link for stream in streams}) == 1 else None,
@@ -301,12 +301,12 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
         if loss.rivals or (loss.kind == "unknown" and loss.stream is None):
             where = f"on the {BUS}" if loss.hop == BUS else f"at {loss.hop}"
             which = " or ".join(dict.fromkeys(case.name(msg_id) for _, msg_id, _ in loss.rivals))
-            what = f"whether of {which}" if which else "which"
+            question = f"whether of {which}" if which else "which"
             lost = plural(loss.lost, "message")
             ids = {msg_id for _, msg_id, _ in loss.rivals}
             helped = any(item.hop == loss.hop and item.msg_id in ids for item in case.losses)
             yield error(
-                f"{lost} lost {where} of {case.label(loss.instance)}; the capture cannot show {what}",
+                f"{lost} lost {where} of {case.label(loss.instance)}; the capture cannot show {question}",
                 *loss.evidence,
                 hop=loss.hop,
                 lost=loss.lost,
@@ -352,10 +352,10 @@ def older_losses(case: Case) -> Iterator[Verdict]:
         first_ns = max(track.times[0], case.start_ns)  # it was made before it came
         of = limits + overflows
         counts = case.loss_counts.get(instance)
-        here = of - sum(counts.first.values()) if counts else 0
-        if of > here:
-            losses = f"{of - here:,} loss{'es' * (of - here > 1)}"
-            beside = f", beside {here:,} of what is here" if here else ""
+        own = of - sum(counts.first.values()) if counts else 0
+        if of > own:
+            losses = f"{of - own:,} loss{'es' * (of - own > 1)}"
+            beside = f", beside {own:,} of what is here" if own else ""
             yield note(
                 f"{losses} counted by {case.label(instance)} before {case.at(first_ns)}{beside}: older than "
                 "this capture, or of traffic that it does not show",
@@ -453,18 +453,18 @@ def _within(case: Case, span: ClosedSpan, open_ns: int, cause: str | None) -> Co
     Args:
         open_ns: when the span before it on this port ended.
     """
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for item in case.unreached:
         if case.endpoints[item.endpoint] == span.port:
             rows = item.uncertain if cause is None else item.lost.get(cause, np.zeros(0, np.intp))
             name = case.name(item.stream.msg_id) if item.own else "robot commands"
-            found[name] += _between(item.sent_ns[rows], open_ns, span.end_ns)
+            counts[name] += _between(item.sent_ns[rows], open_ns, span.end_ns)
     for loss in case.commands.losses if cause else ():
         if loss.kind == cause and loss.stream and case.endpoints[loss.stream.receiver] == span.port:
             assert loss.among is not None
             times = loss.stream.time_ns[loss.among.rows]
-            found[case.name(loss.msg_id)] += _between(times, open_ns, span.end_ns)
-    return +found
+            counts[case.name(loss.msg_id)] += _between(times, open_ns, span.end_ns)
+    return +counts
 
 
 def _between(times: Integers, start_ns: int, end_ns: int) -> int:

@@ -55,22 +55,22 @@ def struct_overrun(case: Case) -> Iterator[Verdict]:
 
 def _overrun(case: Case, members: Places) -> Verdict:
     rows, first = case.rows, int(members[0])
-    held, claimed = int(rows.space[first]), int(rows.claimed[first])
+    space, claimed = int(rows.space[first]), int(rows.claimed[first])
     before = _malformed_before(case, int(rows.time_ns[first]))
     number = f"{claimed:,}" if claimed < 1 << 24 else "millions"
-    size = f"{rows.packet_length[first]} bytes, room for {held} of CDR"
+    size = f"{rows.packet_length[first]} bytes, room for {space} of CDR"
     evidence = [f"{packet(case, first)}: {size}; its envelope claims {number}"]
-    garbage = f"are garbage: their envelope claims {number} and there are {held}"
+    garbage = f"are garbage: their envelope claims {number} and there are {space}"
     confidence: Confidence = "medium"
     if before is not None:
-        what = garbage
+        problem = garbage
         evidence.append(
             f"malformed packet {rows.number[before]} went into cFS just before, and was passed on"
         )
         remedy = "send well-formed datagrams: the application passes on what its buffer held"
     elif claimed <= case.profile.bus_max_bytes:
-        room = f"it has room for {held} bytes of CDR, {claimed:,} are claimed"
-        what = f"do not fit the struct that carries them: {room}"
+        room = f"it has room for {space} bytes of CDR, {claimed:,} are claimed"
+        problem = f"do not fit the struct that carries them: {room}"
         evidence.append(
             "the application left out what is behind, or wrote past the struct's end and over other memory"
         )
@@ -81,7 +81,7 @@ def _overrun(case: Case, members: Places) -> Verdict:
         else:
             evidence.append("what went into the application is not here: a malformed message looks the same")
     else:
-        what = garbage
+        problem = garbage
         evidence.append(
             f"the software bus takes {case.profile.bus_max_bytes:,} bytes at most, so no message was too "
             "long for its struct: the application passed on what its buffer held, as it does after a "
@@ -89,7 +89,7 @@ def _overrun(case: Case, members: Places) -> Verdict:
         )
         remedy = "capture the link that the application's messages come in on, and look for malformed ones"
     about: About = {"hop": "flight application", "remedy": remedy, "confidence": confidence}
-    return of_messages(Severity.ERROR, case, members, what, *evidence, **about)
+    return of_messages(Severity.ERROR, case, members, problem, *evidence, **about)
 
 
 def _malformed_before(case: Case, time_ns: int) -> int | None:
@@ -98,8 +98,8 @@ def _malformed_before(case: Case, time_ns: int) -> int | None:
     wrong = rows.has(Finding.TRUNCATED | Finding.LENGTH_MISMATCH | Finding.SBN_SIZE_MISMATCH)
     wrong |= rows.claimed > 0
     near = (rows.time_ns <= time_ns) & (rows.time_ns > time_ns - 2 * SECOND)
-    found = np.flatnonzero(wrong & near & (rows.link != TO) & (rows.function_code >= 0))
-    return int(found[-1]) if len(found) else None
+    places = np.flatnonzero(wrong & near & (rows.link != TO) & (rows.function_code >= 0))
+    return int(places[-1]) if len(places) else None
 
 
 def ground_bridge_buffer(case: Case) -> Iterator[Verdict]:
@@ -166,16 +166,16 @@ def no_subscriber(case: Case) -> Iterator[Verdict]:
     for instance, track in case.tracks.items():
         for msg_id, members, number in _unwanted(case, track):
             counted[instance, msg_id] = members, number
-    said = {item: events for item, events in case.reported_losses.items() if item.kind == "no_subscriber"}
-    sent = [item for item in said if item.sender.startswith(_HANDS_IN)]
+    reports = {item: events for item, events in case.reported_losses.items() if item.kind == "no_subscriber"}
+    sent = [item for item in reports if item.sender.startswith(_HANDS_IN)]
     for item in sent:
         link: Link = CI if item.sender.startswith("CI") else SBN
         members = np.flatnonzero((rows.link == link) & (rows.msg_id == item.msg_id))
         _, number = counted.pop((item.instance, item.msg_id), (members, len(members)))
-        text = f"cFS said: {said[item].records[0]}"
+        text = f"cFS said: {reports[item].records[0]}"
         yield _not_taken(case, item.msg_id, link, members.tolist(), text, number)
     # Where an application of a cFS itself publishes what nobody takes, its counter tells nothing.
-    others = {item.instance for item in said if not item.sender.startswith(_HANDS_IN)}
+    others = {item.instance for item in reports if not item.sender.startswith(_HANDS_IN)}
     for (instance, msg_id), (members, number) in counted.items():
         if instance not in others:
             text = "0x803: NoSubscribers grew by these, and nothing else fits it (the event stops after 4)"
@@ -250,15 +250,15 @@ def _may_be(sent_ns: Integers, seen_ns: Integers, counts: Integers, lag_ns: int,
 def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], witness: str, number: int) -> Verdict:
     span = case.span(members) if members else (case.start_ns, case.start_ns)
     packets = listed([str(case.rows.number[row]) for row in members[: _FEW + 1]], _FEW)
-    what = f"{plural(number, 'message') if members else 'messages'} on {case.name(msg_id)}"
+    subject = f"{plural(number, 'message') if members else 'messages'} on {case.name(msg_id)}"
     remedy = "correct the MsgId in the mission file, or have the application subscribe to it"
     certain = "cFS said" in witness
     if not certain and any(hop.out.link.peers for hop in case.hops):
         # The count is the same where an application took them, and no peer wants what it sends on.
-        what += ", or what an application sends on for them,"
+        subject += ", or what an application sends on for them,"
         remedy += "; let the SBN peer subscribe to what becomes of it"
     return error(
-        f"{what} without a subscriber in cFS: the software bus drops them",
+        f"{subject} without a subscriber in cFS: the software bus drops them",
         *([f"packet {packets}, the first at {case.at(span[0])}"] if members else ()),
         witness,
         msg_id=msg_id,
@@ -312,8 +312,8 @@ def rate_over_limit(case: Case) -> Iterator[Verdict]:
         times = stream.time_ns
         usual = float(np.median(np.diff(times)))
         rate = SECOND / usual if usual > 0 else 0.0
-        named = any(loss.msg_id == stream.msg_id and loss.kind == "limit" for loss in case.losses)
-        if rate <= clean * _OVER or named or _watched(case, stream):
+        is_lost = any(loss.msg_id == stream.msg_id and loss.kind == "limit" for loss in case.losses)
+        if rate <= clean * _OVER or is_lost or _watched(case, stream):
             continue
         yield warning(
             f"{case.name(stream.msg_id)} is sent at {rate:.1f} Hz, above the {clean:g} Hz that are clean: "
@@ -349,14 +349,14 @@ def wrong_direction(case: Case) -> Iterator[Verdict]:
             continue  # peers send commands and telemetry
         against = case.mission.msg_ids.is_command(route.msg_id) != (route.link is CI)
         elsewhere = TO if route.link is CI else CI
-        there, other = (
+        own, other = (
             np.flatnonzero((rows.link == link) & (rows.msg_id == route.msg_id))
             for link in (route.link, elsewhere)
         )
         # One stray datagram is a bad command; a route is wrong when it never travels as configured.
-        if not against and (not len(other) or len(there)):
+        if not against and (not len(other) or len(own)):
             continue
-        seen = other if len(other) else there
+        members = other if len(other) else own
         if not against:
             wrong = f"configured on {route.link.label.upper()} and seen on {elsewhere.name} only"
         elif route.link is CI:
@@ -367,12 +367,12 @@ def wrong_direction(case: Case) -> Iterator[Verdict]:
             f"{case.name(route.msg_id)} is {wrong}: commands have the bit "
             f"0x{case.mission.msg_ids.command_bit:04x}, telemetry does not",
             f"{route.file}:{route.line}: {route.key}",
-            f"{plural(len(seen), 'datagram')} of it seen",
+            f"{plural(len(members), 'datagram')} of it seen",
             msg_id=route.msg_id,
             topic=route.topic,
             place=(route.link.label, "mission file"),
-            of=len(seen) or None,
-            span=case.span(seen) if len(seen) else (case.start_ns, case.end_ns),
+            of=len(members) or None,
+            span=case.span(members) if len(members) else (case.start_ns, case.end_ns),
             remedy="list the key under command or telemetry as its MsgId says, or correct its mid",
         )
 
@@ -427,15 +427,15 @@ def _misfits(case: Case, route: Route) -> Finding:
 
     A few bytes too many may be rounding, where no other type ends at the last of them.
     """
-    types, found = case.context.types, Finding.CDR_INVALID | Finding.CDR_TOO_LONG
+    types, findings = case.context.types, Finding.CDR_INVALID | Finding.CDR_TOO_LONG
     if types is None or not types.has(route.type) or types.most_trailing(route.type) > ROUNDING:
-        return found
+        return findings
     members = (case.rows.msg_id == route.msg_id) & (case.rows.link == route.link)
     if (members & case.rows.has(Finding.CDR_TRAILING)).any() and fitting(
         case, _samples(case, route), route.type
     ):
-        found |= Finding.CDR_TRAILING
-    return found
+        findings |= Finding.CDR_TRAILING
+    return findings
 
 
 def _samples(case: Case, route: Route) -> list[bytes]:
@@ -446,8 +446,8 @@ def fitting(case: Case, samples: list[bytes], configured: str) -> list[str]:
     """Return the other types that fit some messages; the mission's own come first."""
     types = case.context.types
     own = {route.type for route in case.mission.routes}
-    found = types_that_fit(types, samples, own) if types is not None else []
-    return [name for name in found if name != configured][:8]
+    fits = types_that_fit(types, samples, own) if types is not None else []
+    return [name for name in fits if name != configured][:8]
 
 
 def topic_never_seen(case: Case) -> Iterator[Verdict]:
@@ -499,8 +499,8 @@ def not_configured(case: Case) -> Iterator[Verdict]:
     loose = (rows.cdr_length > 0) & (rows.route == NO_ROUTE) & rows.has(Finding.UNKNOWN_MSG_ID)
     types, own = case.context.types, {route.type for route in case.mission.routes}
     every = dict(groups(rows.msg_id, np.flatnonzero(loose)))
-    known = [case.samples.get((int(rows.link[at[0]]), msg_id), {}).values() for msg_id, at in every.items()]
-    fitting_each = types_that_fit_each(types, known, own) if types is not None else [[]] * len(every)
+    samples = [case.samples.get((int(rows.link[at[0]]), msg_id), {}).values() for msg_id, at in every.items()]
+    fitting_each = types_that_fit_each(types, samples, own) if types is not None else [[]] * len(every)
     for (msg_id, members), fits in zip(every.items(), fitting_each, strict=True):
         link = table.link(rows.link[members[0]])
         yield note(

@@ -44,9 +44,9 @@ def damaged(case: Case) -> Iterator[Verdict]:
             lost.setdefault((item.traffic.link, item.traffic.msg_id, item.hop), []).append(item)
     for (link, msg_id, hop), own in lost.items():
         number = sum(item.number for item in own)
-        what = "unknown MsgIds" if msg_id is None else case.name(msg_id)
+        whose = "unknown MsgIds" if msg_id is None else case.name(msg_id)
         yield error(
-            f"{plural(number, 'datagram')} on {what} came damaged: what has a wrong checksum is dropped",
+            f"{plural(number, 'datagram')} on {whose} came damaged: what has a wrong checksum is dropped",
             "their checksums are wrong, and those of most others of the same hosts are not",
             msg_id=msg_id,
             place=(link, hop),
@@ -229,21 +229,21 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
     rows = case.rows
     network = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0))
     ways = dict(groups(rows.way(), network))
-    for both, there in ways.items():
+    for both, own in ways.items():
         source, target = both >> 32, both & 0xFFFFFFFF
         if target << 32 | source in ways:
             continue
-        first_ns, last_ns = int(rows.time_ns[there[0]]), int(rows.time_ns[there[-1]])
-        seconds = len(np.unique(rows.time_ns[there] // SECOND))
+        first_ns, last_ns = int(rows.time_ns[own[0]]), int(rows.time_ns[own[-1]])
+        seconds = len(np.unique(rows.time_ns[own] // SECOND))
         if last_ns - first_ns < _WAIT_NS or seconds < _LEAST_SECONDS:
             continue  # cFS sends each new SUB to every peer of its table, there or not
         who = case.network.identity_of.get(source, str(case.endpoints[source]))
-        kinds = np.unique(rows.sbn_msg_type[there]).tolist()
+        kinds = np.unique(rows.sbn_msg_type[own]).tolist()
         names = ", ".join(sbn.MSG_TYPE_NAMES.get(kind, hex(kind)) for kind in kinds)
         yield warning(
             f"{who} sends to {case.endpoints[target]} and nothing comes back: the peers are not connected, "
             "or the answers do not cross this capture point",
-            f"{plural(len(there), 'datagram')} ({names}) in {(last_ns - first_ns) / SECOND:.0f} s, no answer",
+            f"{plural(len(own), 'datagram')} ({names}) in {(last_ns - first_ns) / SECOND:.0f} s, no answer",
             "stock SBN announces only to a peer whose spacecraft and processor both differ: "
             "between equal spacecraft numbers the first SUB or PROTO of either side has to come "
             "through",
@@ -267,10 +267,10 @@ def sbn_disconnected(case: Case) -> Iterator[Verdict]:
                 continue
             later = connection.changes[at + 1 :]
             back = next((item for item in later if item.state == "connected"), None)
-            told = f"connected again at {case.at(back.time_ns)}" if back else "not back in this capture"
+            sequel = f"connected again at {case.at(back.time_ns)}" if back else "not back in this capture"
             yield note(
                 f"SBN peer {connection.peer} disconnected from {connection.observer} at "
-                f"{case.at(change.time_ns)}, in order; {told}",
+                f"{case.at(change.time_ns)}, in order; {sequel}",
                 change.why,
                 place=("sbn", f"SBN peer {connection.peer}"),
                 span=(change.time_ns, back.time_ns if back else case.end_ns),
@@ -352,14 +352,14 @@ class BadMessageKind:
     """A way in which an SBN datagram can be wrong.
 
     Attributes:
-        what: what it is.
-        done: what the receiver does about it.
+        problem: what it is.
+        reaction: what the receiver does about it.
         events: what it may say.
         refused: whether it comes to nothing.
     """
 
-    what: str
-    done: str
+    problem: str
+    reaction: str
     events: tuple[EventText, ...] = ()
     refused: bool = True
 
@@ -370,7 +370,7 @@ _SHORT: Final = BadMessageKind(
     (facts.BAD_MSG_ID, facts.NOT_UNPACKED, facts.UNKNOWN_PEER, facts.UNKNOWN_TYPE),
 )
 _COMPLETED: Final = BadMessageKind(
-    _SHORT.what,
+    _SHORT.problem,
     "no event here says that it was refused: completed by what the last datagram left behind, it may have "
     "been taken as that one again",
     refused=False,
@@ -403,17 +403,17 @@ def bad_network_message(case: Case) -> Iterator[Verdict]:
     Go through every SBN datagram with such a finding; identity and version have rules of their own.
     """
     rows = case.rows
-    wanted = (
+    findings = (
         Finding.TRUNCATED | Finding.SBN_SIZE_MISMATCH | Finding.SBN_UNKNOWN_TYPE | Finding.SBN_LEGACY_HEADER
     )
-    wrong = (rows.link == SBN) & rows.has(wanted) & ~rows.has(Finding.CAPTURE_CUT)
+    wrong = (rows.link == SBN) & rows.has(findings) & ~rows.has(Finding.CAPTURE_CUT)
     # A message cut short inside a sound SBN datagram is the sender's application's business.
     inside = (rows.sbn_msg_type == sbn.MsgType.APP) & rows.has(Finding.TRUNCATED) & (rows.msg_id != NO_MSG_ID)
     wrong &= ~inside | rows.has(Finding.SBN_SIZE_MISMATCH | Finding.SBN_LEGACY_HEADER)
-    found: dict[tuple[BadMessageKind, int], list[int]] = {}
+    by_kind: dict[tuple[BadMessageKind, int], list[int]] = {}
     for row in np.flatnonzero(wrong).tolist():
-        found.setdefault((_kind(case, row), int(rows.msg_id[row])), []).append(row)
-    for (kind, _), members in found.items():
+        by_kind.setdefault((_kind(case, row), int(rows.msg_id[row])), []).append(row)
+    for (kind, _), members in by_kind.items():
         for together in one_by_one(members):
             yield _malformed(case, together, kind)
 
@@ -433,39 +433,39 @@ def _kind(case: Case, row: int) -> BadMessageKind:
 
 def _malformed(case: Case, members: list[int], kind: BadMessageKind) -> Verdict:
     rows, first = case.rows, members[0]
-    said = answers(case, int(rows.time_ns[first]), *(event.phrase for event in kind.events))
+    lines = answers(case, int(rows.time_ns[first]), *(event.phrase for event in kind.events))
     type_ = int(rows.sbn_msg_type[first])
     name = sbn.MSG_TYPE_NAMES.get(type_, f"type 0x{type_:02x}") if type_ >= 0 else "SBN datagram"
     which = f"packet {rows.number[first]}" if len(members) == 1 else f"{len(members):,} datagrams"
     return verdict(
         Severity.ERROR if kind.refused else Severity.WARNING,
-        f"{which} ({name}): {kind.what}; {kind.done}{_consequence(said)}",
+        f"{which} ({name}): {kind.problem}; {kind.reaction}{_consequence(lines)}",
         f"{packet(case, first)}: {rows.length[first]} bytes",
-        *said,
+        *lines,
         **subject(case, members),
         hop="SBN",
         lost=len(members) if kind.refused else None,
         of=len(members),
         remedy="write the 11-byte header: MsgSz of the payload alone, a known MsgType, ProcessorID, "
         "SpacecraftID",
-        confidence="high" if said or not kind.events else "medium",
+        confidence="high" if lines or not kind.events else "medium",
     )
 
 
 def answers(case: Case, start_ns: int, *phrases: str) -> list[str]:
     """Return what SBN said about a datagram: the first event with a phrase, and what followed from it."""
-    said = case.said(start_ns, start_ns + _ANSWERED_NS, facts.NAME)
-    fits = next((at for at, record in enumerate(said) if _has(record, phrases)), None)
+    events = case.said(start_ns, start_ns + _ANSWERED_NS, facts.NAME)
+    fits = next((at for at, record in enumerate(events) if _has(record, phrases)), None)
     if fits is None:
         return []
     consequences = ("failed", facts.RECEIVE_TASK_STARTED.phrase)
-    follow = [item for item in said[fits + 1 : fits + 3] if _has(item, consequences)]
-    return [f"cFS said: {record}" for record in (said[fits], *follow)]
+    follow = [item for item in events[fits + 1 : fits + 3] if _has(item, consequences)]
+    return [f"cFS said: {record}" for record in (events[fits], *follow)]
 
 
-def _consequence(said: Iterable[str]) -> str:
+def _consequence(lines: Iterable[str]) -> str:
     """Return what a refusal did to the receiver, where an event tells it: who polls has no receive task."""
-    return _RESTARTS if any(facts.RECEIVE_TASK_STARTED.phrase in line for line in said) else ""
+    return _RESTARTS if any(facts.RECEIVE_TASK_STARTED.phrase in line for line in lines) else ""
 
 
 def _has(record: EventRecord, phrases: Iterable[str]) -> bool:
@@ -478,12 +478,12 @@ def wrong_ident(case: Case) -> Iterator[Verdict]:
     Name every other $Id, once a sender.
     """
     rows = case.rows
-    found: dict[tuple[int, str], list[int]] = {}
+    by_ident: dict[tuple[int, str], list[int]] = {}
     listed, contents = case.payloads.subscriptions, case.payloads.contents
     other = np.array([item.ident != sbn.IDENT for item in contents], bool)[listed["said"]]
-    for row, said in zip(listed["row"][other].tolist(), listed["said"][other].tolist(), strict=True):
-        found.setdefault((int(rows.source[row]), contents[said].ident), []).append(row)
-    for (source, ident), members in found.items():
+    for row, index in zip(listed["row"][other].tolist(), listed["said"][other].tolist(), strict=True):
+        by_ident.setdefault((int(rows.source[row]), contents[index].ident), []).append(row)
+    for (source, ident), members in by_ident.items():
         said_by_cfs = answers(case, case.span(members)[0], facts.OTHER_IDENT.phrase)
         yield _refused(
             case,
@@ -498,24 +498,24 @@ def wrong_ident(case: Case) -> Iterator[Verdict]:
 
 
 def _refused(
-    case: Case, members: Sequence[int] | Places, reason: str, remedy: str, said: list[str], seen: str = ""
+    case: Case, members: Sequence[int] | Places, reason: str, remedy: str, lines: list[str], detail: str = ""
 ) -> Verdict:
     """Return a verdict on datagrams that SBN takes none of.
 
     Args:
-        said: what SBN said about the first.
-        seen: what else is seen of it.
+        lines: what SBN said about the first.
+        detail: what else is seen of it.
     """
     return error(
         reason,
-        packet(case, int(members[0])) + seen,
-        *said,
+        packet(case, int(members[0])) + detail,
+        *lines,
         place=("sbn", "SBN"),
         lost=len(members),
         of=len(members),
         span=case.span(members),
         remedy=remedy,
-        confidence="high" if said else "medium",
+        confidence="high" if lines else "medium",
     )
 
 
@@ -553,9 +553,9 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
     network = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(Finding.TRUNCATED))
     times = rows.time_ns[network]
     for record in case.said(case.start_ns, case.end_ns, facts.NAME):
-        found = (event.pattern.search(record.message) for event in _UNKNOWN_PEER)
-        if named := next(filter(None, found), None):
-            *craft, processor = map(int, named.groups())
+        matches = (event.pattern.search(record.message) for event in _UNKNOWN_PEER)
+        if match := next(filter(None, matches), None):
+            *craft, processor = map(int, match.groups())
             low, high = np.searchsorted(times, (record.time_ns - 2 * SECOND, record.time_ns), "right")
             near = network[low:high]
             same = (rows.processor_id[near] == processor) & np.isin(
@@ -567,16 +567,16 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
     for who, members in groups(rows.sbn_sender(), np.flatnonzero(foreign)):
         peer, start_ns = peer_of(who), case.span(members)[0]
         carried = np.unique(rows.msg_id[members]).tolist()
-        said = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
+        lines = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
         refused = _refused(
             case,
             members,
             f"{plural(len(members), 'SBN datagram')} from {peer}, which is not the peer known at "
             f"{case.endpoints[rows.source[members[0]]]}: "
-            + ("cFS refuses them" if said else "a cFS whose table does not name it refuses them"),
+            + ("cFS refuses them" if lines else "a cFS whose table does not name it refuses them"),
             "make spacecraft_id and processor_id of the bridge agree with cFS's SBN table (sbn_conf_tbl)"
             + (_CRASH if rows.streamed[members].any() else ""),
-            said,
+            lines,
         )
         if NO_MSG_ID in carried[1:] or len(carried) > 1:  # subscriptions are no messages
             messages = int((rows.msg_id[members] != NO_MSG_ID).sum())
@@ -596,8 +596,8 @@ def subscription_storm(case: Case) -> Iterator[Verdict]:
     """
     rows, listed = case.rows, case.payloads.subscriptions
     lists: dict[tuple[int, ...], int] = {(): 0}
-    wanted = [lists.setdefault(item.wanted, len(lists)) for item in case.payloads.contents]
-    wants = np.array(wanted, np.int64)[listed["said"]]
+    numbers = [lists.setdefault(item.wanted, len(lists)) for item in case.payloads.contents]
+    wants = np.array(numbers, np.int64)[listed["said"]]
     subs = (rows.sbn_msg_type[listed["row"]] == sbn.MsgType.SUB) & (wants > 0)
     row = listed["row"][subs]
     for source, at in by_value(rows.source[row]):

@@ -42,8 +42,8 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     commands = np.flatnonzero(rows.link == CI)
-    wanted = bool(len(commands)) or bool(case.mission.ground)
-    if not wanted or (rows.link == TO).any() or case.end_ns - case.start_ns < _WAIT_NS:
+    expected = bool(len(commands)) or bool(case.mission.ground)
+    if not expected or (rows.link == TO).any() or case.end_ns - case.start_ns < _WAIT_NS:
         return
     enables = case.payloads.outputs(telemetry_output.ENABLE)
     reason = "Telemetry Output sends nothing here, and no command in the capture enables it"
@@ -80,11 +80,11 @@ def to_destination(case: Case) -> Iterator[Verdict]:
 
 def _enables(case: Case) -> list[list[CommandRecord]]:
     """Return the commands that enable Telemetry Output and went to a CI; those to one endpoint together."""
-    found: dict[int, list[CommandRecord]] = {}
+    by_endpoint: dict[int, list[CommandRecord]] = {}
     for item in case.payloads.outputs(telemetry_output.ENABLE):
         if case.rows.link[item.row] == CI:
-            found.setdefault(int(case.rows.destination[item.row]), []).append(item)
-    return list(found.values())
+            by_endpoint.setdefault(int(case.rows.destination[item.row]), []).append(item)
+    return list(by_endpoint.values())
 
 
 def _is_address(text: str) -> bool:
@@ -98,7 +98,7 @@ def _is_address(text: str) -> bool:
 
 def _no_address(case: Case, item: CommandRecord) -> Verdict:
     start_ns = int(case.rows.time_ns[item.row])
-    said = [
+    events = [
         record
         for record in case.said(start_ns, start_ns + 2 * SECOND, *telemetry_output.NAMES)
         if telemetry_output.ENABLED.phrase in record.message
@@ -107,7 +107,7 @@ def _no_address(case: Case, item: CommandRecord) -> Verdict:
         f"Telemetry Output was enabled for {item.address!r}, which is no address: where it sends then is up "
         "to the flight host",
         f"{packet(case, item.row)}, {case.rows.length[item.row]} bytes",
-        *(f"cFS said: {record}" for record in said[:1]),
+        *(f"cFS said: {record}" for record in events[:1]),
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         place=("ci", "TO_LAB_APP"),
         span=(start_ns, start_ns),
@@ -148,28 +148,28 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
         if part.closed and not (part.silenced or part.unled or part.cause) and part.stream.link is TO
     ]
 
-    def told(when: int, msg_id: int = -1) -> tuple[int | None, list[str]]:
+    def explain(when: int, msg_id: int = -1) -> tuple[int | None, list[str]]:
         """Return the lost, of those that this stop explains first, and what is known of them."""
-        here = [loss for loss in lost if loss.start_ns - SECOND <= when <= loss.end_ns + SECOND]
-        for loss in here:
+        own = [loss for loss in lost if loss.start_ns - SECOND <= when <= loss.end_ns + SECOND]
+        for loss in own:
             lost.remove(loss)
-        number = sum(loss.lost for loss in here)
+        number = sum(loss.lost for loss in own)
         missing = number + sum(
             rest
             for part, rest in closed
             if part.span.start_ns - _WAIT_NS <= when <= part.span.end_ns + SECOND
             and msg_id in {-1, part.stream.msg_id}
         )
-        known = [f"sequence counts: {_published(missing)}"] if missing else []
+        facts = [f"sequence counts: {_published(missing)}"] if missing else []
         if number:
-            known.append(
+            facts.append(
                 f"0x803 counts {number:,} of them lost at {telemetry_output.PIPE}, which nobody emptied: "
                 "lost, though Telemetry Output would not have sent them either"
             )
-        return number or None, known
+        return number or None, facts
 
-    yield from _commanded(case, told)
-    yield from _restarted(case, told)
+    yield from _commanded(case, explain)
+    yield from _restarted(case, explain)
     yield from _silent(case)
     yield from _ended(case)
 
@@ -178,20 +178,20 @@ def _published(missing: int) -> str:
     return f"{plural(missing, 'message')} published meanwhile {'was' if missing == 1 else 'were'} not sent"
 
 
-def _commanded(case: Case, told: Callable[..., tuple[int | None, list[str]]]) -> Iterator[Verdict]:
+def _commanded(case: Case, explain: Callable[..., tuple[int | None, list[str]]]) -> Iterator[Verdict]:
     """Name each command that stops telemetry."""
     rows = case.rows
     for item in case.payloads.outputs(*telemetry_output.STOPS):
         when = int(rows.time_ns[item.row])
-        what = "every MsgId" if item.entry < 0 else case.name(item.entry)
-        lost, known = told(when, item.entry)
+        whose = "every MsgId" if item.entry < 0 else case.name(item.entry)
+        lost, facts = explain(when, item.entry)
         again = _added_again(case, item, when)
         yield verdict(
-            Severity.NOTE if again and not known else Severity.WARNING,
-            f"Telemetry Output was told to stop sending {what} at {case.at(when)}{again}",
+            Severity.NOTE if again and not facts else Severity.WARNING,
+            f"Telemetry Output was told to stop sending {whose} at {case.at(when)}{again}",
             f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
             f"{item.function_code}, from {case.endpoints[rows.source[item.row]].address}",
-            *known,
+            *facts,
             msg_id=item.entry if item.entry >= 0 else None,
             place=("to", telemetry_output.NAME),
             span=(when, when),
@@ -216,7 +216,7 @@ def _added_again(case: Case, item: CommandRecord, when: int) -> str:
     return ""
 
 
-def _restarted(case: Case, told: Callable[..., tuple[int | None, list[str]]]) -> Iterator[Verdict]:
+def _restarted(case: Case, explain: Callable[..., tuple[int | None, list[str]]]) -> Iterator[Verdict]:
     """Say that Telemetry Output sends from another port: it was restarted."""
     rows = case.rows
     moves = [
@@ -228,11 +228,11 @@ def _restarted(case: Case, told: Callable[..., tuple[int | None, list[str]]]) ->
     if moves:
         end_ns = min(end for _, end in moves)
         start_ns = max((start for start, _ in moves if start < end_ns), default=end_ns)
-        lost, known = told(end_ns)
+        lost, facts = explain(end_ns)
         yield warning(
             f"Telemetry Output sends from another port at {case.at(end_ns)}: it was restarted, and forgot "
             "that it was enabled",
-            *known,
+            *facts,
             place=("to", telemetry_output.NAME),
             lost=lost,
             span=(start_ns, end_ns),
@@ -249,11 +249,11 @@ def _silent(case: Case) -> Iterator[Verdict]:
         spans = case.silences_of(sender)
         for start_ns, end_ns in spans if number else ():
             failed = case.suppressed((start_ns, end_ns))
-            taken = None if failed else _taken(case, sender, start_ns, end_ns)
+            order = None if failed else _diversion(case, sender, start_ns, end_ns)
             if failed:
                 why = "its socket failed"
-            elif taken:
-                why = f"it sent to {taken.value}, for which it was enabled at {case.at(taken.not_before_ns)}"
+            elif order:
+                why = f"it sent to {order.value}, for which it was enabled at {case.at(order.not_before_ns)}"
             else:
                 why = "its socket failed, or it sent to another address"
             yield verdict(
@@ -262,23 +262,23 @@ def _silent(case: Case) -> Iterator[Verdict]:
                 f"enabled: {why}",
                 f"sequence counts: {plural(number, 'message')} that the software bus did not lose",
                 *((f"event {failed}",) if failed else ()),
-                *((taken.witness,) if taken else ()),
+                *((order.witness,) if order else ()),
                 place=("to", telemetry_output.SOCKET),
                 lost=number if failed and len(spans) == 1 else None,
                 span=(start_ns, end_ns),
                 remedy="look at the address that it was enabled for; after an error of its socket Telemetry "
                 f"Output drops what comes until it is enabled again: {case.inject(ENABLE_OUTPUT)}",
-                confidence="high" if failed or taken else "medium",
+                confidence="high" if failed or order else "medium",
             )
 
 
-def _taken(case: Case, sender: int, start_ns: int, end_ns: int) -> Change | None:
+def _diversion(case: Case, sender: int, start_ns: int, end_ns: int) -> Change | None:
     """Return the command that sent Telemetry Output elsewhere when it fell silent here, if it is here."""
     system = case.instances.system(case.instances.owner(sender, start_ns))
-    here = {case.endpoints[item.receiver].address for item in case.streams if item.sender == sender}
+    places = {case.endpoints[item.receiver].address for item in case.streams if item.sender == sender}
     for change in case.timeline.of(StateOwner("output"), system):
         near = start_ns - _WAIT_NS < change.not_before_ns < end_ns - SECOND
-        if near and change.state == "enabled" and change.value not in here:
+        if near and change.state == "enabled" and change.value not in places:
             return change
     return None
 
@@ -311,10 +311,10 @@ def _ended(case: Case) -> Iterator[Verdict]:
         if item.app in executive_services.SCHEDULERS and item.start_ns < last_ns and item.end_ns is None
     ]
     source = int(rows.source[np.flatnonzero(rows.link == TO)[-1]])
-    taken = _taken(case, case.instances.output(source), last_ns, case.end_ns + 2 * SECOND)
+    order = _diversion(case, case.instances.output(source), last_ns, case.end_ns + 2 * SECOND)
     why = (
-        f"it sends to {taken.value}, for which it was enabled at {case.at(taken.not_before_ns)}"
-        if taken
+        f"it sends to {order.value}, for which it was enabled at {case.at(order.not_before_ns)}"
+        if order
         else f"{stopped[-1].app}, which asks for all housekeeping, was stopped at "
         f"{case.at(stopped[-1].start_ns)}"
         if stopped

@@ -68,13 +68,13 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
             link=None,
             remedy="see whether the application that reads this pipe runs",
         )
-    if loss.stream is not None and (shown := case.shown_hz(loss.stream, clean)):
+    if loss.stream is not None and (hz := case.shown_hz(loss.stream, clean)):
         return loss_verdict(
             case,
             loss,
             f"{least}{lost_at(case, loss, 'commands')}: more of one MsgId came at once than may wait there",
             link="sbn" if over_network else "ci",
-            evidence=(*loss.evidence, f"at {shown:.1f} Hz none was lost here"),
+            evidence=(*loss.evidence, f"at {hz:.1f} Hz none was lost here"),
             remedy=advise(case, loss),
         )
     every = f"{period // 1_000_000} ms"
@@ -214,19 +214,19 @@ def _with_them(case: Case, others: Sequence[Loss]) -> Verdict:
 
 def _output_overflow(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
     profile = case.profile
-    depth, told = profile.to_pipe_depth, ""
+    depth, text = profile.to_pipe_depth, ""
     if loss.stream is not None:
         own = (case.rows.link == loss.stream.link) & (case.rows.source == loss.stream.sender)
         measured = measured_depth(case.rows.time_ns[own], profile.to_wake_ns)
         if measured < depth:
             depth = measured
-            told = f"rounds of {measured} came often, and none was larger (is fs.mqueue.msg_max {measured}?)"
+            text = f"rounds of {measured} came often, and none was larger (is fs.mqueue.msg_max {measured}?)"
     room = depth * 1e9 / profile.to_wake_ns
     reason = (
         f"{lost_at(case, loss)}: {published(loss)}and TO's pipe of {depth} is "
         f"emptied every {profile.to_wake_ns // 1_000_000} ms: {room:.0f}/s of all telemetry together"
     )
-    evidence = [*loss.evidence, *([told] if told else ())]
+    evidence = [*loss.evidence, *([text] if text else ())]
     if beside:
         listed = ", ".join(f"{case.name(item.msg_id)} {item.lost:,}" for item in beside)
         evidence.append(f"lost with it: {listed}")
@@ -299,7 +299,7 @@ def host_drops(case: Case) -> Iterator[Verdict]:
             of=sent if sent >= count else None,
             remedy=f"send less at once, or make its buffer larger: {_LARGER}",
         )
-    for count, what, remedy in (
+    for count, text, remedy in (
         (
             case.host.reassembly_failures,
             "IP packets were dropped because not all of their fragments came",
@@ -313,7 +313,7 @@ def host_drops(case: Case) -> Iterator[Verdict]:
     ):
         if count:
             yield warning(
-                f"{count:,} {what}; they may be others' than these links'",
+                f"{count:,} {text}; they may be others' than these links'",
                 "/edoras/host: the kernel's counters of the host",
                 hop="host",
                 remedy=remedy,
@@ -364,7 +364,7 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
     for loss in case.losses:
         if loss.kind == "socket":
             reason = f"{lost_at(case, loss, 'commands')}: {reads}, and its socket was full"
-            evidence = (*loss.evidence, *_counted(case))
+            evidence = (*loss.evidence, *_by_kernel(case))
             yield loss_verdict(case, loss, reason, link="ci", remedy=advise(case, loss), evidence=evidence)
     for account in case.ingests:
         if account.unread > socket.reads:
@@ -381,7 +381,7 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
             )
 
 
-def _counted(case: Case) -> Iterator[str]:
+def _by_kernel(case: Case) -> Iterator[str]:
     """Yield what the kernel of the recording host counted in CI's sockets, if it was recorded."""
     if any(account.by_kernel for account in case.ingests):
         return  # the losses themselves are told by it
@@ -401,14 +401,14 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
     limit = case.profile.ci_buffer
     for _, members in groups(rows.msg_id, np.flatnonzero(cut)):
         packets = (f"{packet(case, row)}: {rows.length[row]:,} bytes" for row in members[:4].tolist())
-        said = next((item for row in members.tolist() for item in refusals(case, row, limit)), None)
-        words = f"said: {said}" if said else "says nothing of it"
+        answer = next((item for row in members.tolist() for item in refusals(case, row, limit)), None)
+        words = f"said: {answer}" if answer else "says nothing of it"
         yield of_messages(
             Severity.ERROR,
             case,
             members,
             f"are longer than CI's {limit} bytes: CI cuts them there and "
-            f"{'drops what lacks its end' if said else 'accepts them silently'}",
+            f"{'drops what lacks its end' if answer else 'accepts them silently'}",
             ", ".join(packets),
             f"up to {int(rows.length[members].max()):,} bytes; cFS {words}",
             noun="commands",
@@ -431,10 +431,10 @@ def app_outage(case: Case) -> Iterator[Verdict]:
 
     Name every outage, and what was lost in it.
     """
-    told = [loss for loss in case.losses if loss.closed]
+    losses = [loss for loss in case.losses if loss.closed]
     for loss in case.losses:
         if loss.kind in _KINDS:
-            told.append(loss)
+            losses.append(loss)
             noun = "commands" if loss.stream is None or loss.stream.is_command else "messages"
             yield loss_verdict(
                 case,
@@ -446,18 +446,18 @@ def app_outage(case: Case) -> Iterator[Verdict]:
     for item in case.outages:
         start_ns = max(item.start_ns, case.start_ns)
         end_ns = max(start_ns, item.end_ns if item.end_ns is not None else case.end_ns)
-        here = [loss for loss in told if loss.start_ns <= end_ns + case.profile.ci_wake_ns]
+        own = [loss for loss in losses if loss.start_ns <= end_ns + case.profile.ci_wake_ns]
         if item.app in telemetry_output.NAMES:
-            here = [loss for loss in here if loss.closed and loss.end_ns >= start_ns]
+            own = [loss for loss in own if loss.closed and loss.end_ns >= start_ns]
         else:
-            here = [loss for loss in here if case.called(loss.hop) == item.app]
-        if here:
+            own = [loss for loss in own if case.called(loss.hop) == item.app]
+        if own:
             continue
         since = f"stopped at {case.at(item.start_ns)}" if item.start_ns >= case.start_ns else "not running"
         until = "" if item.end_ns is None else f" and started again at {case.at(item.end_ns)}"
-        what = f"restarted at {case.at(item.start_ns)}" if item.restarted else since + until
+        event = f"restarted at {case.at(item.start_ns)}" if item.restarted else since + until
         yield warning(
-            f"{item.app} was {what}; no loss by it can be seen here",
+            f"{item.app} was {event}; no loss by it can be seen here",
             item.witness,
             hop=item.app,
             span=(start_ns, end_ns),

@@ -76,8 +76,8 @@ def topic_silent(case: Case) -> Iterator[Verdict]:
     """
     for members in _together([item for item in _every(case) if not _has_reason(case, item)]):
         causes = _causes(case, members)
-        if kept := members if causes else [item for item in members if _others_go_on(case, item, members)]:
-            yield _verdict(case, kept, causes)
+        if rest := members if causes else [item for item in members if _others_go_on(case, item, members)]:
+            yield _verdict(case, rest, causes)
 
 
 _TELLS_CAUSE: Final = frozenset(
@@ -106,15 +106,15 @@ def note_silences(case: Case) -> None:
 
 def _every(case: Case) -> list[Silence]:
     """Return every silence of what cFS or an SBN peer publishes steadily."""
-    found: list[Silence] = []
+    silences: list[Silence] = []
     for stream in case.streams:
         published = stream.link.from_cfs or stream.link.peers
         # Of packets without a time nothing tells whether their cFS ran on.
         dated = stream.instance != NOBODY or not (stream.counted or stream.known_id in MSG_ID_NAMES)
         dated &= "untold" not in case.telemetry.ends[id(stream)]
         if published and dated and len(stream) >= _LEAST and stream.known_id not in _EVENTS:
-            found += _silences(case, stream)
-    return found
+            silences += _silences(case, stream)
+    return silences
 
 
 def _has_reason(case: Case, item: Silence) -> bool:
@@ -139,19 +139,19 @@ def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
             yield Silence(stream, start_ns, until_ns, start_ns + length, rate)
 
 
-def _together(found: Sequence[Silence]) -> Iterator[list[Silence]]:
+def _together(silences: Sequence[Silence]) -> Iterator[list[Silence]]:
     """Yield those that fell silent at one time and came back at one time, or not."""
-    left = sorted(found, key=lambda item: item.start_ns)
-    while left:
-        first = left[0]
+    rest = sorted(silences, key=lambda item: item.start_ns)
+    while rest:
+        first = rest[0]
 
         def alike(item: Silence, first: Silence = first) -> bool:
             near = item.start_ns - first.start_ns < _NEAR_NS
             back = abs(item.end_ns - first.end_ns) < _NEAR_NS
             return near and back and (item.until_ns is None) == (first.until_ns is None)
 
-        yield [item for item in left if alike(item)]
-        left = [item for item in left if not alike(item)]
+        yield [item for item in rest if alike(item)]
+        rest = [item for item in rest if not alike(item)]
 
 
 def _causes(case: Case, members: Sequence[Silence]) -> list[str]:

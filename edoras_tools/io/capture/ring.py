@@ -421,13 +421,13 @@ class Ring(Device):
             else:
                 with contextlib.suppress(OSError):  # gone again
                     self._bind(device)
-        there = device.up and device.carrier and device.index == self._bound
-        if there and self._away:
+        is_present = device.up and device.carrier and device.index == self._bound
+        if is_present and self._away:
             back_ns = min(self._back_ns or time.time_ns(), time.time_ns())
             self.outages[-1] = replace(self.outages[-1], end_ns=back_ns)
-        elif not there and not self._away:
+        elif not is_present and not self._away:
             self._leave(device)
-        elif there and was_down:  # down and up again between two checks
+        elif is_present and was_down:  # down and up again between two checks
             self._leave(replace(device, up=False))
             self.outages[-1] = replace(self.outages[-1], end_ns=self.outages[-1].start_ns)
 

@@ -186,9 +186,9 @@ class ScapySource(DeviceSource):
         keep[errors] |= np.isin(quoted_ports(batch, errors), self._ports).any(axis=1)
         if batch.streams is not None:
             keep |= batch.streams
-        kept = batch.take(keep)
-        self.statistics.datagrams += len(kept) - len(batch)
-        return kept
+        remaining = batch.take(keep)
+        self.statistics.datagrams += len(remaining) - len(batch)
+        return remaining
 
 
 def _expression(

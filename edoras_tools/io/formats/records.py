@@ -137,14 +137,14 @@ class RecordSource(SourceDefaults):
             if failure is None:
                 failure, before = damage, self.statistics.frames
             place = window.base + self._at
-            found = self._next_record(self._at + 1, window.end)
-            searching = found is None
-            if found is None:
-                found = max(self._at, window.end - LARGEST_FRAME - _HEADERS)
-                ended = ended or not window.advance(found)
-                found = window.end if ended else 0
-            self._at = start = found
-            self._leave_out(place, window.base + found, damage)
+            begin = self._next_record(self._at + 1, window.end)
+            searching = begin is None
+            if begin is None:
+                begin = max(self._at, window.end - LARGEST_FRAME - _HEADERS)
+                ended = ended or not window.advance(begin)
+                begin = window.end if ended else 0
+            self._at = start = begin
+            self._leave_out(place, window.base + begin, damage)
             if searching and ended:
                 break
         rest = self._demux.finish()
@@ -156,8 +156,8 @@ class RecordSource(SourceDefaults):
             if not after:
                 raise failure
             left_out = sum(item.end - item.start for item in self.left_out)
-            what = str(failure).replace(FROM_THERE, "")
-            raise CaptureError(f"{what}, and {after:,} after it; {left_out:,} bytes were left out")
+            text = str(failure).replace(FROM_THERE, "")
+            raise CaptureError(f"{text}, and {after:,} after it; {left_out:,} bytes were left out")
 
     def _leave_out(self, start: int, end: int, damage: CaptureError | None) -> None:
         if self.left_out and self.left_out[-1].end == start:

@@ -240,11 +240,11 @@ class _Database:
             if after[0] > before[0] + 1
         ]
         lost = sum(item.bytes for item in losses)
-        named = Counter(self._name(topic) for topic in rows[:, 3].tolist())
+        counts = Counter(self._name(topic) for topic in rows[:, 3].tolist())
         reasons = [] if whole else ["SQLite finds it damaged, or it ends too early: what followed is unknown"]
         self._report = Recovery(
             whole=whole,
-            messages=dict(named),
+            messages=dict(counts),
             kept_bytes=size - lost,
             lost_bytes=lost,
             unproved=len(rows),
@@ -261,14 +261,14 @@ class _Database:
     def write(self, new: NewFile, progress: Progress) -> Recovery:
         """Write an MCAP file of the messages, and read it again."""
         out, channels, chunks = McapFile(new.place), dict[int, int](), bytearray()
-        wanted = set(self._first.tolist())
+        places = set(self._first.tolist())
         place = -1
         with FileBytes(self._path) as file:
             for _, _, values in _rows(file, progress, self._unproved):
                 match values:
                     case None, int() as topic, int() as time_ns, bytes() as data:
                         place += 1
-                        if place in wanted:
+                        if place in places:
                             if topic not in channels:
                                 channels[topic] = self._channel(out, topic)
                             head = MESSAGE_HEAD.pack(channels[topic], 0, time_ns, time_ns)

@@ -291,9 +291,9 @@ def wrong_checksums(batch: PacketBatch, network: NDArray[np.int64]) -> NDArray[n
         head = read_at(batch.data, batch.offset[rows] - UDP_BYTES, _UDP_WORDS).astype(np.int64)
         field, size = head[:, 3], batch.length[rows].astype(np.int64) + UDP_BYTES
         pseudo = read_at(batch.data, network[rows] + at, kind).sum(axis=1, dtype=np.int64) + UDP + size
-        asked = (field > 0) & (head[:, 2] == size) & ((pseudo - field) % _ONES != 0)
-        if asked.any():
-            some, sums = rows[asked], pseudo[asked] + head[asked].sum(axis=1)
+        suspects = (field > 0) & (head[:, 2] == size) & ((pseudo - field) % _ONES != 0)
+        if suspects.any():
+            some, sums = rows[suspects], pseudo[suspects] + head[suspects].sum(axis=1)
             sums += word_sums(batch.data, batch.offset[some], batch.length[some])
             wrong[some] = sums % _ONES != 0
         if version == 4:

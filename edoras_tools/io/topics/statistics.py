@@ -87,7 +87,7 @@ class LinkStatistics:
     @property
     def flows(self) -> dict[str, int]:
         """The datagrams of each flow so far, named ``LINK/MSG_ID``."""
-        return {self._named(flow): count for flow, count in self._total.items()}
+        return {self._flow_name(flow): count for flow, count in self._total.items()}
 
     def messages(self, batch: PacketBatch, columns: Columns, channel_id: int) -> Messages:
         """Add a batch of at least one row; return the messages of the seconds that have ended.
@@ -159,14 +159,14 @@ class LinkStatistics:
         """Return the topic of a route or a struct, or ``LINK/MSG_ID``, NUL-terminated like CDR strings."""
         code, msg_id = flow >> _MSG_ID_BITS & 0xFF, (flow & _MSG_ID_MASK) - 1
         own = self._structs.own(msg_id) if self._structs and msg_id >= 0 else ()
-        plain = self._named(flow & (1 << _MSG_ID_BITS + 8) - 1)
+        plain = self._flow_name(flow & (1 << _MSG_ID_BITS + 8) - 1)
         other = own[0].topic if len(own) == 1 else plain if msg_id >= 0 else table.link(code).label
         topic, first = self._topics.get((code, msg_id), other), self._mission.prefix(1)
         if number := flow >> _MSG_ID_BITS + 8:
             topic = f"{self._mission.prefix(number + 1)}/{topic.removeprefix(first).removeprefix('/')}"
         return topic.encode() + b"\0"
 
-    def _named(self, flow: int) -> str:
+    def _flow_name(self, flow: int) -> str:
         craft = self._mission.prefix((flow >> _MSG_ID_BITS + 8) + 1)
         name = f"{table.link(flow >> _MSG_ID_BITS & 0xFF).label}/{(flow & _MSG_ID_MASK) - 1:#06x}"
         return f"{craft}/{name}".removeprefix("/")

@@ -63,8 +63,8 @@ class Counting:
         self.report.failure = loop.failure
         self.report.unnamed = loop.conversations.unnamed
         time = self._context.options.time
-        told = [f"telemetry has mission time as {time}, as the mission or the recording says"] if time else []
-        self.report.notes = [*self.report.notes, *told, *loop.conversations.notes(), *self._once.notes()]
+        note = [f"telemetry has mission time as {time}, as the mission or the recording says"] if time else []
+        self.report.notes = [*self.report.notes, *note, *loop.conversations.notes(), *self._once.notes()]
         return self.report
 
 

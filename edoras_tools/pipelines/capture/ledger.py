@@ -183,15 +183,15 @@ class _UnfitMessages:
         """
         from edoras_tools.ros.fitting import types_that_fit
 
-        said = f"0 of {count:,} messages of {route.topic} fit {route.type}"
-        samples, known = list(self._samples.get(place, ())), _packaged(route)
-        fits = types_that_fit(types, samples, own=known) if samples else []
+        start = f"0 of {count:,} messages of {route.topic} fit {route.type}"
+        samples, own_types = list(self._samples.get(place, ())), _packaged(route)
+        fits = types_that_fit(types, samples, own=own_types) if samples else []
         if not fits:
-            return f"{said}: a mission of another system? edoras mission draft makes one of a capture"
+            return f"{start}: a mission of another system? edoras mission draft makes one of a capture"
         others = f" and {plural(len(fits) - 1, 'other type')}" if len(fits) > 1 else ""
-        whose = f" (of {known[fits[0]]}?)" if fits[0] in known else ""
+        whose = f" (of {own_types[fits[0]]}?)" if fits[0] in own_types else ""
         return (
-            f"{said}; they fit {fits[0]}{whose}{others}: name their mission with -c, or edoras mission draft"
+            f"{start}; they fit {fits[0]}{whose}{others}: name their mission with -c, or edoras mission draft"
         )
 
 
@@ -202,12 +202,12 @@ def _packaged(route: Route) -> dict[str, str]:
     from edoras_tools.mission import loads
 
     folder: Any = files("edoras_tools.samples") / "missions"
-    known: dict[str, str] = {}
+    types: dict[str, str] = {}
     for path in sorted(folder.iterdir(), key=lambda item: item.name):
         for other in loads({path.name: path.read_bytes()}).routes:
             if (other.msg_id, other.link, other.type != route.type) == (route.msg_id, route.link, True):
-                known.setdefault(other.type, path.name)
-    return known
+                types.setdefault(other.type, path.name)
+    return types
 
 
 class Ledger:
@@ -271,8 +271,8 @@ class Ledger:
             accounts = [Account.of_json(item) for item in values["accounts"]]
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             return False
-        counted = sum(item.count for item in accounts) == totals[0]
-        if not counted or not all(self._fits(item) for item in accounts):
+        is_complete = sum(item.count for item in accounts) == totals[0]
+        if not is_complete or not all(self._fits(item) for item in accounts):
             return False
         for name, value in zip(_TOTALS, totals, strict=True):
             setattr(self, name, value)
@@ -313,13 +313,13 @@ class Ledger:
         own = table.message_kinds(columns, batch.length) if batch.recorded is None else columns.route
         order, fresh = self.sequences.order(batch, columns)
         # Of one link and MsgId only what has none is of several kinds.
-        if not (named := columns.msg_id[order] != NO_MSG_ID).all():
-            unnamed = order[~named]
+        if not (has_id := columns.msg_id[order] != NO_MSG_ID).all():
+            unnamed = order[~has_id]
             kind = columns.link[unnamed].astype(np.uint32) << 9 | (own[unnamed] + 1).astype(np.uint16)
             kinds = columns.processor_id[unnamed], kind, columns.spacecraft[unnamed]
             ranked = order_by(*kinds)
-            order = np.concatenate((unnamed[ranked], order[named]))
-            fresh = np.concatenate((changes(ranked, *kinds), fresh[named]))
+            order = np.concatenate((unnamed[ranked], order[has_id]))
+            fresh = np.concatenate((changes(ranked, *kinds), fresh[has_id]))
         starts = np.flatnonzero(fresh)
         first = order[starts]
         parts = columns.link, columns.processor_id, columns.msg_id, own, columns.spacecraft
@@ -357,10 +357,10 @@ class Ledger:
         for follower in self.followers.of(columns):
             follower.add(batch, columns)
         for link, follower in self.followers.by_link.items():
-            counts, known = follower.counts(), self._counted.get(link, 0)
-            if len(counts) > known:
+            counts, start = follower.counts(), self._counted.get(link, 0)
+            if len(counts) > start:
                 row = int(np.argmax(columns.link == link))
-                self._account(columns, -1, row).sequences += counts[known:]
+                self._account(columns, -1, row).sequences += counts[start:]
                 self._counted[link] = len(counts)
 
     def separate(self) -> None:
@@ -499,8 +499,8 @@ class Ledger:
             return {}
         structs = self._structs.under(self.mission.prefix(account.spacecraft))
         own = {item.topic: item for item in structs.own(account.msg_id)}
-        seen = {topic: item for topic, item in own.items() if item.key.function_code in account.codes}
-        return seen or own
+        present = {topic: item for topic, item in own.items() if item.key.function_code in account.codes}
+        return present or own
 
     def _row(self, account: Account) -> dict[str, Any]:
         mission = self._mission_of(account)

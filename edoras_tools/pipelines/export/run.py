@@ -72,8 +72,8 @@ class ExportTarget:
             )
         special = path.exists() and not path.is_file() and not folder  # as /dev/stdout
         if by_suffix is None and (special or path.suffix) and not folder and not (special and by_name):
-            what = f"{path.suffix} is not a table format" if path.suffix else "name its --format"
-            raise ConfigError(f"{path}: {what}; use {TABLES_WRITTEN}; a folder ends with /")
+            problem = f"{path.suffix} is not a table format" if path.suffix else "name its --format"
+            raise ConfigError(f"{path}: {problem}; use {TABLES_WRITTEN}; a folder ends with /")
         return cls(path, by_suffix or by_name or TABLE_FORMATS[0], by_suffix is None and not special, force)
 
     def check(self, inputs: Sequence[Path]) -> None:

@@ -103,7 +103,7 @@ class TopicSource(ABC):
     def empty(self, topic: str) -> TopicBlock:
         """Return a block of a topic without messages; it has the columns of all its blocks."""
         if topic in JUDGED and not self.topics[topic]:
-            return self._named(judged_block(topic))
+            return self._with_name(judged_block(topic))
         none = np.zeros(0, np.int64)
         columns = self.types(topic).columns(
             self.topics[topic], np.zeros(0, np.uint8), none, none.astype(np.int32)
@@ -152,7 +152,7 @@ class TopicSource(ABC):
         """Return the names of the recordings that rows of a batch are from; None of a single one."""
         return self.recordings[origin[rows]] if len(self.recordings) else None
 
-    def _named(self, block: TopicBlock) -> TopicBlock:
+    def _with_name(self, block: TopicBlock) -> TopicBlock:
         """Return the block of an examination with the name of the one recording that was examined."""
         one = len(self.recordings) == 2
         return replace(block, recording=np.full(len(block), self.recordings[0], object)) if one else block
@@ -346,7 +346,7 @@ class CaptureTopics(TopicSource):
             and not isinstance(self.failure, InterruptError)
         ):
             try:
-                for block in map(self._named, self._judge(JUDGED & set(requested), progress)):
+                for block in map(self._with_name, self._judge(JUDGED & set(requested), progress)):
                     yield block.topic, len(block), make(block, self.zero_ns)
             except CaptureError as error:
                 self.failure = self.failure or error

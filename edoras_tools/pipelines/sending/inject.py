@@ -213,8 +213,8 @@ def _noop(text: str, msg_ids: MsgIds) -> int:
     try:
         return int(app, 0)
     except ValueError:
-        said = f"not {text!r}" if text else "and none is named"
-        raise ConfigError(f"noop takes a MsgId or an app ({', '.join(apps)}), {said}") from None
+        problem = f"not {text!r}" if text else "and none is named"
+        raise ConfigError(f"noop takes a MsgId or an app ({', '.join(apps)}), {problem}") from None
 
 
 def _command(msg_id: int, function_code: int, payload: bytes, headers: cfe.Headers) -> bytes:

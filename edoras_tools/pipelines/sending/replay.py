@@ -199,11 +199,11 @@ def _others(own: Link, links: NDArray[np.int64], options: Mapping[Link, str]) ->
 
 
 def _nothing(to: Receiver | LinkReceiver, others: Mapping[Link, str], number: int) -> str:
-    what = f"messages for {to}" if isinstance(to, LinkReceiver) else _WHAT[to]
+    noun = f"messages for {to}" if isinstance(to, LinkReceiver) else _WHAT[to]
     if number:
-        return f"none of its {number:,} {what} was selected; remove some of the selection options"
+        return f"none of its {number:,} {noun} was selected; remove some of the selection options"
     hint = f"it has {listed([*others.values()])}" if others else "it has no traffic at all"
-    return f"contains no {what}; {hint}; other ports: --set port"
+    return f"contains no {noun}; {hint}; other ports: --set port"
 
 
 def headers_named(name: str) -> cfe.Headers:

@@ -72,13 +72,13 @@ def choose(decoded: Decoded, name: str) -> tuple[int, int]:
         raise ConfigError(f"packet {decoded.datagram.number} has no layer {owner!r}; there are {existing}")
     if not field:
         return layer.start, layer.end
-    found = [item for item in layer.fields if item.name == field or item.name.startswith(f"{field}.")]
-    if not found:
+    fields = [item for item in layer.fields if item.name == field or item.name.startswith(f"{field}.")]
+    if not fields:
         existing = ", ".join(item.name for item in layer.fields) or "no fields"
         raise ConfigError(
             f"layer {owner} of packet {decoded.datagram.number} has no field {field!r}; there are {existing}"
         )
-    return min(item.start for item in found), max(item.end for item in found)
+    return min(item.start for item in fields), max(item.end for item in fields)
 
 
 def dump_lines(

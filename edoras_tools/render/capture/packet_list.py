@@ -111,11 +111,11 @@ def _widths(width: int, time_format: TimeFormat, names: tuple[str, ...], added: 
     elif width < 190:
         columns = (7, medium, _COMPACT, _KIND_CELLS, 6, 24, 5)
     number, *rest = columns
-    time, ports, kind, msg_id, name, length = left = [
+    time, ports, kind, msg_id, name, length = widths = [
         cells if item in names else 0 for cells, item in zip(rest, COLUMNS, strict=True)
     ]
     gap = " " if width < 120 else "  "
-    info = width - sum(cells + len(gap) for cells in (number, *left, *added) if cells)
+    info = width - sum(cells + len(gap) for cells in (number, *widths, *added) if cells)
     return _Widths(number, time, ports, kind, msg_id, name, length, max(0, info), gap)
 
 
@@ -293,8 +293,8 @@ class PacketList:
             return "", 0
         painted, used = "", 0
         for index, item in enumerate(findings):
-            told = EXPLANATIONS[item]
-            label = clip(f"{told.severity.mark} {told.short}", room - 2)
+            explanation = EXPLANATIONS[item]
+            label = clip(f"{explanation.severity.mark} {explanation.short}", room - 2)
             if index and used + 1 + len(label) > room // 2:
                 more = f" +{len(findings) - index}"
                 if used + len(more) <= room - 2:
@@ -302,7 +302,7 @@ class PacketList:
                     used += len(more)
                 break
             gap = " " if index else ""
-            painted += gap + self._paint(label, told.severity.style)
+            painted += gap + self._paint(label, explanation.severity.style)
             used += len(gap) + len(label)
         return painted + "  ", used + 2
 

@@ -172,14 +172,14 @@ def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | N
     if samples := summary.get("samples"):
         on += f", {plural(sum(row['count'] for row in samples), 'sample')} of DDS"
     if "messages" in summary:  # of a recording without datagrams
-        what, words = "message", [on + over]
+        noun, words = "message", [on + over]
     else:
-        what, words = "datagram", [plural(summary.get("datagrams", 0), "datagram"), on]
+        noun, words = "datagram", [plural(summary.get("datagrams", 0), "datagram"), on]
         words[0] += over
     written = sum(map(size_of, outputs))
     if written:
         words.append(units.size(written))
     if keep and keep.deleted:
-        words.append(f"{plural(keep.deleted, 'older file')} with {plural(keep.datagrams, what)} deleted")
+        words.append(f"{plural(keep.deleted, 'older file')} with {plural(keep.datagrams, noun)} deleted")
     name = output_name(outputs[0]) if len(outputs) == 1 else f"{outputs[0]} to {outputs[-1].name}"
     return f"{clean(name)}: {', '.join(words)}"

@@ -52,14 +52,14 @@ def shown_rows(result: Diagnosis) -> list[dict[str, Any]]:
     if len(quiet) < 2:
         return rows
     left_out = {id(row) for row in quiet}
-    kept = [row for row in rows if id(row) not in left_out]
+    rest = [row for row in rows if id(row) not in left_out]
     first: dict[tuple[Any, ...], int] = {}
     for row in quiet:  # a message that crosses two hops is one message
         first.setdefault((row["link"], row["msg_id"], row["instance"]), row["in"])
     number = sum(first.values())
     others = {**quiet[0], **dict.fromkeys(FIGURES, 0), "in": number, "out": number, "lost_by": {}}
     name = f"{plural(len(first), 'other')} of cFS itself"
-    return [*kept, {**others, "msg_id": None, "link": None, "instance": None, "name": name, "hop": "all"}]
+    return [*rest, {**others, "msg_id": None, "link": None, "instance": None, "name": name, "hop": "all"}]
 
 
 def _with_ends(result: Diagnosis, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -66,8 +66,8 @@ class Frame:
         """Draw a horizontal line; its name stands above the plot, where no data is."""
         if value > self.y_most:
             return
-        for left, y in ((LEFT, self.y(value)), (CHART_WIDTH - 40, TOP - 14)):
-            ends = f'x1="{left}" x2="{CHART_WIDTH - RIGHT}" y1="{y}" y2="{y}"'
+        for x, y in ((LEFT, self.y(value)), (CHART_WIDTH - 40, TOP - 14)):
+            ends = f'x1="{x}" x2="{CHART_WIDTH - RIGHT}" y1="{y}" y2="{y}"'
             self.parts.append(f'<line class="{style}" {ends}/>')
         self.parts.append(f'<text class="end" x="{CHART_WIDTH - 46}" y="{TOP - 10}">{escape(text)}</text>')
 

@@ -64,28 +64,28 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
         facts.add_row("faults", plain(faults, palette.STRONG))
     for note in summary["notes"]:
         facts.add_row("note", plain(note))
-    if told := _ingested(summary["ingest"]):
-        facts.add_row("read", told)
+    if ingest := _ingested(summary["ingest"]):
+        facts.add_row("read", ingest)
     for item in summary.get("expected", ()):
         style = "" if item["met"] else Level.ERROR.style
         facts.add_row(
             "expected" if item["met"] else "missing", plain(f"{item['expect']}: {item['found']}", style)
         )
-    seen = summary["seen"]
-    for name, row in seen["counters"].items():
+    responses = summary["seen"]
+    for name, row in responses["counters"].items():
         style = Level.ERROR.style if row["gained"] else palette.DIM
         facts.add_row("counter", Text(f"{name} {row['first']} → {row['last']}", style))
-    for event in seen["events"][:_MOST_EVENTS]:
+    for event in responses["events"][:_MOST_EVENTS]:
         times = f"  x{event['count']}" if event["count"] > 1 else ""
         style = Level.ERROR.style if event["event_type"] in {"error", "critical"} else ""
         facts.add_row("event", plain(f"{event['app']} {event['event_id']}: {event['message']}{times}", style))
-    if len(seen["events"]) > _MOST_EVENTS:
-        facts.add_row("event", f"and {len(seen['events']) - _MOST_EVENTS} more")
-    if seen["sbn"]:
-        facts.add_row("SBN", ", ".join(f"{name} {count:,}" for name, count in seen["sbn"].items()))
-    if answers := seen.get("answers"):
+    if len(responses["events"]) > _MOST_EVENTS:
+        facts.add_row("event", f"and {len(responses['events']) - _MOST_EVENTS} more")
+    if responses["sbn"]:
+        facts.add_row("SBN", ", ".join(f"{name} {count:,}" for name, count in responses["sbn"].items()))
+    if answers := responses.get("answers"):
         facts.add_row("received", plural(answers, "message"))
-    return Group(facts, Text(), _routes(seen["telemetry"])) if seen["telemetry"] else facts
+    return Group(facts, Text(), _routes(responses["telemetry"])) if responses["telemetry"] else facts
 
 
 def _ingested(ingest: Mapping[str, Any] | None) -> Text | None:

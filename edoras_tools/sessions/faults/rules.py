@@ -218,8 +218,8 @@ def make_rule(
         return None, mistakes
     scope = RuleScope(values["link"], values["to"], values["msg_id"], values["sbn"], values["where"])
     schedule = Schedule(values["p"], values["every"], values["from"], values["until"], values["period"])
-    told = MappingProxyType({key: values[key] for key in kind.options})
-    return Rule(kind, told, scope, schedule, text, values["switch"]), []
+    parameters = MappingProxyType({key: values[key] for key in kind.options})
+    return Rule(kind, parameters, scope, schedule, text, values["switch"]), []
 
 
 def parse_profile(name: str) -> tuple[Rule, ...]:

@@ -88,8 +88,8 @@ def codegen(
     store = TypeStore(settings.distro, settings.msg_paths)
     mission = load(settings.configs, check_type=store.check)
     usual = {"strings": bounds.strings, "sequences": bounds.sequences}
-    named = dict(text.split("=", 1) for text in bounds.bound or () if text.partition("=")[0] in usual)
-    usual |= {name: options.count(text) for name, text in named.items()}
+    overrides = dict(text.split("=", 1) for text in bounds.bound or () if text.partition("=")[0] in usual)
+    usual |= {name: options.count(text) for name, text in overrides.items()}
     rules = tuple(BoundRule.read(text) for text in bounds.bound or () if text.partition("=")[0] not in usual)
     envelope = EnvelopeFormat.of_name(settings.options.envelope or "8/8 le")
     if envelope.own or envelope.width == 2:
@@ -102,7 +102,7 @@ def codegen(
         envelope,
         keep_values=core.keep_values,
     )
-    made = generate(store, order)
-    removed = write_folder(output, made.files, force=folder.force)
+    result = generate(store, order)
+    removed = write_folder(output, result.files, force=folder.force)
     if not quiet:
-        sys.stdout.write("".join(f"{line}\n" for line in summary(made, output, removed)))
+        sys.stdout.write("".join(f"{line}\n" for line in summary(result, output, removed)))

@@ -39,11 +39,11 @@ def xtce(
     from edoras_tools.words import plural
 
     output = recordings.text_output(output, force=force)
-    made = describe_packets(decoding.settings().workbench(), system, for_cosmos=form is GroundForm.COSMOS)
-    recordings.put_text(made.text.decode(), output)
+    result = describe_packets(decoding.settings().workbench(), system, for_cosmos=form is GroundForm.COSMOS)
+    recordings.put_text(result.text.decode(), output)
     if not quiet:
-        for note in made.notes:
+        for note in result.notes:
             tell(note)
         if output is not None:
-            what = f"{plural(made.telemetry, 'telemetry packet')}, {plural(made.commands, 'command')}"
-            tell(f"{output}: {what}")
+            counts = f"{plural(result.telemetry, 'telemetry packet')}, {plural(result.commands, 'command')}"
+            tell(f"{output}: {counts}")

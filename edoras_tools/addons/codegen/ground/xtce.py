@@ -232,8 +232,8 @@ def _data_type(types: ET.Element, role: str, name: str, item: PacketItem) -> Non
 
 
 def _ends(limits: Range | None) -> dict[str, str]:
-    named = zip(("minInclusive", "maxInclusive"), limits or (), strict=False)
-    return {key: str(end) for key, end in named if end is not None}
+    pairs = zip(("minInclusive", "maxInclusive"), limits or (), strict=False)
+    return {key: str(end) for key, end in pairs if end is not None}
 
 
 def _add_meaning(element: ET.Element, encoded: ET.Element, member: Member, *, is_argument: bool) -> None:

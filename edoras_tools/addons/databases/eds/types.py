@@ -129,7 +129,7 @@ class Types:
                 raise SheetError(f"type {name} contains itself")
             self._open.append(name)
             try:
-                result = self._made(self._nodes[name], name)
+                result = self._make(self._nodes[name], name)
             except SheetError as error:
                 result = error
             else:
@@ -141,7 +141,7 @@ class Types:
             raise SheetError(str(result))
         return result
 
-    def _made(self, node: Node, name: str) -> DataType:
+    def _make(self, node: Node, name: str) -> DataType:
         package = name.rpartition("/")[0]
         kind = node.tag.removesuffix("DataType")
         if kind == "Container":

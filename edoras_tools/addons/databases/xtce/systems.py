@@ -358,7 +358,7 @@ class _Reader:
         role = entry.tag.removesuffix("RefEntry").removeprefix("Array").lower()
         if role not in {"parameter", "argument"} or not entry.tag.endswith("RefEntry"):
             raise SheetError(f"{entry.tag} is not read")
-        declared = self._named(role, entry.required(f"{role}Ref"), item)
+        declared = self._look_up(role, entry.required(f"{role}Ref"), item)
         kind = self._names.type_of(role, declared.node, declared.system)
         data_type = self._types.find(kind)
         if entry.tag.startswith("Array") and not data_type.dims:
@@ -374,7 +374,7 @@ class _Reader:
         if data_type.variable:
             content.stop = entry, f"the length of {declared.node.name} is in the packet"
 
-    def _named(self, role: str, name: str, item: Declared) -> Declared:
+    def _look_up(self, role: str, name: str, item: Declared) -> Declared:
         """Return the parameter or argument that an entry names."""
         if role == "parameter":
             return self._names.find(role, name, item.system)

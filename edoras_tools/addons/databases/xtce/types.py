@@ -132,7 +132,7 @@ class ValueTypes:
                 raise SheetError(f"type {item.path} contains itself")
             self._open.append(item.path)
             try:
-                result = self._made(item.replaced(self._whole(item)))
+                result = self._make(item.replaced(self._whole(item)))
             except SheetError as error:
                 result = error
             else:
@@ -159,7 +159,7 @@ class ValueTypes:
             children=[*item.node.children, *(child for child in base.children if child.tag not in own)],
         )
 
-    def _made(self, item: Declared) -> DataType:
+    def _make(self, item: Declared) -> DataType:
         node, kind = item.node, _ROLE.sub("", item.node.tag)
         if kind == "Array":
             element = self.find(self._names.find(item.kind, node.required("arrayTypeRef"), item.system))

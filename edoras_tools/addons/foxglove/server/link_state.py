@@ -189,8 +189,8 @@ class LinkState:
     def _add_event(self, entry: dict[str, Any]) -> None:
         """Count an event among those of the same application and text; the oldest of too many goes."""
         key = entry["app"], entry["level"], entry["text"]
-        known = self._events.pop(key, {"count": 0})
-        self._events[key] = {**entry, "count": known["count"] + 1}
+        earlier = self._events.pop(key, {"count": 0})
+        self._events[key] = {**entry, "count": earlier["count"] + 1}
         if len(self._events) > _MOST_EVENTS:
             del self._events[next(iter(self._events))]
 

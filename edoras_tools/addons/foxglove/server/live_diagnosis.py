@@ -148,8 +148,8 @@ class LiveDiagnosis:
             way = flow["spacecraft"], flow["link"], *(hop["hop"] for hop in flow["hops"])
             for place, hop in enumerate(flow["hops"]):
                 outs[key := (*way, place)] = hop["out"]
-                known = key in before and passed > 0
-                hop["rate_hz"] = max(0.0, (hop["out"] - before[key]) / passed) if known else None
+                has_rate = key in before and passed > 0
+                hop["rate_hz"] = max(0.0, (hop["out"] - before[key]) / passed) if has_rate else None
         self._before = latest["until_ns"], outs
 
     def _take_queue(self) -> None:
@@ -234,8 +234,8 @@ def _flows(ways: Iterable[WaySum], topics: Mapping[int, str]) -> list[dict[str, 
         columns = zip(*members, strict=True)
         rows = [_hop(hop, rows) for hop, rows in zip(hops, columns, strict=True)]
         ends = _ends(link_of_label(link), hops[0]) if link else ("", "")  # rows of a shared counter have none
-        said = {"spacecraft": spacecraft, "link": link, "names": sorted(filter(None, names)), "ends": ends}
-        flows.append({**said, "hops": rows})
+        facts = {"spacecraft": spacecraft, "link": link, "names": sorted(filter(None, names)), "ends": ends}
+        flows.append({**facts, "hops": rows})
     return sorted(flows, key=lambda item: (-sum(hop["lost"] for hop in item["hops"]), item["link"]))
 
 

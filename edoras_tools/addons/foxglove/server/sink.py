@@ -91,12 +91,12 @@ class Diagnostics:
         self.judgement: Mapping[str, Any] | None = None
 
     def messages(
-        self, batch: PacketBatch, columns: Columns, channel_id: int, *, wanted: bool = True
+        self, batch: PacketBatch, columns: Columns, channel_id: int, *, wants: bool = True
     ) -> Messages:
         """Add a batch of at least one row; return the message of a second, if the batch completes one.
 
         Args:
-            wanted: whether anybody receives it; else only ``latest`` is set.
+            wants: whether anybody receives it; else only ``latest`` is set.
         """
         end = int(batch.time_ns[-1])
         self._until = self._until or int(batch.time_ns[0]) + SECOND
@@ -105,7 +105,7 @@ class Diagnostics:
             self._until = end + SECOND - (end - self._until) % SECOND
             statuses = self._statuses()
             self.latest = {item["name"]: item for item in statuses}
-            if wanted:
+            if wants:
                 return self._message(statuses, end, channel_id, len(batch) - 1)
         return bodies_of([], [], channel_id)
 
@@ -241,19 +241,19 @@ class LinkMonitor:
         self._streams.offer()
 
     def add(
-        self, batch: PacketBatch, columns: Columns, wanted: Callable[[int], bool] = lambda _: False
+        self, batch: PacketBatch, columns: Columns, wants: Callable[[int], bool] = lambda _: False
     ) -> list[Messages]:
         """Add a batch of at least one row; return its messages.
 
         Args:
-            wanted: whether anybody receives the topic of a place: whole datagrams, which are the first topic
+            wants: whether anybody receives the topic of a place: whole datagrams, which are the first topic
                 and the most expensive, and ``/tf`` are only made for them, and where nobody receives
                 anything, only what is counted here.
         """
         self.offer()
-        self._streams.all_wanted = any(map(wanted, self._places.values()))
+        self._streams.all_wanted = any(map(wants, self._places.values()))
         streams = self._streams.messages(
-            batch, columns, datagrams=wanted(0), transforms=wanted(self._places[TRANSFORMS.name])
+            batch, columns, datagrams=wants(0), transforms=wants(self._places[TRANSFORMS.name])
         )
         own: dict[int, list[Messages]] = {}
         for item in streams:
@@ -261,9 +261,9 @@ class LinkMonitor:
                 own.setdefault(item.channel_id, []).append(item)
         self._doctor.add(batch, columns)
         diagnostics = self._places[DIAGNOSTICS.name]
-        if asked := wanted(diagnostics):
+        if diagnoses := wants(diagnostics):
             self._diagnostics.judgement = self._doctor.ask()
-        streams.append(self._diagnostics.messages(batch, columns, diagnostics, wanted=asked))
+        streams.append(self._diagnostics.messages(batch, columns, diagnostics, wants=diagnoses))
         logs = {name: own.get(place) for name, place in self._places.items() if name.endswith(EVENTS_TOPIC)}
         events = {name.removesuffix(EVENTS_TOPIC): items for name, items in logs.items() if items}
         counts = own[self._places[STATISTICS_TOPIC]][-1]
@@ -304,16 +304,16 @@ class LinkMonitor:
         self._doctor.close()
 
     def _begin(self) -> None:
-        context, counted = self._context, self._counted
+        context, counters = self._context, self._counted
         self.sequences = SequenceCounts()
         own: dict[str, Any] = {"structs": context.structs, "add": self.place, "sequences": self.sequences}
-        self._streams = Streams(context.mission, self._types, counted, transforms=True, **own)
+        self._streams = Streams(context.mission, self._types, counters, transforms=True, **own)
         self._streams.endpoints = context.endpoints
-        self._link = LinkState(context.mission, self._types, counted)
+        self._link = LinkState(context.mission, self._types, counters)
         if not self._live:
             self._link.clock = lambda: 0.0
-        self._diagnostics = Diagnostics(context.mission, self._types, self._name, self._levels, counted)
-        self._doctor = LiveDiagnosis(partial(Examination, context), counted)
+        self._diagnostics = Diagnostics(context.mission, self._types, self._name, self._levels, counters)
+        self._doctor = LiveDiagnosis(partial(Examination, context), counters)
         self._doctor.waits = self._alone
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Settings
 
 
-def prove(given: InputOptions, settings: Settings, printing: PrintOptions, task: TaskOptions) -> None:
+def prove(inputs: InputOptions, settings: Settings, printing: PrintOptions, task: TaskOptions) -> None:
     """Prove a capture, and print that; where a file is named for the output, draw it too.
 
     Raises:
@@ -30,13 +30,13 @@ def prove(given: InputOptions, settings: Settings, printing: PrintOptions, task:
     """
     output = task.output
     if output is not None:
-        check_new(output, given.paths, force=task.force)
+        check_new(output, inputs.paths, force=task.force)
         if output.suffix.lower() != ".svg":
             raise ConfigError(f"{output}: the picture of --prove is SVG; name a file .svg")
-    with file_progress(given.paths, quiet=printing.quiet or printing.json) as bar:
-        diagnosis, proof = prove_capture(lambda: open_input(given, settings, aligned=True, progress=bar))
+    with file_progress(inputs.paths, quiet=printing.quiet or printing.json) as bar:
+        diagnosis, proof = prove_capture(lambda: open_input(inputs, settings, aligned=True, progress=bar))
     if output is not None and not proof.not_modelled:
-        picture = proof_picture(proof, diagnosis.zero_ns, " and ".join(item.name for item in given.paths))
+        picture = proof_picture(proof, diagnosis.zero_ns, " and ".join(item.name for item in inputs.paths))
         write_bytes(output, picture.encode())
     if printing.json:
         print_json(proof.as_json())

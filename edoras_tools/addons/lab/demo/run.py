@@ -349,9 +349,9 @@ class Demo:
         publisher = commands(self.lanes, self._types, self._node(stack, "foxglove"))
         info = SourceInfo(f"emulated {self.plan.scenario}", "demo")
         attach = doors.part("foxglove").attach
-        shown: DisplaySink = attach(bench, info, listen=where, publisher=publisher)
-        self.foxglove = shown
-        stack.callback(shown.close, SourceStatistics())
+        sink: DisplaySink = attach(bench, info, listen=where, publisher=publisher)
+        self.foxglove = sink
+        stack.callback(sink.close, SourceStatistics())
 
     def _add_note(self, text: str) -> None:
         """Forward a note; start the nodes once cFS is connected."""

@@ -106,10 +106,10 @@ def _interval(
     values: Sequence[float | None], step: float = 0.0, most: float = inf
 ) -> dict[str, float] | None:
     """Return the interval of a mean, from 0 to ``most``; None of fewer than two values."""
-    known = [item for item in values if item is not None]
-    if len(known) < 2:
+    numbers = [item for item in values if item is not None]
+    if len(numbers) < 2:
         return None
-    mean, low, high = mean_interval(known, step)
+    mean, low, high = mean_interval(numbers, step)
     return {"mean": mean, "low": max(0.0, low), "high": min(most, high)}
 
 
@@ -126,12 +126,12 @@ class Experiment:
 
     def __init__(self, plan: ExperimentPlan, folder: Path) -> None:
         self.plan, self.folder = plan, folder
-        kept = folder / PLAN
+        plan_path = folder / PLAN
         text = json.dumps(plan.as_json(), indent=1, sort_keys=True, default=str)
-        if kept.exists() and kept.read_text() != text:
+        if plan_path.exists() and plan_path.read_text() != text:
             raise ConfigError(f"{folder}: has runs of another plan; name another folder with -o")
         self.benches = {cell.name: CellBench(plan, cell) for cell in plan.cells()}
-        write_bytes(kept, text.encode(), folders=True)
+        write_bytes(plan_path, text.encode(), folders=True)
 
     def run(self, on_run: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
         """Make the runs that are not there; write what is known of each cell, and return it.

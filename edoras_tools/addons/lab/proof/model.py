@@ -373,16 +373,16 @@ class Model:
         return ModelRun(lost, at_pipes)
 
 
-def prove(found: Diagnosis, case: Case, stimuli: Sequence[Stimulus], span: tuple[int, int]) -> CaptureProof:
+def prove(result: Diagnosis, case: Case, stimuli: Sequence[Stimulus], span: tuple[int, int]) -> CaptureProof:
     """Hold the judged part of a capture against the emulated cFS.
 
     Args:
-        found: the diagnosis of that part.
+        result: the diagnosis of that part.
         case: what it was judged by.
         stimuli: what went into cFS then, and shortly before.
         span: from when to when, ns since 1970.
     """
-    seconds = (span[0] - found.zero_ns) / SECOND, (span[1] - found.zero_ns) / SECOND
+    seconds = (span[0] - result.zero_ns) / SECOND, (span[1] - result.zero_ns) / SECOND
     if why := _not_modelled(case):
         return CaptureProof(seconds, not_modelled=why)
     model = Model(case, *span)
@@ -393,12 +393,12 @@ def prove(found: Diagnosis, case: Case, stimuli: Sequence[Stimulus], span: tuple
     runs, proofs = [model.runs(hosts[0], inputs)], list[CaptureProof]()
     for pair in pairwise(hosts):
         runs.append(model.runs(pair[1], inputs))
-        rows = _rows(found, case, runs[-2] + runs[-1])
+        rows = _rows(result, case, runs[-2] + runs[-1])
         proofs.append(CaptureProof(seconds, rows, hosts=pair, run=runs[-2][0]))
         if proofs[-1].explained:
             break
     proof = min(proofs, key=lambda item: sum(row.distance for row in item.rows))
-    advices = list(_advices(found, case, model, proof.hosts[0], inputs))
+    advices = list(_advices(result, case, model, proof.hosts[0], inputs))
     return replace(proof, advices=advices, lost_ns=_lost_times(case))
 
 
@@ -445,10 +445,10 @@ def _not_modelled(case: Case) -> str:
     return f"{pipes[0]} is of an application that is not EDORAS's" if pipes else ""
 
 
-def _rows(found: Diagnosis, case: Case, runs: Sequence[ModelRun]) -> list[ProofRow]:
+def _rows(result: Diagnosis, case: Case, runs: Sequence[ModelRun]) -> list[ProofRow]:
     numbers: dict[int, tuple[int, int, int, int]] = {}
     unknown = 0
-    for row in found.balance:
+    for row in result.balance:
         if row.msg_id is None:  # may be of any
             unknown += row.all_lost + row.unaccounted + row.uncertain
             continue
@@ -482,11 +482,11 @@ def _lost_times(case: Case) -> dict[str, list[int]]:
 
 
 def _advices(
-    found: Diagnosis, case: Case, model: Model, host: Host, inputs: ModelInput
+    result: Diagnosis, case: Case, model: Model, host: Host, inputs: ModelInput
 ) -> Iterator[AdviceProof]:
     """Yield what becomes of each advice that promises what will be left, of the worst loss first."""
     tried: set[tuple[int, str]] = set()
-    for problem in summarize(found).problems:
+    for problem in summarize(result).problems:
         msg_id = problem.verdicts[0].msg_id if problem.verdicts else None
         if msg_id is None or problem.left is None:
             continue

@@ -222,9 +222,9 @@ def route_of(name: str, link: Link | None, mission: Mission) -> Route:
         towards = mission.msg_ids.is_command(number)
         link = link or carrying("ground", to_cfs=towards)
         return Route(f"0x{number:04x}", "", number, link, "command" if towards else "telemetry")
-    found = mission.find(name)
+    route = mission.find(name)
     raise RouteError(
-        f"{found.topic} uses {found.link.label}, not {link.label if link else 'this link'}; "
+        f"{route.topic} uses {route.link.label}, not {link.label if link else 'this link'}; "
         "leave --to out, or name the route by its MsgId"
     )
 

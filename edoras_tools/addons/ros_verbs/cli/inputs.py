@@ -62,9 +62,9 @@ class QosOptions(NamedTuple):
         qos = fitting_qos(publishers)
         reliable = {"reliable": True, "best_effort": False, None: qos.reliable}
         lasting = {"transient_local": True, "volatile": False, None: qos.transient_local}
-        for value, known in ((self.reliability, reliable), (self.durability, lasting)):
-            if value not in known:
-                raise BadParameter(f"{value!r} is not one of {', '.join(filter(None, known))}")
+        for value, choices in ((self.reliability, reliable), (self.durability, lasting)):
+            if value not in choices:
+                raise BadParameter(f"{value!r} is not one of {', '.join(filter(None, choices))}")
         kinds = {"reliable": reliable[self.reliability], "transient_local": lasting[self.durability]}
         return replace(qos, **kinds, depth=self.depth or qos.depth)
 
@@ -110,8 +110,8 @@ class SourceOptions(NamedTuple):
             CaptureError: it cannot be opened.
         """
         if not self.reads_graph(words):
-            given = InputOptions(FileOptions(words.files), LiveOptions(self.interface, self.listen))
-            return open_input(given, decoding.settings(), messages=True)
+            inputs = InputOptions(FileOptions(words.files), LiveOptions(self.interface, self.listen))
+            return open_input(inputs, decoding.settings(), messages=True)
         from edoras_tools.addons.ros_verbs.source import open_source
 
         return open_source(self.request(words.topics, qos), decoding.settings())

@@ -57,16 +57,16 @@ def observe(
     else:
         with reading(source, bench, limits=limits) as loop:
             deque(loop, maxlen=0)
-    found = source.summaries()
+    summaries = source.summaries()
     if printing.json:
         seconds, outputs = (monotonic_ns() - began) / 1e9, report.outputs if report else ()
-        whole = {"graph": source.info.name, "seconds": round(seconds, 3), "topics": found}
+        whole = {"graph": source.info.name, "seconds": round(seconds, 3), "topics": summaries}
         print_json({**whole, "outputs": [str(path) for path in outputs]})
     elif not printing.quiet:
-        sys.stdout.write("".join(f"{line}\n" for item in found for line in _lines(item)))
+        sys.stdout.write("".join(f"{line}\n" for item in summaries for line in _lines(item)))
     if report is not None:
         finish(report, live=True)
-    if any(item["lost"] or any(one["missed"] for one in item["publishers"]) for item in found):
+    if any(item["lost"] or any(one["missed"] for one in item["publishers"]) for item in summaries):
         raise Exit(LOST)
 
 

@@ -86,21 +86,21 @@ def play(
         len(loaded.out) * request.passes or None, quiet=quiet or json, keys=bool(keys)
     ) as watcher:
         report = playing.play(loaded, node, request, bench.mission, name=name, keys=keys, watcher=watcher)
-    found, names = (
+    summary, names = (
         report.summary(),
         ("sent", "rate_achieved_hz", "duration_s", "lateness_us", "errors", "notes"),
     )
     if json:
         topics = [{"topic": item.topic, "type": item.type, **asdict(item.qos)} for item in loaded.topics]
-        figures = {key: found[key] for key in (*names, "interrupted")}
+        figures = {key: summary[key] for key in (*names, "interrupted")}
         print_json({"graph": name, "total": report.total, **figures, "topics": topics})
     elif not quiet:
-        late = " us, ".join(f"{key} {value}" for key, value in found["lateness_us"].items())
+        late = " us, ".join(f"{key} {value}" for key, value in summary["lateness_us"].items())
         sys.stdout.write(
-            f"published {report.sent:,} messages in {found['duration_s']:.1f} s, late by {late} us\n"
+            f"published {report.sent:,} messages in {summary['duration_s']:.1f} s, late by {late} us\n"
         )
     for note in (
-        *found["notes"],
+        *summary["notes"],
         *(f"{count:,} not published: {why}" for why, count in report.errors.items()),
     ):
         tell(note)

@@ -247,17 +247,17 @@ def info(
     """Show type, publishers and subscriptions of a topic, as ros2 topic info does."""
     words = Words.of(arguments)
     name = words.topic("topic info")
-    found = next((item for item in _topics(words, source, decoding) if item["topic"] == name), None)
-    if found is None:
+    entry = next((item for item in _topics(words, source, decoding) if item["topic"] == name), None)
+    if entry is None:
         raise ConfigError(f"unknown topic {name!r}; edoras topic list shows all")
     if json:
-        _print_topics(words, [found])
+        _print_topics(words, [entry])
         return
     end = "\n\n" if verbose else "\n"
-    sys.stdout.write(f"Type: {found['type']}{end}")
+    sys.stdout.write(f"Type: {entry['type']}{end}")
     for noun, key in (("Publisher", "publishers"), ("Subscription", "subscriptions")):
-        sys.stdout.write(f"{noun} count: {'unknown' if found[key] is None else found[key]}{end}")
-        for text in found["details"][key] if verbose else ():
+        sys.stdout.write(f"{noun} count: {'unknown' if entry[key] is None else entry[key]}{end}")
+        for text in entry["details"][key] if verbose else ():
             sys.stdout.write(f"{text}{end}")
 
 

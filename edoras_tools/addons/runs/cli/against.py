@@ -40,70 +40,70 @@ def against(
     first = open_files(files)
     quiet = printing.quiet or printing.json
     with file_progress([first.info.name], quiet=quiet) as bar:
-        found = diff(first, open_files([other]), settings.workbench(first.info), scope, bar)
+        comparison = diff(first, open_files([other]), settings.workbench(first.info), scope, bar)
     if printing.json:
-        print_json(found.as_json())
-    elif found.common:
-        print_view(lambda width: comparison_table(found, width))
-    if not found.common:
+        print_json(comparison.as_json())
+    elif comparison.common:
+        print_view(lambda width: comparison_table(comparison, width))
+    if not comparison.common:
         names = ", ".join(map(str, files))
         raise CaptureError(
             f"{names} and {other}: no datagram in common; name two captures of the same traffic"
         )
-    if found.lost:
+    if comparison.lost:
         raise Exit(LOST)
 
 
 def bags(
     settings: Settings,
     scope: Scope,
-    given: InputOptions,
+    inputs: InputOptions,
     others: list[Path],
     printing: options.PrintOptions,
     *,
     verbose: bool,
 ) -> None:
     """Compare a capture, or the first of several bags, with bags of the ROS side."""
-    files, judged = given.paths, None
+    files, judged = inputs.paths, None
     if not files and len(others) < 2:
         raise ConfigError("--bag needs a capture, or a second bag: edoras doctor CAPTURE --bag BAG")
     if files:
         quiet = printing.quiet or printing.json
         with file_progress(files, quiet=quiet) as bar:
-            source, bench = open_input(given, settings, aligned=True, progress=bar)
-            found = against_capture(source, others, bench, scope, bar)
+            source, bench = open_input(inputs, settings, aligned=True, progress=bar)
+            comparisons = against_capture(source, others, bench, scope, bar)
             if all(path.is_file() or path.is_dir() for path in files):  # a pipe is read only once
-                source, bench = open_input(given, settings, aligned=True, progress=bar)
+                source, bench = open_input(inputs, settings, aligned=True, progress=bar)
                 judged = examine(source, bench, scope=scope, pace=Pace(monotonic_ns), progress=bar)
     elif scope.selection or scope.period:
         raise ConfigError("--start, --end and what selects packets have no effect on bags alone")
     else:
-        found = against_bag(others[0], others[1:], settings.workbench().types)
-    lost = sum(item.comparison.lost for item in found)
+        comparisons = against_bag(others[0], others[1:], settings.workbench().types)
+    lost = sum(item.comparison.lost for item in comparisons)
     ways: list[Chain] = []
     if judged:
-        ways = chains(judged.diagnosis.balance, judged.diagnosis.topics, bridge_counts(found))
+        ways = chains(judged.diagnosis.balance, judged.diagnosis.topics, bridge_counts(comparisons))
         if not printing.json:
             print_diagnosis(judged.diagnosis, source.info.name, quiet=printing.quiet, verbose=verbose)
     if printing.json:
         print_json(
             {
                 "lost": lost,
-                "bags": [item.as_json() for item in found],
+                "bags": [item.as_json() for item in comparisons],
                 "chains": [item.as_json() for item in ways],
                 "diagnosis": judged.summary() if judged else None,
             }
         )
     else:
-        _print_bags(found, ways, ", ".join(map(str, files or others[:1])))
+        _print_bags(comparisons, ways, ", ".join(map(str, files or others[:1])))
     for warning in judged.warnings if judged else ():
         tell(warning)
     if lost or (judged and judged.diagnosis.bad):
         raise Exit(LOST)
 
 
-def _print_bags(found: list[BagComparison], ways: list[Chain], first: str) -> None:
-    for item in found:
+def _print_bags(comparisons: list[BagComparison], ways: list[Chain], first: str) -> None:
+    for item in comparisons:
         print_view(f"first: {first}, second: {item.bag}")
         print_view(partial(comparison_table, item.comparison))
         if item.left_out:

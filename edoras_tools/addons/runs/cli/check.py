@@ -38,7 +38,7 @@ class CheckOptions(NamedTuple):
 @grouped
 def check(
     *,
-    given: InputOptions,
+    inputs: InputOptions,
     task: CheckOptions,
     duration: options.Duration = None,
     part: options.ScopeOptions,
@@ -61,9 +61,9 @@ def check(
 
     scope = part.scope()
     if task.init:
-        _draft(given, task, scope, printing, decoding)
+        _draft(inputs, task, scope, printing, decoding)
         return
-    if task.update and (task.junit or printing.json or any(given.live)):
+    if task.update and (task.junit or printing.json or any(inputs.live)):
         raise ConfigError(
             "--update changes the expectations by a recording: leave --junit, --json and -i out"
         )
@@ -71,17 +71,17 @@ def check(
         raise ConfigError(
             "--output is an option of --init, --force of --init and --junit, which writes results to a file"
         )
-    given, path = _expectations(given)
-    live = not given.paths
+    inputs, path = _expectations(inputs)
+    live = not inputs.paths
     if live and scope.period:
         raise ConfigError("--start and --end select part of a file; for live traffic use --duration")
-    options.check_duration(duration, given.paths)
+    options.check_duration(duration, inputs.paths)
     if task.junit is not None:
-        check_new(task.junit, [*given.paths, path], force=task.force)
+        check_new(task.junit, [*inputs.paths, path], force=task.force)
     expected, (json, quiet) = load_expectations(path), printing
-    with file_progress(given.paths, quiet=quiet or json or live) as bar:
+    with file_progress(inputs.paths, quiet=quiet or json or live) as bar:
         opened = partial(
-            open_input, given, decoding.settings(constants=True), aligned=True, messages=True, progress=bar
+            open_input, inputs, decoding.settings(constants=True), aligned=True, messages=True, progress=bar
         )
         source, bench = opened()
         pace = Pace(monotonic_ns, 0, duration or 0)
@@ -103,19 +103,19 @@ def check(
         raise Exit(LOST)
 
 
-def _expectations(given: InputOptions) -> tuple[InputOptions, Path]:
+def _expectations(inputs: InputOptions) -> tuple[InputOptions, Path]:
     """Return the inputs, and the file of expectations, which is named last."""
-    files, read = given.files
+    files, read = inputs.files
     form = "edoras check FILE... EXPECT.yaml; --init FILE drafts the expectations from a good recording"
     if not files:
         raise ConfigError(f"name the expectations last: {form}")
-    if len(files) == 1 and not read and not any(given.live):
+    if len(files) == 1 and not read and not any(inputs.live):
         raise ConfigError(f"{files[0]}: two files are needed: {form}")
-    return given._replace(files=FileOptions(files[:-1], read)), files[-1]
+    return inputs._replace(files=FileOptions(files[:-1], read)), files[-1]
 
 
 def _draft(
-    given: InputOptions,
+    inputs: InputOptions,
     task: CheckOptions,
     scope: Scope,
     printing: options.PrintOptions,
@@ -126,14 +126,14 @@ def _draft(
 
     if task.junit or printing.json:
         raise ConfigError("--init only drafts expectations: --junit and --json cannot be used with it")
-    if any(given.live) or not given.paths:
+    if any(inputs.live) or not inputs.paths:
         raise ConfigError("--init drafts from a recording: edoras check --init FILE...")
-    path = recordings.text_output(task.output, given.paths, force=task.force)
-    with file_progress(given.paths, quiet=printing.quiet) as bar:
+    path = recordings.text_output(task.output, inputs.paths, force=task.force)
+    with file_progress(inputs.paths, quiet=printing.quiet) as bar:
         runs = []
-        for item in run_paths(given.paths):
+        for item in run_paths(inputs.paths):
             source, bench = open_input(
-                given._replace(files=FileOptions([item], None)),
+                inputs._replace(files=FileOptions([item], None)),
                 decoding.settings(constants=True),
                 messages=True,
                 progress=bar,
@@ -141,9 +141,9 @@ def _draft(
             runs.append(Run.read(source, bench, scope=scope, progress=bar))
             _check_whole(runs[-1].findings)
             _end(source, runs[-1].findings, live=False)
-    made = Draft(runs)
-    recordings.put_text(made.text, path)
-    for note in made.notes if not printing.quiet else ():
+    draft = Draft(runs)
+    recordings.put_text(draft.text, path)
+    for note in draft.notes if not printing.quiet else ():
         tell(note)
     unexamined = [str(item) for run in runs for item in run.findings.unnamed]
     for line in dict.fromkeys(unexamined):

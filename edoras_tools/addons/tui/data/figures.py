@@ -64,15 +64,15 @@ def rate_figure(
     for key, places in by_value(keys):
         counts[key] = RateCounts()
         counts[key].add_spans(since[places], seconds[places], np.ones(len(places), np.int64))
-    named = [(_name(key, context), item) for key, item in counts.items()]
-    named.sort(key=lambda item: -item[1].total)
-    if len(named) > _MOST_LINES:
+    series = [(_name(key, context), item) for key, item in counts.items()]
+    series.sort(key=lambda item: -item[1].total)
+    if len(series) > _MOST_LINES:
         rest = RateCounts()
-        for _, item in named[_MOST_LINES - 1 :]:
+        for _, item in series[_MOST_LINES - 1 :]:
             rest.join(item)
-        named = [*named[: _MOST_LINES - 1], (f"{len(named) - _MOST_LINES + 1} others", rest)]
+        series = [*series[: _MOST_LINES - 1], (f"{len(series) - _MOST_LINES + 1} others", rest)]
     width = bar_seconds(span, bars)
-    lines = [item.line(0, span, width, label) for label, item in named]
+    lines = [item.line(0, span, width, label) for label, item in series]
     title = f"packets of the list, mean over {width:g} s"
     return Figure([""], [Panel(title, lines, "packets/s", beneath=True)], span)
 

@@ -102,10 +102,10 @@ def _holding(block: PacketBlock, data: NDArray[np.uint8], octets: bytes) -> NDAr
         places.append(at)
         at = text.find(octets, at + 1)
     order = np.argsort(batch.offset, kind="stable")
-    found = np.array(places, np.int64)
-    owner = np.searchsorted(batch.offset[order], found, side="right") - 1
-    found, rows = found[owner >= 0], order[owner[owner >= 0]]
-    hit[rows[found + len(octets) <= batch.offset[rows] + batch.length[rows]]] = True
+    positions = np.array(places, np.int64)
+    owner = np.searchsorted(batch.offset[order], positions, side="right") - 1
+    positions, rows = positions[owner >= 0], order[owner[owner >= 0]]
+    hit[rows[positions + len(octets) <= batch.offset[rows] + batch.length[rows]]] = True
     return hit
 
 

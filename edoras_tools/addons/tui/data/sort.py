@@ -58,8 +58,8 @@ def sort_order(
     keys: list[NDArray[Any]] = []
     for pieces in zip(*blocks, strict=True):
         _, ranks = np.unique(np.concatenate([values for values, _ in pieces]), return_inverse=True)
-        there = np.concatenate([present for _, present in pieces])
-        keys += [~there, np.where(there, -ranks if reverse else ranks, 0)]
+        has_value = np.concatenate([present for _, present in pieces])
+        keys += [~has_value, np.where(has_value, -ranks if reverse else ranks, 0)]
     return np.lexsort(keys[::-1]) if keys else np.zeros(0, np.int64)
 
 

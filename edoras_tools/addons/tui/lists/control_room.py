@@ -94,9 +94,9 @@ def _doctor_rows(doctor: Mapping[str, Any], now_ns: int, width: int) -> Iterator
         where = _problem_filter(item)
         yield from hanging(Text(f" ▌{count:>7}  ", severity.style), clean(item["text"]), width, where)
         if item["remedy"]:
-            left = f"; left: {item['promise']}" if item["promise"] else ""
+            rest = f"; left: {item['promise']}" if item["promise"] else ""
             mark = Text.assemble((" ▌", severity.style), (" " * 7 + "→ ", palette.GOOD))
-            yield from hanging(mark, clean(item["remedy"]) + left, width, where)
+            yield from hanging(mark, clean(item["remedy"]) + rest, width, where)
     age = _seconds(max(0.0, (now_ns - doctor["until_ns"]) / 1e9))
     since = f" since {units.utc(doctor['since_ns'])[11:19]}" if doctor["since_ns"] else ""
     uncertain = f"; up to {doctor['uncertain']:,} more may be lost" if doctor["uncertain"] else ""

@@ -68,8 +68,8 @@ class Drawing(Lines):
 
     def row_style(self, row: int) -> str:
         """Return the cursor's style for the lines about what is chosen; no style where nothing can be."""
-        chosen = self.filter if row < len(self._rows) else ""
-        same = row == self.cursor or (chosen and self._rows[row].filter == chosen)
+        current = self.filter if row < len(self._rows) else ""
+        same = row == self.cursor or (current and self._rows[row].filter == current)
         return "lines--cursor" if same and any(item.filter for item in self._rows) else ""
 
     def watch_cursor(self, before: int, after: int) -> None:
@@ -82,11 +82,11 @@ class Drawing(Lines):
         self._lay_out()
 
     def _lay_out(self) -> None:
-        chosen = self.filter
+        current = self.filter
         drawn = self._draw(self.room) if self._draw else [Text(f"  {self.empty}", palette.DIM)]
         self._rows = [item if isinstance(item, DrawnRow) else DrawnRow(item) for item in drawn]
-        if chosen and self.filter != chosen:
-            places = (place for place, row in enumerate(self._rows) if row.filter == chosen)
+        if current and self.filter != current:
+            places = (place for place, row in enumerate(self._rows) if row.filter == current)
             self.cursor = next(places, self.cursor)
         self.recount()
 
@@ -122,9 +122,9 @@ def finding_rows(counts: Mapping[str, int], width: int) -> list[DrawnRow]:
     """
     rows: list[DrawnRow] = []
     for label, count in sorted(counts.items(), key=lambda item: (-explain(item[0]).severity, -item[1])):
-        told = explain(label)
-        mark = Text.assemble((f" {told.severity.mark} {count:>7,}  ", told.severity.style), f"{label:<20} ")
-        rows += hanging(mark, told.meaning, width - 1, f"findings == {label}", palette.DIM)
+        entry = explain(label)
+        mark = Text.assemble((f" {entry.severity.mark} {count:>7,}  ", entry.severity.style), f"{label:<20} ")
+        rows += hanging(mark, entry.meaning, width - 1, f"findings == {label}", palette.DIM)
     return rows or [DrawnRow(Text(" no packet of the list has a finding", palette.DIM))]
 
 

@@ -35,7 +35,7 @@ _GUTTER: Final = 2
 """Cells at the left for marks."""
 _KEPT: Final = 4096
 """Drawn lines that are cached."""
-_ERRORS: Final = Finding(sum(item for item, told in EXPLANATIONS.items() if told.severity == Level.ERROR))
+_ERRORS: Final = Finding(sum(item for item, entry in EXPLANATIONS.items() if entry.severity == Level.ERROR))
 
 
 class Packets(Lines):

@@ -29,12 +29,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--listen", default="")
     parser.add_argument("--ports", default="")
     parser.add_argument("--config", default="")
-    asked, _ = parser.parse_known_args(arguments)  # newer versions of Wireshark pass more options
-    if asked.capture:  # until datagrams are read, the process can end at once without losing anything
+    request, _ = parser.parse_known_args(arguments)  # newer versions of Wireshark pass more options
+    if request.capture:  # until datagrams are read, the process can end at once without losing anything
         for number in ENDING:
             signal.signal(number, _end)
     try:
-        for line in _answer(asked):
+        for line in _answer(request):
             sys.stdout.write(f"{line}\n")
     except EdorasError as error:
         sys.stderr.write(f"edoras: {error}\n")
@@ -42,28 +42,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _answer(asked: argparse.Namespace) -> list[str]:
+def _answer(request: argparse.Namespace) -> list[str]:
     from edoras_tools.addons.wireshark import extcap
 
-    if asked.extcap_interfaces:
+    if request.extcap_interfaces:
         return extcap.interfaces_answer()
-    link = extcap.interface_link(asked.extcap_interface)
-    if asked.extcap_dlts:
+    link = extcap.interface_link(request.extcap_interface)
+    if request.extcap_dlts:
         return extcap.link_types()
-    if asked.extcap_config:
+    if request.extcap_config:
         return extcap.options()
-    if not asked.capture or asked.fifo is None:
+    if not request.capture or request.fifo is None:
         raise ConfigError(
             "this program is for Wireshark; to capture on the command line: edoras sniff -i IFACE"
         )
     wish = extcap.CaptureRequest(
         link,
-        asked.interface,
-        _words(asked.listen),
-        [Path(asked.config)] if asked.config else [],
-        [_port(word) for word in _words(asked.ports)],
+        request.interface,
+        _words(request.listen),
+        [Path(request.config)] if request.config else [],
+        [_port(word) for word in _words(request.ports)],
     )
-    extcap.capture(wish, asked.fifo)
+    extcap.capture(wish, request.fifo)
     return []
 
 

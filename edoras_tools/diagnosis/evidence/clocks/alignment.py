@@ -98,9 +98,9 @@ def _related(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) 
         back: the causes are in the second capture.
     """
 
-    def ordered(pairs: _Pairs, wait_ns: int, **told: Any) -> Ordered:
+    def ordered(pairs: _Pairs, wait_ns: int, **more: Any) -> Ordered:
         first, second = pairs[::-1] if back else pairs
-        return Ordered(first, second, back=back, wait_ns=wait_ns, **told)
+        return Ordered(first, second, back=back, wait_ns=wait_ns, **more)
 
     for pairs in _answers(cause, effect, about, back=back):
         # It may have been a later datagram that was heard: how late an answer can be, nothing tells.
@@ -132,17 +132,17 @@ def _answers(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) 
     """Yield when a peer sent its first datagram, and when a PROTO came that answered it."""
     if about is None:
         return
-    asked, told = cause.rows, effect.rows
-    asking = np.flatnonzero(asked.sbn_msg_type >= 0)
-    proto = np.flatnonzero(told.sbn_msg_type == sbn.MsgType.PROTO)
-    for way, members in groups(told.way(), proto):
+    causes, effects = cause.rows, effect.rows
+    asking = np.flatnonzero(causes.sbn_msg_type >= 0)
+    proto = np.flatnonzero(effects.sbn_msg_type == sbn.MsgType.PROTO)
+    for way, members in groups(effects.way(), proto):
         ends = [effect.recorder.endpoints[end] for end in (way & 0xFFFFFFFF, way >> 32)]
         if any(end not in cause.recorder.endpoints for end in ends):
             continue
         source, target = (cause.recorder.endpoints.index(end) for end in ends)
-        own = asking[(asked.source[asking] == source) & (asked.destination[asking] == target)]
-        sessions = _begins(asked.time_ns[own])
-        answers = _begins(told.time_ns[members])
+        own = asking[(causes.source[asking] == source) & (causes.destination[asking] == target)]
+        sessions = _begins(causes.time_ns[own])
+        answers = _begins(effects.time_ns[members])
         if len(sessions) and len(answers):
             every = np.repeat(sessions, len(answers)), np.tile(answers, len(sessions))
             pairs = _near(every, about, back=back, least=1)
@@ -270,8 +270,8 @@ class _Told:
         lines = self.lines.within(pairs)
         if not pairs or not lines:
             return self
-        told = ", and ".join(filter(None, (self.by, by)))
-        return replace(self, pairs=[*self.pairs, *pairs], lines=lines, by=told)
+        text = ", and ".join(filter(None, (self.by, by)))
+        return replace(self, pairs=[*self.pairs, *pairs], lines=lines, by=text)
 
     @property
     def line(self) -> ClockLine:
@@ -296,18 +296,18 @@ class _Told:
 
 def align(first: Recorder, second: Recorder) -> Alignment | None:
     """Tell how the second capture's clock stands to the first's; None where nothing in them tells."""
-    told = _shared(first, second)
-    if told is None:
+    shift = _shared(first, second)
+    if shift is None:
         sides = _side(first), _side(second)
         coarse = _mission_times(*sides)
-        told = _counted(first, second, coarse) or coarse
-        about = told.line if told else None
+        shift = _by_counts(first, second, coarse) or coarse
+        about = shift.line if shift else None
         pairs = [*_related(*sides, about, back=False), *_related(*sides[::-1], about, back=True)]
         ordered = _Told.of(pairs, "what came before what") if pairs else None
-        if told and ordered:
-            told = told.narrowed(ordered.pairs, ordered.by)
-        told = told or ordered
-    return told.since(int(second.rows().time_ns.min())) if told else None
+        if shift and ordered:
+            shift = shift.narrowed(ordered.pairs, ordered.by)
+        shift = shift or ordered
+    return shift.since(int(second.rows().time_ns.min())) if shift else None
 
 
 def boot_offsets(recorder: Recorder, name: str) -> list[int]:
@@ -338,8 +338,8 @@ def align_ways(first_ns: Integers, second_ns: Integers, back: Mask) -> Alignment
         ]
     elif not back.any():
         pairs = one_way(first_ns, second_ns)
-    told = next(filter(None, (_Told.of(pairs, _BOTH, loose_ns) for loose_ns in _LOOSE_NS)), None)
-    return told.since(int(second_ns.min())) if told else None
+    shift = next(filter(None, (_Told.of(pairs, _BOTH, loose_ns) for loose_ns in _LOOSE_NS)), None)
+    return shift.since(int(second_ns.min())) if shift else None
 
 
 def _side(recorder: Recorder) -> Side:
@@ -371,13 +371,13 @@ def _shared(first: Recorder, second: Recorder) -> _Told | None:
     times = a.time_ns[ours], b.time_ns[theirs]
     best: _Told | None = None
     for host in sorted(set(senders.tolist())):
-        there = senders == host
-        if there.all():
+        sent = senders == host
+        if sent.all():
             break
-        out, back = (Ordered(times[0][way], times[1][way]) for way in (there, ~there))
-        found = _Told.of([out, back._replace(back=True)], _BOTH)
-        if found and (best is None or found.lines.width < best.lines.width):
-            best = found
+        out, back = (Ordered(times[0][way], times[1][way]) for way in (sent, ~sent))
+        fit = _Told.of([out, back._replace(back=True)], _BOTH)
+        if fit and (best is None or fit.lines.width < best.lines.width):
+            best = fit
     if best is None:
         # All travel one way, or were captured at one place: delays are not more than they vary.
         best = _Told.of(one_way(*times), _BOTH)
@@ -387,8 +387,8 @@ def _shared(first: Recorder, second: Recorder) -> _Told | None:
     most_ns = int(np.abs(then[theirs] - times[0]).max())
     segment = pair_up(prints[0], a.time_ns, prints[1], then, most_ns)
     same = (segment.took_ns <= most_ns) & one(segment.into, segment.out)
-    here = np.sort(a.number[segment.into[same]])
-    return replace(best, shared=np.sort(b.number[segment.out[same]]), here=here)
+    numbers = np.sort(a.number[segment.into[same]])
+    return replace(best, shared=np.sort(b.number[segment.out[same]]), here=numbers)
 
 
 def _ways_between(ours: Integers, theirs: Integers, took_ns: Integers) -> list[tuple[list[int], list[int]]]:
@@ -401,8 +401,8 @@ def _ways_between(ours: Integers, theirs: Integers, took_ns: Integers) -> list[t
     """
     leads: list[tuple[list[int], list[int]]] = [([], []), ([], [])]
     for way, at in by_value(ours):
-        for end, there in enumerate((took_ns[at] > 0, took_ns[at] < 0)):
-            if len(at) >= _MANY and there.mean() > _MOSTLY:
+        for end, mask in enumerate((took_ns[at] > 0, took_ns[at] < 0)):
+            if len(at) >= _MANY and mask.mean() > _MOSTLY:
                 leads[0][end].append(way)
                 leads[1][end].append(int(theirs[at[0]]))
     return leads
@@ -438,7 +438,7 @@ def lost_between(first: Recorder, second: Recorder, shift: Alignment) -> tuple[t
     bits = np.uint16(0xFFFF * bool((numbers[0] == numbers[1]).all()))
     prints = [rows.bytes_print ^ rows.identification & bits for rows in sides]
     begin_ns, end_ns = max(when.min() for when in times), min(when.max() for when in times)
-    found = []
+    out = []
     for side, rows in enumerate(sides):
         inside = (times[side] > begin_ns + SECOND) & (times[side] < end_ns - SECOND)
         inside &= ~rows.streamed & ~rows.undelivered
@@ -447,10 +447,10 @@ def lost_between(first: Recorder, second: Recorder, shift: Alignment) -> tuple[t
         chance = (1 - lacking.sum() / max(to.sum(), 1)) ** back.sum()
         proven = both[side][back].all() and chance < _BY_CHANCE
         # Of a way of which it lacks most it was not to have all.
-        found.append(
+        out.append(
             (np.flatnonzero(lacking) if proven or 2 * lacking.sum() < to.sum() else none, bool(proven))
         )
-    return tuple(found)
+    return tuple(out)
 
 
 def _one(first: Recorder, second: Recorder) -> Callable[..., Mask]:
@@ -461,7 +461,7 @@ def _one(first: Recorder, second: Recorder) -> Callable[..., Mask]:
     """
     a, b = first.rows(), second.rows()
     number = _moved(first, second)
-    here, there = ([end.address for end in item.endpoints] or [""] for item in (first, second))
+    near, far = ([end.address for end in item.endpoints] or [""] for item in (first, second))
     ends = (a.source, b.source), (a.destination, b.destination)
 
     def common(ours: Places, theirs: Places) -> Integers:
@@ -474,8 +474,8 @@ def _one(first: Recorder, second: Recorder) -> Callable[..., Mask]:
     ours, theirs = matches(a.bytes_print, b.bytes_print)
     same = renamed(ours, theirs)
     pairs = {pair for end, other in ends for pair in zip(end[ours[same]], other[theirs[same]], strict=True)}
-    names = {there[other]: here[end] for end, other in pairs if there[other] != here[end]}
-    address, other_name = np.array(here), np.array([names.get(item, "") for item in there])
+    names = {far[other]: near[end] for end, other in pairs if far[other] != near[end]}
+    address, other_name = np.array(near), np.array([names.get(item, "") for item in far])
 
     def one(ours: Places, theirs: Places) -> Mask:
         numbers = a.identification[ours], b.identification[theirs]
@@ -493,7 +493,7 @@ def _moved(first: Recorder, second: Recorder) -> Integers:
     return np.array([number.get(endpoint, -1) for endpoint in second.endpoints] or [-1])
 
 
-def _counted(first: Recorder, second: Recorder, coarse: _Told | None) -> _Told | None:
+def _by_counts(first: Recorder, second: Recorder, coarse: _Told | None) -> _Told | None:
     """Tell it by counts; ``coarse`` says which of the packets of a count are meant, where it can."""
     a, b = first.rows(), second.rows()
     theirs = _key(b, _moved(first, second)[b.source].astype(np.int64), 0)
@@ -527,8 +527,8 @@ def _key(rows: Rows, source: Integers, ahead: int) -> Prints:
     for part in (source, rows.link, rows.msg_id, rows.processor_id, rows.spacecraft_id, count):
         key = (key ^ part.astype(np.int64).view(np.uint64)) * MIX
         key ^= key >> np.uint64(29)
-    counted = (rows.msg_id != NO_MSG_ID) & ~rows.has(Finding.SEQUENCE_UNSET) & (source >= 0)
-    return np.where(counted, key | np.uint64(1), np.uint64(0))
+    valid = (rows.msg_id != NO_MSG_ID) & ~rows.has(Finding.SEQUENCE_UNSET) & (source >= 0)
+    return np.where(valid, key | np.uint64(1), np.uint64(0))
 
 
 def _mission_times(first: Side, second: Side) -> _Told | None:
@@ -555,9 +555,9 @@ def _mission_times(first: Side, second: Side) -> _Told | None:
         return None  # several boots fit equally
     # Boots of one cFS follow each other: only pairs of the same boot agree with each other.
     same = [pairs[at] for at in order[group == int(votes.argmax())].tolist()]
-    told = _Told.of([_of_boot(first, second, pair) for pair in same], MISSION_TIME)
+    shift = _Told.of([_of_boot(first, second, pair) for pair in same], MISSION_TIME)
     alike = [step for pair in same for step in _same_ways(first, second, pair)]
-    return replace(told, near=[int(np.median(alike))]) if told and alike else told
+    return replace(shift, near=[int(np.median(alike))]) if shift and alike else shift
 
 
 def _one_boot(first: Side, second: Side, pair: tuple[int, int]) -> bool:
@@ -573,9 +573,9 @@ def _one_boot(first: Side, second: Side, pair: tuple[int, int]) -> bool:
         return True
     kinds = [rows.link.astype(np.int64) << 32 | rows.msg_id for rows in (ours, theirs)]
     for kind in np.intersect1d(kinds[0], kinds[1]).tolist():
-        made = ours.mission_time_ns[kinds[0] == kind], theirs.mission_time_ns[kinds[1] == kind]
-        begin, end = max(item.min() for item in made), min(item.max() for item in made)
-        if min(((item >= begin) & (item <= end)).sum() for item in made) >= _LEAST:
+        times = ours.mission_time_ns[kinds[0] == kind], theirs.mission_time_ns[kinds[1] == kind]
+        begin, end = max(item.min() for item in times), min(item.max() for item in times)
+        if min(((item >= begin) & (item <= end)).sum() for item in times) >= _LEAST:
             return False
     return True
 
@@ -595,34 +595,34 @@ def _of_boot(first: Side, second: Side, pair: tuple[int, int]) -> Ordered:
     for side, index in zip((first, second), pair, strict=True):
         own = np.flatnonzero(side.instances.of_row == index)
         boots.append((side.rows.mission_time_ns[own], side.rows.time_ns[own]))
-    begin = max(int(made.min()) for made, _ in boots)
-    windows = [(made - begin) // _LONG_NS for made, _ in boots]
+    begin = max(int(made_ns.min()) for made_ns, _ in boots)
+    windows = [(made_ns - begin) // _LONG_NS for made_ns, _ in boots]
     common = np.intersect1d(windows[0], windows[1])
     quickest = []
-    for (made, captured), window in zip(boots, windows, strict=True):
-        held = np.flatnonzero(np.isin(window, common)) if len(common) else np.arange(len(made))
-        place = window[held] if len(common) else np.zeros(len(held), np.int64)
-        at = held[least_of_each(place - place.min(), captured[held] - made[held])]
-        quickest.append((made[at], captured[at]))
-    (made, captured), (other, then) = quickest
-    apart = int(np.abs(other - made).max())
-    moved = then - (other - made)
+    for (made_ns, captured), window in zip(boots, windows, strict=True):
+        places = np.flatnonzero(np.isin(window, common)) if len(common) else np.arange(len(made_ns))
+        place = window[places] if len(common) else np.zeros(len(places), np.int64)
+        at = places[least_of_each(place - place.min(), captured[places] - made_ns[places])]
+        quickest.append((made_ns[at], captured[at]))
+    (made_ns, captured), (other, then) = quickest
+    apart = int(np.abs(other - made_ns).max())
+    moved = then - (other - made_ns)
     return Ordered(captured, moved, early_ns=HANDED_NS, wait_ns=HANDED_NS, each=True, apart_ns=apart)
 
 
 def _same_ways(first: Side, second: Side, pair: tuple[int, int]) -> list[int]:
     """Return the offset that each way tells that one boot's packets took in both, by the shortest delays."""
-    found: list[dict[tuple[Endpoint, Endpoint], int]] = []
+    offsets: list[dict[tuple[Endpoint, Endpoint], int]] = []
     for side, index in zip((first, second), pair, strict=True):
         rows = side.rows
         own = np.flatnonzero(side.instances.of_row == index)
         delay = rows.time_ns[own] - rows.mission_time_ns[own]
         ends = side.recorder.endpoints
-        found.append(
+        offsets.append(
             {
                 (ends[value >> 32], ends[value & 0xFFFFFFFF]): int(delay[members].min())
                 for value, members in by_value(rows.way(own))
                 if len(members) >= _MANY
             }
         )
-    return [found[1][way] - least for way, least in found[0].items() if way in found[1]]
+    return [offsets[1][way] - least for way, least in offsets[0].items() if way in offsets[1]]

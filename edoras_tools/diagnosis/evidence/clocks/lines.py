@@ -99,22 +99,22 @@ class _Bounds(NamedTuple):
     ahead_ns: Integers
 
 
-def _sides(told: Ordered, drift: float) -> tuple[_Bounds, _Bounds]:
+def _sides(order: Ordered, drift: float) -> tuple[_Bounds, _Bounds]:
     """Return the points below which a line stays, and those above which it does."""
-    took, apart = told.took_ns, round(told.apart_ns * drift)
-    tight = _tightest(told.first_ns, took)
-    limit = _Bounds(told.first_ns[tight], took[tight] + told.early_ns + apart)
+    took, apart = order.took_ns, round(order.apart_ns * drift)
+    tight = _tightest(order.first_ns, took)
+    limit = _Bounds(order.first_ns[tight], took[tight] + order.early_ns + apart)
     waited = _Bounds(tight[:0], tight[:0])
-    if told.wait_ns is not None and told.each:
-        loose = _tightest(told.first_ns, -took)
-        waited = _Bounds(told.first_ns[loose], took[loose] - told.wait_ns - apart)
-    elif told.wait_ns is not None:
-        window = (told.first_ns - told.first_ns.min()) // _WINDOW_NS
+    if order.wait_ns is not None and order.each:
+        loose = _tightest(order.first_ns, -took)
+        waited = _Bounds(order.first_ns[loose], took[loose] - order.wait_ns - apart)
+    elif order.wait_ns is not None:
+        window = (order.first_ns - order.first_ns.min()) // _WINDOW_NS
         quickest = least_of_each(window, took)
         # Which of them is the quickest depends on the drift that is to be found.
-        unsure = round(min(int(np.ptp(told.first_ns)), _WINDOW_NS) * drift)
-        waited = _Bounds(told.first_ns[quickest], took[quickest] - told.wait_ns - unsure)
-    if told.back:
+        unsure = round(min(int(np.ptp(order.first_ns)), _WINDOW_NS) * drift)
+        waited = _Bounds(order.first_ns[quickest], took[quickest] - order.wait_ns - unsure)
+    if order.back:
         return _Bounds(waited.time_ns, -waited.ahead_ns), _Bounds(limit.time_ns, -limit.ahead_ns)
     return limit, waited
 
@@ -150,9 +150,9 @@ def one_way(first_ns: Integers, second_ns: Integers) -> list[Ordered]:
     middle = (int(first_ns.min()) + int(first_ns.max())) // 2
     late = next((at for at, row in enumerate(hull) if first_ns[row] >= middle), len(hull) - 1)
     touched = np.array(hull[max(late - 1, 0) : late + 1])
-    left, right = int(touched[0]), int(touched[-1])
-    slope = (took[right] - took[left]) / max(first_ns[right] - first_ns[left], 1)
-    vary = int(np.median(took - took[left] - (first_ns - first_ns[left]) * slope))
+    first, right = int(touched[0]), int(touched[-1])
+    slope = (took[right] - took[first]) / max(first_ns[right] - first_ns[first], 1)
+    vary = int(np.median(took - took[first] - (first_ns - first_ns[first]) * slope))
     return [
         Ordered(first_ns, second_ns),
         Ordered(first_ns[touched], second_ns[touched], wait_ns=max(vary, 0), each=True),
@@ -165,17 +165,17 @@ def _above(time_ns: Integers, value: Integers, left: int, at: int, right: int) -
     return int(value[at] - value[left]) * int(time_ns[right] - time_ns[left]) >= rise
 
 
-def quickest_ahead(told: Ordered, begin_ns: int, drift: float) -> int:
+def quickest_ahead(order: Ordered, begin_ns: int, drift: float) -> int:
     """Return the offset at a time, by the quickest of what happened nearly at once."""
-    took = told.took_ns - (told.at_once_ns or 0)
-    moved = (-took if told.back else took) - np.rint((told.first_ns - begin_ns) * drift).astype(np.int64)
-    return int(moved.max() if told.back else moved.min())
+    took = order.took_ns - (order.at_once_ns or 0)
+    moved = (-took if order.back else took) - np.rint((order.first_ns - begin_ns) * drift).astype(np.int64)
+    return int(moved.max() if order.back else moved.min())
 
 
-def constant_offset(told: Sequence[Ordered]) -> tuple[int, int]:
+def constant_offset(orders: Sequence[Ordered]) -> tuple[int, int]:
     """Return the interval of the offset of a clock that does not drift; low is above high where none fits."""
     low, high = -_FAR_NS, _FAR_NS
-    for above, below in (_sides(item, 0.0) for item in told):
+    for above, below in (_sides(item, 0.0) for item in orders):
         high = min([high, *above.ahead_ns.tolist()])
         low = max([low, *below.ahead_ns.tolist()])
     return low, high
@@ -198,28 +198,28 @@ class ClockLines:
     corners: NDArray[np.float64]
 
     @classmethod
-    def of(cls, told: Sequence[Ordered], loose_ns: int = 0) -> Self | None:
+    def of(cls, orders: Sequence[Ordered], loose_ns: int = 0) -> Self | None:
         """Return the lines that agree with some pairs; None where these do not bound them.
 
         Args:
-            told: the pairs, at least one.
+            orders: the pairs, at least one.
             loose_ns: packets overtook each other by so much, or were captured so late.
         """
-        begin = min(int(item.first_ns.min()) for item in told)
-        span = max(SECOND, max(int(item.first_ns.max()) for item in told) - begin)
-        sides = [_sides(item, MOST_DRIFT) for item in told]
+        begin = min(int(item.first_ns.min()) for item in orders)
+        span = max(SECOND, max(int(item.first_ns.max()) for item in orders) - begin)
+        sides = [_sides(item, MOST_DRIFT) for item in orders]
         above, below = ([bound for side in sides for bound in side[at].ahead_ns.tolist()] for at in (0, 1))
         if not above or not below:
             return None
         base, most = min(above), span * MOST_DRIFT
         low, high = min(0, min(below) - base) - most - loose_ns, most + loose_ns + _RESOLUTION_NS
         corners = np.array([(low, low - most), (high, high - most), (high, high + most), (low, low + most)])
-        return cls(begin, span, base, corners).within(told, loose_ns)
+        return cls(begin, span, base, corners).within(orders, loose_ns)
 
-    def within(self, told: Iterable[Ordered], loose_ns: int = 0) -> Self:
+    def within(self, orders: Iterable[Ordered], loose_ns: int = 0) -> Self:
         """Return those lines that agree with further pairs; see ``of``."""
         corners, gives = self.corners, loose_ns + _RESOLUTION_NS
-        for sides in (_sides(item, MOST_DRIFT) for item in told):
+        for sides in (_sides(item, MOST_DRIFT) for item in orders):
             for sign, side in zip((1, -1), sides, strict=True):
                 part = (side.time_ns - self.begin_ns) / self.span_ns
                 value = side.ahead_ns - self.base_ns
@@ -274,11 +274,11 @@ def _cut(corners: NDArray[np.float64], sign: int, part: float, bound: float) -> 
     inside = room >= 0
     if inside.all():
         return corners
-    kept = []
+    rest = []
     for at in range(len(corners)):
         if inside[at - 1] != inside[at]:
             share = room[at - 1] / (room[at - 1] - room[at])
-            kept.append(corners[at - 1] + share * (corners[at] - corners[at - 1]))
+            rest.append(corners[at - 1] + share * (corners[at] - corners[at - 1]))
         if inside[at]:
-            kept.append(corners[at])
-    return np.array(kept).reshape(-1, 2)
+            rest.append(corners[at])
+    return np.array(rest).reshape(-1, 2)

@@ -114,8 +114,8 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> Integers:
         beside = _neighbours(level)
         beside = np.where(np.abs(beside - level) > 2 * _CYCLE_NS, beside, level)
         # Where the clock slipped within a window, each packet goes by the level that it fits.
-        here = beside[:, np.repeat(np.arange(len(edges)), np.diff(np.append(edges, len(own))))]
-        moved[own] = np.where(here <= delay + _JITTER_NS, np.minimum(here, delay), 0).max(axis=0)
+        windows = beside[:, np.repeat(np.arange(len(edges)), np.diff(np.append(edges, len(own))))]
+        moved[own] = np.where(windows <= delay + _JITTER_NS, np.minimum(windows, delay), 0).max(axis=0)
         jumps += _slips(level, own[edges], instance.name)
     return moved
 
@@ -191,8 +191,8 @@ def _parted(rows: Rows, instances: Instances) -> tuple[Jump, int] | None:
         for place in _taken_up(last, counts[after][0], at):
             before = order[place]
             first, second = instances.items[before], instances.items[after]
-            named = first.name == second.name or not (first.name and second.name)
-            if not named or first.last_ns > second.first_ns + _CYCLE_NS:
+            same = first.name == second.name or not (first.name and second.name)
+            if not same or first.last_ns > second.first_ns + _CYCLE_NS:
                 continue
             own, other = (np.flatnonzero(instances.of_row == index) for index in (before, after))
             low, high = int(own[-1]), int(other[0])
@@ -230,23 +230,23 @@ def _offset_ns(rows: Rows, own: Places) -> int:
 
 def _first_and_last(rows: Rows, own: Places) -> list[dict[tuple[int, ...], int]]:
     """Return the first and the last count of each MsgId from each endpoint, by link, endpoint and MsgId."""
-    found: list[dict[tuple[int, ...], int]] = []
+    ends: list[dict[tuple[int, ...], int]] = []
     for order in (own, own[::-1]):
         at = order[numbered(rows.link[order], rows.source[order], rows.msg_id[order])[0]]
         keys = zip(rows.link[at].tolist(), rows.source[at].tolist(), rows.msg_id[at].tolist(), strict=True)
-        found.append(dict(zip(keys, rows.sequence_count[at].tolist(), strict=True)))
-    return found
+        ends.append(dict(zip(keys, rows.sequence_count[at].tolist(), strict=True)))
+    return ends
 
 
 def _places(last: list[dict[tuple[int, ...], int]]) -> dict[tuple[int, ...], tuple[Places, Integers]]:
     """Return of each stream which instances have it, and their last counts of it."""
-    found: dict[tuple[int, ...], tuple[list[int], list[int]]] = {}
+    pairs: dict[tuple[int, ...], tuple[list[int], list[int]]] = {}
     for place, counts in enumerate(last):
         for item, count in counts.items():
-            places, known = found.setdefault(item, ([], []))
+            places, lasts = pairs.setdefault(item, ([], []))
             places.append(place)
-            known.append(count)
-    return {item: (np.array(one, np.intp), np.array(other, np.int64)) for item, (one, other) in found.items()}
+            lasts.append(count)
+    return {item: (np.array(one, np.intp), np.array(other, np.int64)) for item, (one, other) in pairs.items()}
 
 
 def _taken_up(
@@ -259,16 +259,16 @@ def _taken_up(
         begin: its own first counts.
         end: its place.
     """
-    common, taken = (np.zeros(end, np.intp) for _ in range(2))
+    common, matches = (np.zeros(end, np.intp) for _ in range(2))
     for item, count in begin.items():
         if item in last:
-            places, known = last[item]
+            places, lasts = last[item]
             places = places[: np.searchsorted(places, end)]
-            step = (count - known[: len(places)]) % _MODULUS
+            step = (count - lasts[: len(places)]) % _MODULUS
             common[places] += 1
-            taken[places] += (step > 0) & (step <= _NEXT)
-    found: list[int] = np.flatnonzero((common > 2) & (taken > _MOST_GO_ON * common)).tolist()
-    return found
+            matches[places] += (step > 0) & (step <= _NEXT)
+    earlier: list[int] = np.flatnonzero((common > 2) & (matches > _MOST_GO_ON * common)).tolist()
+    return earlier
 
 
 def _without(rows: Rows, jump: Jump, before: Mask) -> Rows:

@@ -70,12 +70,12 @@ def system_at(instances: Instances, endpoint: int, time_ns: int) -> int:
     items, systems = instances.items, instances.systems
     if len(set(systems)) < 2:
         return systems[0] if systems else 0
-    here = [at for at, item in enumerate(items) if item.host == instances.hosts[endpoint]]
+    near = [at for at, item in enumerate(items) if item.host == instances.hosts[endpoint]]
 
     def away(at: int) -> int:
         return max(items[at].first_ns - time_ns, time_ns - items[at].last_ns, 0)
 
-    return systems[min(here or range(len(items)), key=away)]
+    return systems[min(near or range(len(items)), key=away)]
 
 
 class SoftwareChanges:
@@ -141,8 +141,8 @@ class SoftwareChanges:
         state = _APP_STATES.get(command.function_code)
         app = command.app
         sent_ns, words = pattern.not_before_ns, f"0x{command.msg_id:04X},  CC = {command.function_code}, Len"
-        said = (item.message for item in self._payloads.events if 0 <= item.time_ns - sent_ns < _SLACK_NS)
-        if state is None or not app or any(words in text for text in said):  # its length is wrong
+        texts = (item.message for item in self._payloads.events if 0 <= item.time_ns - sent_ns < _SLACK_NS)
+        if state is None or not app or any(words in text for text in texts):  # its length is wrong
             return
         change = replace(pattern, subject=StateOwner("app", app), state=state)
         is_output = app in telemetry_output.NAMES
@@ -160,8 +160,8 @@ class SoftwareChanges:
 
     def _asked_ns(self, app: str, ended_ns: int) -> int:
         """Return when an application that ended by a time was told to, or what comes behind the command."""
-        asked = [int(self._rows.time_ns[item.row]) for item in self._payloads.about_apps() if item.app == app]
-        return max([ended_ns - _ENDS_NS, *(when + 1 for when in asked if when < ended_ns)])
+        times = [int(self._rows.time_ns[item.row]) for item in self._payloads.about_apps() if item.app == app]
+        return max([ended_ns - _ENDS_NS, *(when + 1 for when in times if when < ended_ns)])
 
     def _silenced(self, change: Change) -> Change:
         """Return that Telemetry Output ended, with when it fell silent where it did."""
@@ -199,13 +199,13 @@ class SoftwareChanges:
 
         if event.app == executive_services.NAME:
             for ids, state, pattern in _APP_EVENTS:
-                if event.event_id in ids and (named := pattern.search(event.message)):
-                    done = change(StateOwner("app", named[1]), state)
+                if event.event_id in ids and (match := pattern.search(event.message)):
+                    result = change(StateOwner("app", match[1]), state)
                     if event.event_id != executive_services.STARTED and state == "running":
-                        asked_ns = self._asked_ns(named[1], made_ns)
-                        yield replace(done, state="restarting", not_before_ns=asked_ns)
-                        done = replace(done, not_before_ns=max(done.not_before_ns, asked_ns))
-                    yield done
+                        asked_ns = self._asked_ns(match[1], made_ns)
+                        yield replace(result, state="restarting", not_before_ns=asked_ns)
+                        result = replace(result, not_before_ns=max(result.not_before_ns, asked_ns))
+                    yield result
         elif event.app in telemetry_output.NAMES:
             if enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):
                 yield change(_OUTPUT, "enabled", enabled["address"])
@@ -323,26 +323,26 @@ def _subscriptions(
     # them takes back what others asked for.
     key = np.stack((session, contents)) if len(at) else np.zeros((2, 0), np.int64)
     first = np.sort(np.unique(key, axis=1, return_index=True)[1])
-    chosen = np.arange(len(at)) if unsubscribed.any() else first
-    asked: dict[int, set[int]] = {}
-    for place in chosen.tolist():
+    places = np.arange(len(at)) if unsubscribed.any() else first
+    lists: dict[int, set[int]] = {}
+    for place in places.tolist():
         row, ended = int(at[place]), bool(unsubscribed[place])
         now = int(rows.time_ns[row])
         verb, state = ("UNSUB", "unsubscribed") if ended else ("SUB", "subscribed")
         for msg_id in payloads.contents[int(contents[place])].wanted:
-            members = asked.setdefault(int(session[place]), set())
+            members = lists.setdefault(int(session[place]), set())
             if ended or msg_id not in members:
                 (members.discard if ended else members.add)(msg_id)
                 subject = StateOwner("subscription", peer, msg_id)
-                begun = [item for item in begins if item.time_ns <= now]
-                if begun and not ended and now > begun[-1].time_ns + _WAKE_NS:
-                    since = begun[-1].time_ns
+                starts = [item for item in begins if item.time_ns <= now]
+                if starts and not ended and now > starts[-1].time_ns + _WAKE_NS:
+                    since = starts[-1].time_ns
                     text = f"{peer} was connected and had not subscribed to it"
                     yield Change(system, subject, "unsubscribed", since, since + _WAKE_NS, text)
                 text = f"{verb} of {peer} for 0x{msg_id:04x}"
                 yield Change(system, subject, state, now, now + _WAKE_NS, text, (row,))
     for number, item in enumerate(ends):
-        for msg_id in asked.get(number, ()):
+        for msg_id in lists.get(number, ()):
             subject = StateOwner("subscription", peer, msg_id)
             text = f"its connection ended: {item.why}"
             yield Change(system, subject, "unsubscribed", item.time_ns, item.time_ns + _WAKE_NS, text)

@@ -108,11 +108,11 @@ class Timeline:
     """
 
     def __init__(self, changes: Iterable[Change]) -> None:
-        found: dict[tuple[int, StateOwner], list[Change]] = {}
+        by_subject: dict[tuple[int, StateOwner], list[Change]] = {}
         for change in sorted(changes, key=lambda item: (item.not_before_ns, item.not_after_ns)):
-            _follow(found.setdefault((change.system, change.subject), []), change)
-        self._of = found
-        self.subjects: Sequence[tuple[int, StateOwner]] = list(found)
+            _follow(by_subject.setdefault((change.system, change.subject), []), change)
+        self._of = by_subject
+        self.subjects: Sequence[tuple[int, StateOwner]] = list(by_subject)
 
     def of(self, subject: StateOwner, system: int = 0) -> Sequence[Change]:
         """Return the changes of a subject, in order."""
@@ -121,13 +121,13 @@ class Timeline:
     def spans(self, subject: StateOwner, state: str, system: int = 0) -> list[StateSpan]:
         """Return the times in which a subject was in a state."""
         own = self.of(subject, system)
-        found = []
+        out = []
         for at, item in enumerate(own):
             if item.state == state:
                 end = own[at + 1] if at + 1 < len(own) else None
                 ends = (end.not_before_ns, end.not_after_ns) if end else (NEVER, NEVER)
-                found.append(StateSpan(item.not_before_ns, item.not_after_ns, *ends, item, end))
-        return found
+                out.append(StateSpan(item.not_before_ns, item.not_after_ns, *ends, item, end))
+        return out
 
 
 def _follow(before: list[Change], change: Change) -> None:
@@ -205,14 +205,14 @@ def reasons_for(
         end_ns: and when the last did not.
         at: writes a time for people.
     """
-    found = [
+    reasons = [
         Reason(span, reason_text(span, at))
         for system, subject, states in _blocking(way)
         for state in states
         for span in _spans(timeline, subject, state, system)
         if span.overlaps(start_ns, end_ns)
     ]
-    return sorted(found, key=lambda item: item.span[:2])
+    return sorted(reasons, key=lambda item: item.span[:2])
 
 
 def _spans(timeline: Timeline, subject: StateOwner, state: str, system: int) -> list[StateSpan]:

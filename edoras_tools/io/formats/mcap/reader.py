@@ -336,7 +336,7 @@ class McapSource(SourceDefaults):
         for (_, msg_id), count in self._flows.items():
             total[msg_id] += count
         channels: set[int] = set()
-        for (label, msg_id), asked in zip(self._flows, mask.tolist(), strict=True):
+        for (label, msg_id), is_selected in zip(self._flows, mask.tolist(), strict=True):
             counts = {label: self._flows[label, msg_id], None: total[msg_id]}
             whole = {
                 key
@@ -344,9 +344,9 @@ class McapSource(SourceDefaults):
                 if values.get("msg_id") == f"{msg_id:#06x}"
                 and self._counts.get(key) == counts.get(values.get("link"))
             }
-            if asked and not whole:
+            if is_selected and not whole:
                 return set()
-            channels |= whole if asked else set()
+            channels |= whole if is_selected else set()
         return channels
 
     @property
@@ -698,8 +698,8 @@ def _words(text: str) -> dict[str, str]:
 def _flows(text: str) -> dict[tuple[str, int], int]:
     """Return how many datagrams there are by link and MsgId, of a JSON object; empty if it is not one."""
     try:
-        named = [(name.partition("/"), count) for name, count in _words(text).items()]
-        return {(label, int(msg_id, 16)): int(count) for (label, _, msg_id), count in named}
+        counts = [(name.partition("/"), count) for name, count in _words(text).items()]
+        return {(label, int(msg_id, 16)): int(count) for (label, _, msg_id), count in counts}
     except ValueError:
         return {}
 

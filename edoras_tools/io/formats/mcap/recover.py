@@ -164,11 +164,11 @@ class _Assembly:
         file: FileBytes,
         out: McapFile | None,
         topics: KnownTopics,
-        known: Sequence[Stretch] = (),
+        stretches: Sequence[Stretch] = (),
         *,
         unproved: bool,
     ) -> None:
-        self._topics, self._known = topics, known
+        self._topics, self._known = topics, stretches
         self.stretches: list[Stretch] = []
         self.doubtful = False
         """Whether another reading with ``stretches`` may find more."""

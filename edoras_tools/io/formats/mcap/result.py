@@ -33,25 +33,25 @@ def read_again(path: Path, report: Recovery) -> Recovery:
     Raises:
         CaptureError: the file cannot be opened.
     """
-    kept, read, refusal = Counter(report.messages), Counter[str](), ""
+    expected, read, refusal = Counter(report.messages), Counter[str](), ""
     with os_errors(f"{path}: cannot be read"), path.open("rb") as file:
         try:
             summary = make_reader(file).get_summary()
             assert summary is not None, "it has just been written"
-            step = 1 + kept.total() // _BY_LIBRARY
+            step = 1 + expected.total() // _BY_LIBRARY
             for number, index in enumerate(summary.chunk_indexes):
-                found = Counter(chunk_content(file, path.name, index, summary.channels).channel_id.tolist())
-                for channel, count in found.items():
+                counts = Counter(chunk_content(file, path.name, index, summary.channels).channel_id.tolist())
+                for channel, count in counts.items():
                     read[summary.channels[channel].topic] += count
-                if number % step == 0 and found.total() <= _BY_LIBRARY:
+                if number % step == 0 and counts.total() <= _BY_LIBRARY:
                     file.seek(index.chunk_start_offset + RECORD_HEAD.size)
                     records = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
                     again = Counter(item.channel_id for item in records if isinstance(item, Message))
-                    refusal = refusal if again == found else "the mcap library finds other messages in it"
+                    refusal = refusal if again == counts else "the mcap library finds other messages in it"
         except (CaptureError, McapError, EOFError, ValueError) as error:
             refusal = str(error)
-    if read != kept and not refusal:
-        refusal = f"its index leads to {read.total():,} of {kept.total():,} messages"
+    if read != expected and not refusal:
+        refusal = f"its index leads to {read.total():,} of {expected.total():,} messages"
     if not refusal:
         return report
     return replace(report, lost=True, reasons=[*report.reasons, f"of the result: {refusal}"])

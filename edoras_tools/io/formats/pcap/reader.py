@@ -139,12 +139,12 @@ class PcapSource(RecordSource):
         edge = place + RECORD_HEADER_BYTES + captured
         if not far:
             return self._next_record(place + RECORD_HEADER_BYTES, edge) is not None
-        found = self._search(place + 1, min(end, edge + SEARCHED), near=True)
-        return not captured or (found is not None and found < edge)
+        next_place = self._search(place + 1, min(end, edge + SEARCHED), near=True)
+        return not captured or (next_place is not None and next_place < edge)
 
     def _next_record(self, start: int, end: int) -> int | None:
-        found = self._search(start, end, near=True)
-        return self._search(start, end, near=False) if found is None and self._latest_s else found
+        place = self._search(start, end, near=True)
+        return self._search(start, end, near=False) if place is None and self._latest_s else place
 
     def _search(self, start: int, end: int, *, near: bool) -> int | None:
         """Return where a record begins, of about the time of the last one, or one that many others follow."""

@@ -64,7 +64,7 @@ class Clock:
             amount = first * SECOND + (second * SECOND >> 32)
             self.time_ns(now)
             self._adjust_ns = setting.sign * amount
-            return Event.of(setting.done, seconds=first, subseconds=second, sign=setting.direction)
+            return Event.of(setting.accepted, seconds=first, subseconds=second, sign=setting.direction)
         if second >= facts.MICROSECONDS:
             return Event.of(setting.refused, seconds=first, micros=second, sign=setting.direction)
         time_ns = first * SECOND + second * MICROSECOND
@@ -78,5 +78,5 @@ class Clock:
             self.stcf_ns += setting.sign * time_ns
         fraction = (second << 32) // facts.MICROSECONDS
         return Event.of(
-            setting.done, seconds=first, micros=second, subseconds=fraction, sign=setting.direction
+            setting.accepted, seconds=first, micros=second, subseconds=fraction, sign=setting.direction
         )
