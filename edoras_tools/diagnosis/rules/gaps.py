@@ -201,7 +201,8 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
     missed = [(item, item.ends["missed"]) for item in case.commands.fates.values()]
     unsure = [(item.stream, number) for item, number in missed if number]
     ends = case.telemetry.ended
-    unsure += [(it, n) for it in case.streams if (n := ends(it, "uncertain") + ends(it, "astray"))]
+    own = ((item, ends(item, "uncertain") + ends(item, "astray")) for item in case.streams)
+    unsure += [(item, number) for item, number in own if number]
     if not unsure:
         return
     quality, most = case.quality, 100 * case.quality.upper_share()
