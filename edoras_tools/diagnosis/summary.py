@@ -369,7 +369,8 @@ def _lost(result: Diagnosis, proven: int) -> str:
     if proven == 1:
         noun, were = noun.removesuffix("s"), "was"
     routes, of = {_route(row) for row in rows}, sent_of(result, rows)
-    if len(routes) == 1 and rows[0].link and of > 1 and rows[0].msg_id is not None:
+    has_name = (rows[0].topic, rows[0].msg_id) != ("", None)
+    if len(routes) == 1 and rows[0].link and of > 1 and has_name:
         harmed = any(cause in _HARM for row in rows for cause in row.lost)
         arrived = "never arrived whole" if harmed else "never arrived"
         name = _name(result, rows[0])
