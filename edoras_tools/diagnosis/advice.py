@@ -21,7 +21,7 @@ import numpy as np
 from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
-from edoras_tools.diagnosis.evidence.copies import crowding
+from edoras_tools.diagnosis.evidence.copies import crowding, senders_at_once
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
 from edoras_tools.diagnosis.matching.streams import full_where_lacking
@@ -137,7 +137,8 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
     is_round = rounds and abs(rounds.period_ns - queue.round_ns) < queue.round_ns // near
     if rounds and is_round and rounds.share >= _FULL and _is_full(loss, rounds.most):
         return replace(queue, round_ns=rounds.period_ns), rounds.most, True
-    return queue, _limit_of(limit_command(case, loss)) or queue.limit(loss.msg_id), False
+    commanded = _limit_of(limit_command(case, loss))
+    return queue, queue.limit(loss.msg_id) if commanded is None else commanded, False
 
 
 def _is_full(loss: Loss, most: int) -> bool:
@@ -175,9 +176,14 @@ def _entry_command(case: Case, instance: int, msg_id: int, until_ns: int) -> Cha
 
 def crowding_of(case: Case, loss: Loss) -> str:
     """Return who sent what was lost more than once, in half a sentence; empty where nobody did."""
+    return crowding(case.rows, rows, case.endpoints) if len(rows := _rows_of(loss)) else ""
+
+
+def _rows_of(loss: Loss) -> Places:
+    """Return the rows of the traffic that a loss is of, in its time."""
     if loss.span is None or loss.stream is None:
-        return ""
-    return crowding(case.rows, loss.stream.rows[loss.span.first : loss.span.last + 1], case.endpoints)
+        return np.zeros(0, np.intp)
+    return loss.stream.rows[loss.span.first : loss.span.last + 1]
 
 
 def _depth(case: Case, loss: Loss, queue: queues.Queue) -> int:
@@ -228,6 +234,8 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
         return Advice(why, slower)
     arrivals = published_into(case, loss.stream).around(loss, queue.round_ns)
     own = arrivals.only(msg_id)
+    if not limit:
+        return Advice(why, _raised(case, msg_id, own.most(queue.round_ns * _LATE) + 1))
     now, fits = queue.with_limit(msg_id, limit), False
     if measured or loss.offered_hz > rate:
         fits = _explains(own.between(loss.start_ns, loss.end_ns).lost((now,), msg_id), loss.lost)
@@ -362,10 +370,7 @@ def _at_application(case: Case, loss: Loss) -> Advice:
         arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id), lost or loss.lost, waiting
     )
     why += f" ({case.origin(*names)}{', and fits what was lost' if fits else ''})"
-    source = case.rows.source[stream.rows]
-    ends = (np.unique(items, return_index=True)[1] for items in (source, source[::-1]))
-    first, last = map(np.sort, ends)  # those that send at once, not one after the other
-    senders = int((np.arange(1, len(first) + 1) - np.searchsorted(len(source) - 1 - last[::-1], first)).max())
+    senders = len(senders_at_once(case.rows, _rows_of(loss)))
     slower = f"send at most {_safe(clean):g} Hz"
     if senders > 1:
         slower += f" in all, {_safe(clean / senders):g} Hz each of {plural(senders, 'sender')}"

@@ -103,6 +103,7 @@ def learn_constants(
         overflows: whether a pipe was full.
     """
     down = among(rows.link, lambda link: link.only_from_cfs)
+    down &= (rows.duplicates == 0) & (rows.reordered == 0)  # as it was sent
     sent = [rows.time_ns[down & (rows.source == source)] for source in np.unique(rows.source[down]).tolist()]
     output = max(sent, key=len, default=rows.time_ns[:0])
     every = {"to_wake_ns": find_round(output), "ci_wake_ns": _ingest(rows, hops)}

@@ -347,6 +347,8 @@ def _copies(result: Diagnosis, proven: int) -> str:
     """Return the sentence of those that were copies, where the network doubled some of what was lost."""
     least, most = result.messages_lost, result.messages_lost + result.messages_uncertain - result.uncertain
     number = f"{least:,} to {most:,}" if least < most else f"{most:,}"
+    if not most and proven:
+        return " They are copies: every message arrived."
     return f" Some are copies: {number} messages never arrived." if least < proven else ""
 
 

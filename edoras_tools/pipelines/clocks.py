@@ -28,7 +28,7 @@ from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe_file import RESET_LOG
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -136,15 +136,11 @@ def open_aligned(
             sources.append(source)
             notes.append(note)
             continue
-        to, shift = next(
-            (
-                (other, item)
-                for other in set_back
-                if (item := align(tables[other], table))
-                and (is_cfe_file(path) or not _of_two_runs(tables[other], table, item))
-            ),
-            (0, None),
-        )
+        to, shift = next(_fits(path, tables, at, set_back), (0, None))
+        if shift is not None and not len(shift.shared):  # what both have captured tells it best
+            beside = [other for other in set_back if other > to and _overlap(tables[other], table)]
+            fits = _fits(path, tables, at, beside)
+            to, shift = next((fit for fit in fits if len(fit[1].shared)), (to, shift))
         if shift is None:
             if is_cfe_file(path):
                 source, name = _of_cfe(path)
@@ -177,6 +173,16 @@ def open_aligned(
             notes.append(f"{path}: its clock is {shift.told(str(paths[to]))}{some}")
     sources[0].statistics.astray += astray
     return OneByOne([merge_sources(sources), *alone]) if alone else merge_sources(sources), notes
+
+
+def _fits(
+    path: Path, tables: Sequence[Recorder], at: int, others: Iterable[int]
+) -> Iterator[tuple[int, Alignment]]:
+    """Yield the captures that tell how the clock of another one stands to theirs."""
+    for other in others:
+        shift = align(tables[other], tables[at])
+        if shift and (is_cfe_file(path) or not _of_two_runs(tables[other], tables[at], shift)):
+            yield other, shift
 
 
 def _holds_resets(path: Path) -> bool:

@@ -71,6 +71,10 @@ FLIGHTS = {
     "flood_of_four_kinds": (470, {"socket": 362, "no_subscriber": 108}),
     "three_losses_flight": (270, {"socket": 108, "limit": 162}),
     "once_a_second": (0, {}),
+    "limit_of_none": (8, {"limit": 8}),
+    "each_sent_twice": (18, {"limit": 18}),
+    "port_for_each": (12, {"limit": 12}),
+    "doubled_both_ways": (84, {"limit": 84}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -125,7 +129,16 @@ def first_screen(found):
     ),
     *("stood_still_when_idle", "uplink_alone", "ci_restarted_*", "entry_*"),
     *("slow_uplink", "turned_*", "link_down", "route_*", "losing_*", "never_*", "added_*", "sender_*"),
-    *("restarted_with_*", "flood_*", "three_*", "once_*"),
+    *(
+        "restarted_with_*",
+        "flood_*",
+        "three_*",
+        "once_*",
+        "limit_*",
+        "each_*",
+        "port_for_*",
+        "doubled_both_*",
+    ),
 )
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_the_doctor_says_how_many_were_lost_and_why(name):
@@ -220,6 +233,7 @@ MOST = {
     "route_to_peer_disabled": {0x1827: {}, 0x1829: {"route": 24}, 0x82A: {"route": 16}},
     "ci_and_sbn_restarted": {0x182C: {"restart": 16, "stopped": 13}, 0x82D: {"limit": 41}},
     "restarted_without_events": {0x1828: {"stopped": 11, "limit": 1}, 0x182A: {"stopped": 16}},
+    "all_restarted": {0x1806: {}, 0x1827: {"limit": 3, "stopped": 36}},
 }
 
 
@@ -268,6 +282,25 @@ def test_the_limit_is_that_of_the_command_that_was_in_force():
     text = first_screen(examined("added_again_lower"))
     assert "TO keeps 20 of this MsgId" in text
     assert "set by a command at 17.2 s" in text
+
+
+def test_a_limit_of_none_is_raised_and_no_rate_gets_through():
+    text = first_screen(examined("limit_of_none"))
+    assert "TO keeps 0 of this MsgId" in text
+    assert "publish" not in text
+
+
+def test_copies_that_were_lost_are_no_lost_messages():
+    found = examined("each_sent_twice")
+    assert (found.messages_lost, found.messages_uncertain) == (0, 0)
+    assert "They are copies: every message arrived." in summarize(found).headline
+
+
+@pytest.mark.parametrize("name", ["port_for_each", "doubled_both_ways"])
+def test_neither_many_ports_nor_copies_change_the_advice(name):
+    text = first_screen(examined(name))
+    assert "every 500 ms" in text
+    assert "send at most 7.9 Hz (" in text
 
 
 @pytest.mark.parametrize("name", ["added_again_lower", "never_started"])

@@ -188,6 +188,18 @@ def test_a_third_capture_is_aligned_by_the_one_it_shares_packets_with(tmp_path):
     assert (found.lost, found.datagrams) == (whole.lost, whole.datagrams)
 
 
+def test_a_third_capture_goes_by_the_packets_it_shares_not_by_the_first(tmp_path):
+    hosts = [
+        datagrams(ROOT / f"tests/captures/n12_two_hosts_{side}.pcap.zst") for side in ("flight", "ground")
+    ]
+    sbn = {True: [], False: []}
+    for item in hosts[0]:
+        sbn[2236 in (item.source[1], item.destination[1])].append(item)
+    inside, flight = write(tmp_path / "a.pcap", sbn[True]), write(tmp_path / "b.pcap", sbn[False])
+    ground = [item for item in hosts[1] if 2236 not in (item.source[1], item.destination[1])]
+    assert f"that of {flight} by" in diagnosed(inside, flight, write(tmp_path / "c.pcap", ground))[1][1]
+
+
 @pytest.mark.parametrize("boot", [0, 1])
 @pytest.mark.parametrize("same", [True, False], ids=["its packets are captured", "others of it"])
 def test_a_file_of_a_cfs_is_put_on_its_own_boot_or_on_none(tmp_path, boot, same):

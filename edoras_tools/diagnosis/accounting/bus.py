@@ -575,7 +575,9 @@ class Telemetry:
         stream, span = part.stream, part.span
         hop = self._case.pipe_of(stream) if kind in COUNTERS else BEHIND
         # Of a pipe the rate counts, of other places when they are missing.
-        times = (span.start_ns, span.end_ns) if kind in COUNTERS else part.among.times_ns
+        times = part.among.times_ns
+        if kind in COUNTERS and times[0] < span.end_ns:
+            times = span.start_ns, span.end_ns
         loss = Loss(kind, hop, number, *times, confidence, part.owner, stream.msg_id)
         loss.stream, loss.span, loss.of, loss.among = stream, span, of, part.among
         loss.evidence, loss.closed = list(part.evidence), part.closed

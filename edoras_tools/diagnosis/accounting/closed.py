@@ -64,6 +64,8 @@ if TYPE_CHECKING:
 _SILENT_WAKES: Final = 5
 _STOPS_NS: Final = 3 * SECOND
 """After a command that stops them, packets come for so long, also over a slow network."""
+_BRIEF: Final = 10
+"""A stop that lasts less than this part of a gap is not why most of it is missing."""
 
 
 def closed_at(case: Case, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -80,9 +82,10 @@ def closed_at(case: Case, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.bo
         out |= rows.source[stream.rows[at]] != rows.source[stream.rows[behind]]
         added_ns = _commanded_ns(case, stream, telemetry_output.ADD_PACKET)
         for when in _commanded_ns(case, stream, *telemetry_output.STOPS):
-            inside = (starts - _STOPS_NS < when) & (when < ends)
             # Where it is added again, what comes behind the one gap that ends there was lost otherwise.
             again_ns = added_ns[added_ns > when].min(initial=NEVER)
+            inside = (starts - _STOPS_NS < when) & (when < ends)
+            inside &= (ends - starts) // _BRIEF < again_ns - when
             back = np.flatnonzero(inside & (ends > again_ns))[:1]
             out |= np.isin(np.arange(len(at)), back) if len(back) else inside
         return out

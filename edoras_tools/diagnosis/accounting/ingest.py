@@ -408,11 +408,11 @@ class _Counted:
 
     def _commanded_ns(self, start_ns: int, end_ns: int) -> list[int]:
         """Return until when CI may have read on after commands that end it, of those between two times."""
-        until = [
-            int(self._case.rows.time_ns[item.row]) + _ENDS_NS
-            for item in self._case.payloads.about_apps(*executive_services.ENDS_APP)
-            if item.app in command_ingest.NAMES
-        ]
+        case, names = self._case, command_ingest.NAMES
+        about = case.payloads.about_apps(*executive_services.ENDS_APP)
+        times = [int(case.rows.time_ns[item.row]) for item in about if item.app in names]
+        said = {item.start_ns: item.ended_ns for item in case.outages if item.app in names}
+        until = (min(when + _ENDS_NS, said.get(when, end_ns)) for when in times)
         return [when for when in until if start_ns < when < end_ns]
 
     def _sent_until(self, time_ns: Any) -> NDArray[np.intp]:

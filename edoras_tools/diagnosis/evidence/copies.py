@@ -446,8 +446,8 @@ def crowding(rows: Rows, own: Places, endpoints: Sequence[Endpoint]) -> str:
     return _several_senders(rows, own, endpoints) or _echoes(rows, own)
 
 
-def _several_senders(rows: Rows, own: Places, endpoints: Sequence[Endpoint]) -> str:
-    """Tell of senders that sent at one time, not one after the other."""
+def senders_at_once(rows: Rows, own: Places) -> dict[int, Integers]:
+    """Return when each of several senders sent, if they did so at one time, not one after the other."""
     sources, counts = np.unique(rows.source[own], return_counts=True)
     least = max(_LEAST_ECHOES, _LEAST_SHARE * len(own))
     times = {
@@ -456,9 +456,15 @@ def _several_senders(rows: Rows, own: Places, endpoints: Sequence[Endpoint]) -> 
         if count >= least
     }
     if len(times) < 2:
-        return ""
+        return {}
     start_ns, end_ns = max(at[0] for at in times.values()), min(at[-1] for at in times.values())
     if any(2 * int(((at >= start_ns) & (at <= end_ns)).sum()) < len(at) for at in times.values()):
+        return {}
+    return times
+
+
+def _several_senders(rows: Rows, own: Places, endpoints: Sequence[Endpoint]) -> str:
+    if not (times := senders_at_once(rows, own)):
         return ""
     each = ", ".join(f"{endpoints[source]} at {_hz(at)}" for source, at in times.items())
     return f"{len(times)} senders sent it at once ({each})"
