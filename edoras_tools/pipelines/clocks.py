@@ -136,11 +136,7 @@ def open_aligned(
             sources.append(source)
             notes.append(note)
             continue
-        to, shift = next(_fits(path, tables, at, set_back), (0, None))
-        if shift is not None and not len(shift.shared):  # what both have captured tells it best
-            beside = [other for other in set_back if other > to and _overlap(tables[other], table)]
-            fits = _fits(path, tables, at, beside)
-            to, shift = next((fit for fit in fits if len(fit[1].shared)), (to, shift))
+        to, shift = _nearest(path, tables, at, set_back)
         if shift is None:
             if is_cfe_file(path):
                 source, name = _of_cfe(path)
@@ -175,14 +171,22 @@ def open_aligned(
     return OneByOne([merge_sources(sources), *alone]) if alone else merge_sources(sources), notes
 
 
-def _fits(
-    path: Path, tables: Sequence[Recorder], at: int, others: Iterable[int]
-) -> Iterator[tuple[int, Alignment]]:
-    """Yield the captures that tell how the clock of another one stands to theirs."""
-    for other in others:
-        shift = align(tables[other], tables[at])
-        if shift and (is_cfe_file(path) or not _of_two_runs(tables[other], tables[at], shift)):
-            yield other, shift
+def _nearest(
+    path: Path, tables: Sequence[Recorder], at: int, aligned: Iterable[int]
+) -> tuple[int, Alignment | None]:
+    """Return one of the captures that are aligned, and how the clock of another one stands to its."""
+
+    def fits(others: Iterable[int]) -> Iterator[tuple[int, Alignment]]:
+        for other in others:
+            shift = align(tables[other], tables[at])
+            if shift and (is_cfe_file(path) or not _of_two_runs(tables[other], tables[at], shift)):
+                yield other, shift
+
+    to, shift = next(fits(aligned), (0, None))
+    if shift is not None and not len(shift.shared):  # what both have captured tells it best
+        beside = (other for other in aligned if other > to and _overlap(tables[other], tables[at]))
+        return next((fit for fit in fits(beside) if len(fit[1].shared)), (to, shift))
+    return to, shift
 
 
 def _holds_resets(path: Path) -> bool:

@@ -355,7 +355,7 @@ class _Counted:
         # What was sent by then had waited in its socket, where it came out later.
         read_ns = max([ended_ns, *(int(out[sent <= ended_ns].max(initial=0)) for sent, out in self._read)])
         read = self._most_read(self._own[last:first], read_ns)
-        most_read = before + read
+        most_read, counted = before + read, before + sooner.count
         before = int(self._sent_until(ended_ns)) - lost
         if before > most_read:
             # What waited in its socket is gone with it.
@@ -363,6 +363,9 @@ class _Counted:
             span = self._own[last].seen_ns, ended_ns
             account.losses.append(Before(cause, before - most_read, *span, more=read - sooner.count))
             lost, before = lost + before - most_read, most_read
+        commands = self._commanded_ns(sooner.seen_ns - SECOND, later.seen_ns)
+        if commands and (self._arrived is None or not self._all_out):  # it may have ended at once
+            account.unsure += max(0, before - max(counted, int(self._sent_until(max(commands)[1])) - lost))
         down = sooner.instance != later.instance or any(
             item.instance == later.instance
             and item.start_ns <= later.seen_ns
@@ -401,19 +404,19 @@ class _Counted:
         for item in self._case.outages:
             if item.app in command_ingest.NAMES and item.system == self._system and item.end_ns is None:
                 stops_ns = self._commanded_ns(self._own[-1].seen_ns - SECOND, item.ended_ns)
-                since_ns = max(stops_ns, default=item.ended_ns)
+                since_ns = max(stops_ns, default=(item.ended_ns, 0))[0]
                 if unread := int((self._sent_ns > since_ns).sum()):
                     span = since_ns, int(self._sent_ns[-1])
                     account.losses.append(Before("ci_stopped", unread, *span, said=item.witness))
 
-    def _commanded_ns(self, start_ns: int, end_ns: int) -> list[int]:
-        """Return until when CI may have read on after commands that end it, of those between two times."""
+    def _commanded_ns(self, start_ns: int, end_ns: int) -> list[tuple[int, int]]:
+        """Return until when CI may have read on after commands that end it, and when these were sent."""
         case, names = self._case, command_ingest.NAMES
         about = case.payloads.about_apps(*executive_services.ENDS_APP)
         times = [int(case.rows.time_ns[item.row]) for item in about if item.app in names]
         said = {item.start_ns: item.ended_ns for item in case.outages if item.app in names}
-        until = (min(when + _ENDS_NS, said.get(when, end_ns)) for when in times)
-        return [when for when in until if start_ns < when < end_ns]
+        until = ((min(when + _ENDS_NS, said.get(when, end_ns)), when) for when in times)
+        return [item for item in until if start_ns < item[0] < end_ns]
 
     def _sent_until(self, time_ns: Any) -> NDArray[np.intp]:
         return np.asarray(np.searchsorted(self._sent_ns, time_ns, "right"))
@@ -485,7 +488,7 @@ class _Counted:
             ended_ns = max(last.seen_ns, self._case.instances.items[last.instance].last_ns)
         else:
             between = self._commanded_ns(last.seen_ns - SECOND, first.seen_ns)
-            ended_ns = max(between, default=last.seen_ns)
+            ended_ns = max(between, default=(last.seen_ns, 0))[0]
         if self._arrived is None:
             return ended_ns
         # What came out again was read: it ended where nothing does for the longest time.
