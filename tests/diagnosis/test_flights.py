@@ -410,6 +410,7 @@ def test_an_error_that_a_network_doubles_is_about_one_datagram(tmp_path):
 def test_what_came_to_the_ground_side_alone_was_lost_on_the_network_also_where_ci_was_flooded():
     found = together("three_losses_ground", "three_losses_flight")
     assert by_cause(found) == {"network": 76, "socket": 108, "limit": 162}
+    assert "capture on the cFS host" not in first_screen(found)
 
 
 def test_two_captures_of_a_far_link_are_one():

@@ -178,6 +178,11 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
             "capture on the cFS host too: packets seen there but not here were lost by the network, those "
             "missing there as well by that host's own queue (tc -s qdisc)"
         )
+        if case.capture.shared:
+            remedy = (
+                "look at the network between the captures: what one of them lacks was lost there, the rest "
+                "by the queue of the cFS host (tc -s qdisc)"
+            )
     return error(
         f"{lost:,} of {of:,} messages on {names[0] if one else f'{len(names)} MsgIds'} {where}",
         *evidence,
