@@ -5,6 +5,7 @@ import random
 import re
 import struct
 
+import mutations
 import pytest
 from effort import LONG
 from places import ROOT
@@ -96,6 +97,23 @@ def test_every_malformed_sbn_datagram_carries_its_finding(packets):
     assert {number: findings for number, findings in read.items() if findings} == {
         number: findings for number, (_, findings) in MALFORMED.items()
     }
+
+
+@pytest.mark.parametrize("option", ["-v", "--tree"])
+def test_what_its_receiver_drops_for_a_checksum_says_so(call, tmp_path, option):
+    """Of a datagram on loopback the sum of the pseudo-header alone is there: nobody finds that wrong."""
+    items = mutations.frames(ROOT / "tests/captures/a_rover.pcap.zst")
+    own = next(item for item in items if mutations.is_to(item.data, 1234))
+    whole = mutations.summed(own.data)
+    frames = [
+        own.data,
+        bytes(whole),
+        bytes(whole[:-1]) + b"\xff",
+        bytes(whole[:22]) + b"\1" + bytes(whole[23:]),
+    ]
+    path = mutations.write(tmp_path / "x.pcap", [own._replace(data=data) for data in frames])
+    out = call("sniff", "-r", path, option).out
+    assert re.findall(r"✗ (UDP|IPv4) checksum wrong", out) == ["UDP", "IPv4"]
 
 
 @pytest.mark.long

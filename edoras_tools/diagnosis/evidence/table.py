@@ -289,7 +289,7 @@ class Recorder:
                 tap=tap + life,
                 life=life,
                 streamed=np.zeros(len(batch), bool) if batch.streams is None else batch.streams,
-                undelivered=wrong_checksums(batch, network),
+                undelivered=wrong_checksums(batch, network) > 0,
                 bytes_print=whole,
                 counted=sequences.stream >= 0,
                 packet_print=packet,

@@ -36,6 +36,7 @@ from edoras_tools.io.frames.frame_batch import (
     packed_frames,
 )
 from edoras_tools.io.frames.network import (
+    CHECKSUMS,
     HOP_LIMIT,
     IPV4_HEADER,
     TCP,
@@ -46,9 +47,10 @@ from edoras_tools.io.frames.network import (
     ipv6,
     merge_rows,
     transport_payloads,
+    wrong_checksums,
 )
 from edoras_tools.links.table import framings
-from edoras_tools.model import CutDatagram, Endpoint, Finding, PacketBatch, concatenate
+from edoras_tools.model import CutDatagram, Datagram, Endpoint, Finding, PacketBatch, concatenate
 from edoras_tools.wire.arrays.window import PADDING, read_at
 
 if TYPE_CHECKING:
@@ -136,6 +138,15 @@ def network_headers(batch: PacketBatch) -> tuple[NDArray[np.int64], NDArray[np.u
         np.where(four, header["identification"], 0).astype(np.uint16),
         np.where(four, header["time_to_live"], life),
     )
+
+
+def checksum_fault(datagram: Datagram) -> str:
+    """Return which checksums of a datagram are wrong, in words; nothing where they do not tell."""
+    size = len(datagram.frame)
+    about = datagram.number, datagram.time_ns, datagram.link_type, 0, size, datagram.original_length
+    frame = FrameBatch(np.frombuffer(datagram.frame, np.uint8), *(np.array([item]) for item in about))
+    batch = demux(frame)
+    return CHECKSUMS[max(wrong_checksums(batch, network_headers(batch)[0]).tolist(), default=0)]
 
 
 def demux(frames: FrameBatch) -> PacketBatch:

@@ -6,7 +6,7 @@ RFC 791 and RFC 8200. Only packets of one transport protocol are kept, usually U
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -266,10 +266,12 @@ _ADDRESSES = {4: (np.dtype((">u2", 4)), 12), 6: (np.dtype((">u2", 16)), 8)}
 """The words of an IP header that have the addresses, and where they begin."""
 _IPV4_WORDS = np.dtype((">u2", 10))
 _ONES = 0xFFFF
+CHECKSUMS: Final = "", "UDP checksum wrong", "IPv4 checksum wrong", "UDP and IPv4 checksums wrong"
+"""What :func:`wrong_checksums` says, in words."""
 
 
-def wrong_checksums(batch: PacketBatch, network: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which datagrams their receiver drops: the checksum of UDP, or of an IPv4 header, is wrong.
+def wrong_checksums(batch: PacketBatch, network: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return which checksums of each datagram are wrong: 1 of UDP, 2 of IPv4, 3 both; its receiver drops it.
 
     Nothing is said of fragments, of what was cut, or has no checksum (0), of options, and of a checksum that
     the sender left to its network card: the field then has the sum of the pseudo-header alone (RFC 768).
@@ -277,7 +279,7 @@ def wrong_checksums(batch: PacketBatch, network: NDArray[np.int64]) -> NDArray[n
     Args:
         network: i64, where each row's network header starts.
     """
-    wrong = np.zeros(len(batch), bool)
+    wrong = np.zeros(len(batch), np.uint8)
     end = batch.frame_offset + batch.frame_length
     whole = (batch.source_port > 0) & (batch.frame_length == batch.original_length)
     whole &= (batch.offset >= network + UDP_BYTES) & (batch.offset + batch.length <= end)
@@ -299,5 +301,5 @@ def wrong_checksums(batch: PacketBatch, network: NDArray[np.int64]) -> NDArray[n
         if version == 4:
             words = read_at(batch.data, network[rows], _IPV4_WORDS)
             plain = (words[:, 5] > 0) & (words[:, 0] >> 8 == 0x45)
-            wrong[rows] |= plain & (words.sum(axis=1, dtype=np.int64) % _ONES != 0)
+            wrong[rows[plain & (words.sum(axis=1, dtype=np.int64) % _ONES != 0)]] += 2
     return wrong

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from edoras_tools.decode.lines import line_of
 from edoras_tools.decode.recorded import recorded_topic
+from edoras_tools.io.frames.linklayer import checksum_fault
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Decoded, Layer, LayerField
 from edoras_tools.render import units
-from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
+from edoras_tools.render.severity import EXPLANATIONS, Explanation, Level, ranked
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.terminal import FILE_WIDTH
 from edoras_tools.render.terminal.text import ELLIPSIS, cells, clean, clip, fit, fit_right, wrap
@@ -148,6 +149,8 @@ def _packet(decoded: Decoded) -> Iterator[TreeRow]:
 
 def _departures(decoded: Decoded) -> Iterator[TreeRow]:
     explained = [(item.label, EXPLANATIONS[item]) for item in ranked(decoded.findings)]
+    if decoded.datagram.topic == NO_ROUTE and (fault := checksum_fault(decoded.datagram)):
+        explained.insert(0, (fault, Explanation(Level.ERROR, fault, "Its receiver's kernel drops it.")))
     align = max((cells(label) + 2 for label, _ in explained), default=0)
     for label, it in explained:
         yield TreeRow(
