@@ -51,6 +51,7 @@ from edoras_tools.diagnosis.matching.streams import (
     find_streams,
 )
 from edoras_tools.diagnosis.quality import (
+    CONFIDENCE,
     HostDrops,
     Quality,
     assess_quality,
@@ -309,6 +310,16 @@ class Case:
         return assess_quality(
             self.rows, self.payloads, self.instances, self.streams, self.hops, self.tracks, holes, drops
         )
+
+    @cached_property
+    def confidence(self) -> float:
+        """The confidence for one of many streams: that one lacks more than by itself is no wonder."""
+        return 1 - (1 - CONFIDENCE) / len(self.streams)
+
+    def may_lack(self, size: int, number: int) -> int:
+        """Return how many of so many that a stream of a size lacks the capture may have missed."""
+        excluded = self.quality.excludes(number / size)
+        return 0 if excluded else min(number, self.quality.may_have_missed(size, self.confidence))
 
     @cached_property
     def shut(self) -> list[tuple[Flow, int]]:

@@ -66,6 +66,8 @@ EvidenceKind = Literal["identifications", "inputs", "ci_counts", "sequence_count
 
 CONFIDENCE: Final = 0.999
 _ANSWERED: Final = frozenset({"inputs", "ci_counts"})
+_ALONE: Final = _ANSWERED | {"sequence_counts"}
+"""Kinds that check a datagram also where others that were sent beside it are missing."""
 _TICK_NS: Final = MILLISECOND
 """The shortest clock tick of a Linux kernel."""
 _ALIKE: Final = 0.5
@@ -130,10 +132,12 @@ class Quality:
         """The numbers of datagrams checked and missing, in each group of evidence that bounds by itself.
 
         Frames that are dropped in bursts take their neighbours with them, which then check nothing: where
-        answers show that datagrams were missed, only answers bound.
+        answers show that datagrams were missed, only what is checked alone bounds.
         """
         sums: dict[tuple[int, str], tuple[int, int]] = {}
-        for item in self._answers if self.lacks_answered else self.evidence:
+        for item in self.evidence:
+            if self.lacks_answered and item.kind not in _ALONE:
+                continue
             checked, missing = sums.get((item.sender, item.kind), (0, 0))
             sums[item.sender, item.kind] = checked + item.checked, missing + item.missing
         return sorted({group for group in sums.values() if group[0]})

@@ -96,6 +96,15 @@ def test_d3_interleaved_counts_of_two_processors_are_no_loss(capture):
     assert lost == sum(row["lost"] for row in rows)
 
 
+def test_d3_says_once_what_one_traffic_lost_at_one_place_in_one_time(capture):
+    about = [
+        (item.rule, item.msg_id, item.link, item.hop, item.span)
+        for item in capture("d3_cpu1_cpu2").verdicts
+        if item.lost
+    ]
+    assert len(about) == len(set(about)) > 10
+
+
 def test_d3_names_the_peers_pipe_at_250_hz(capture):
     (verdict,) = found(capture("d3_cpu1_cpu2"), "sbn_peer_pipe")
     assert (verdict.msg_id, verdict.hop) == (0x828, "SBN_1_66_Pipe")

@@ -90,17 +90,17 @@ def track(*values, name="msg_limits"):
 
 
 @pytest.mark.parametrize(
-    ("values", "growth", "resets"),
+    ("values", "growth", "set_back"),
     [
-        ((4, 4, 9), 5, 0),
-        ((65530, 65535, 3), 9, 0),
-        ((100, 120, 0, 2), 22, 1),
-        ((7,), 0, 0),
+        ((4, 4, 9), 5, []),
+        ((65530, 65535, 3), 9, []),
+        ((100, 120, 0, 2), 22, [1]),
+        ((7,), 0, []),
     ],
 )
-def test_counters_wrap_and_are_reset(values, growth, resets):
+def test_counters_wrap_and_are_set_back(values, growth, set_back):
     told = track(*values)
-    assert (told.growth("msg_limits"), told.resets) == (growth, resets)
+    assert (told.growth("msg_limits"), told.set_back) == (growth, set_back)
     assert told.older["msg_limits"] == values[0]
 
 

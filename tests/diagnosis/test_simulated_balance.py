@@ -115,3 +115,12 @@ def test_msg_ids_of_version_2_change_nothing_but_the_numbers(lab):
         told.append((sorted(rows, key=str), [item.rule for item in found.verdicts]))
     assert told[0] == told[1]
     assert sum(row.lost.get("limit", 0) for row in found.balance) > 40
+
+
+@pytest.mark.parametrize("hertz", [10.0, 12.0, 20.0])
+def test_what_pipes_lose_behind_the_last_count_is_in_the_range(hertz, lab):
+    """Two robots share a counter, and each message is at two pipes that lose to the end."""
+    sent, counters = lab.simulate("two-rovers", 20, hz=hertz, state_hz=hertz)
+    found = lab.examine(sent)
+    assert found.lost < counters.msg_limits <= found.lost + found.uncertain
+    assert all(row.adds_up for row in found.balance)

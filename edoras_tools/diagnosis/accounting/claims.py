@@ -62,12 +62,14 @@ class Counts:
         left: kind to i64 (n,), counts between two samples that nothing has taken.
         first: kind to counts that the first sample had already, likewise.
         boot_ns: all of these are of messages that were sent later.
+        set_back: seconds in which the counters were: what they had last is in no count here.
     """
 
     times: NDArray[np.int64]
     left: dict[PipeKind, NDArray[np.int64]]
     first: dict[PipeKind, int] = field(default_factory=dict)
     boot_ns: int = 0
+    set_back: Sequence[int] = ()
 
     @classmethod
     def of(cls, track: Track, boot_ns: int, later: Mapping[PipeKind, Sequence[int]]) -> Counts:
@@ -86,6 +88,7 @@ class Counts:
             {kind: np.array(number, np.int64) for kind, number in grown.items()},
             {kind: track.older.get(name, 0) for kind, name in COUNTERS.items()},
             boot_ns,
+            track.set_back,
         )
 
     def seconds(self, times: NDArray[np.int64]) -> NDArray[np.intp]:

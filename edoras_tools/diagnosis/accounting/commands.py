@@ -46,8 +46,8 @@ from edoras_tools.diagnosis.accounting.losses import (
     regroup,
 )
 from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes
-from edoras_tools.diagnosis.matching.streams import bursts, counted_gaps, full_rounds
-from edoras_tools.diagnosis.quality import CONFIDENCE, binomial_tail, largest_number, overlapping
+from edoras_tools.diagnosis.matching.streams import counted_gaps, full_rounds
+from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
@@ -194,7 +194,7 @@ class Commands:
             return
         at, accounts = np.flatnonzero(missing), case.ingests_at(stream.receiver)
         ends = stream.time_ns[[at[0], at[-1] + 1]].tolist()
-        may = _allowance(case, len(stream), number)
+        may = case.may_lack(len(stream), number)
         evidence = [f"sequence count: {number:,} of {len(stream) + number:,} never came"]
         counted = [own.not_captured for own in accounts if own.first_ns < ends[0] and ends[1] < own.last_ns]
         if counted and not accounts[0].lost:
@@ -520,27 +520,40 @@ class Commands:
             tails: id of a stream to what counters have of it behind its last message.
             shared: counts that several kinds of traffic share.
         """
-        rest = [item.number for item in shared]
+        rest, counts = [item.number for item in shared], self._case.loss_counts
         for fate in fates:
             own = [at for at, item in enumerate(shared) if id(fate.stream) in item.flows]
             fate.ends["shared"] = sum(shared[at].number for at in own)
             if fate.seen:
                 self._rest(fate, tails)
                 self._share(fate, own, rest)
-                last = [
-                    loss.span for loss in self.losses if loss.stream is fate.stream and loss.kind in COUNTERS
-                ]
-                fate.ends["uncertain"] = self._lost_last(fate) if fate.spans[-1] in last else 0
+                lost = (loss for loss in self.losses if loss.stream is fate.stream)
+                to_end = fate.spans[-1] in [loss.span for loss in lost if loss.kind in COUNTERS]
+                together = ((shared[at].end_ns, counts[shared[at].instance].times[-1]) for at in own)
+                to_end |= any(end_ns >= last_ns for end_ns, last_ns in together)
+                fate.ends["uncertain"] = self._lost_last(fate, to_end=to_end)
 
-    def _lost_last(self, fate: Fate) -> int:
-        """Return how many of those that are last a pipe that loses to the end may lose.
+    def _lost_last(self, fate: Fate, *, to_end: bool) -> int:
+        """Return how many of those that are last a pipe may lose that loses to the end, or the one behind it.
 
-        An application that keeps the newest took as many of each round as the pipe takes.
+        What keeps the newest took as many of each round as its pipe takes.
+
+        Args:
+            to_end: its own pipe loses to the end.
         """
-        pipe = queues.application_pipe(self._case.profile, over_network=fate.stream.link.peers)
-        times = fate.stream.time_ns[fate.waits]
+        profile, out = self._case.profile, {id(hop.out) for hop in fate.hops}
+        times = fate.stream.time_ns[fate.waits & ~fate.newer]
+        pipe = queues.application_pipe(profile, over_network=fate.stream.link.peers)
         rounds = np.ptp(times) // pipe.round_ns if len(times) and fate.keeps_newest else 0
-        return max(0, fate.waiting - int(rounds) * pipe.usual_limit)
+        lost = [fate.waiting - int(rounds) * pipe.usual_limit] if to_end else []
+        for part in self.telemetry.parts:
+            stream = part.stream
+            if part.kinds and id(stream) in out and part.span.last == len(stream) - 1 and len(times):
+                onward = queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe
+                next_ = onward(profile)
+                taken = int(np.ptp(times) // next_.round_ns) * next_.limit(stream.msg_id)
+                lost.append(len(times) - taken)
+        return max([0, *lost])
 
     def _rest(self, fate: Fate, tails: Mapping[int, int]) -> None:
         ends = fate.ends
@@ -599,7 +612,7 @@ def hold_back(case: Case, claims: Sequence[Claim]) -> None:
 def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
     """Return how many the capture may have missed of some numbers that are missing from a stream."""
     of = len(stream) + int(stream.missing.sum())
-    most = case.quality.may_have_missed(of, _sure(case)) if numbers else 0
+    most = case.quality.may_have_missed(of, case.confidence) if numbers else 0
     return shares(min(sum(numbers), most), numbers, numbers)
 
 
@@ -615,18 +628,7 @@ def may_be_missed(case: Case, claims: Sequence[Claim]) -> dict[int, int]:
     for claim in claims:
         open_[claim.flow] += claim.open
     sizes = {id(stream): len(stream) for stream in case.streams}
-    return {flow: _allowance(case, sizes[flow], number) for flow, number in open_.items()}
-
-
-def _allowance(case: Case, size: int, number: int) -> int:
-    """Return how many of so many that a stream of a size lacks the capture may have missed."""
-    excluded = case.quality.excludes(number / size)
-    return 0 if excluded else min(number, case.quality.may_have_missed(size, _sure(case)))
-
-
-def _sure(case: Case) -> float:
-    """Return the confidence for one of many streams: that one lacks more than by itself is no wonder."""
-    return 1 - (1 - CONFIDENCE) / len(case.streams)
+    return {flow: case.may_lack(sizes[flow], number) for flow, number in open_.items()}
 
 
 def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate]) -> None:
@@ -654,9 +656,6 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate]) -> None:
     if not missing:
         return
     if quality.excludes(missing / sent):
-        for loss, number in _outside_bursts(case, flat, sent) if quality.lacks_answered else ():
-            _take_back(telemetry, loss, number)
-        telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
         return
     for stream in case.streams:
         own = gaps.get(id(stream), [])
@@ -664,48 +663,8 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate]) -> None:
             _take_back(telemetry, loss, share)
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
     for fate in unseen:
-        fate.ends["missed"] = _allowance(case, len(fate.stream), fate.ends["unaccounted"])
+        fate.ends["missed"] = case.may_lack(len(fate.stream), fate.ends["unaccounted"])
         fate.ends["unaccounted"] -= fate.ends["missed"]
-
-
-def _outside_bursts(case: Case, losses: Sequence[tuple[Loss, int]], sent: int) -> Iterator[tuple[Loss, int]]:
-    """Yield how many of each loss a capture that lacks some may have missed, where it cannot have missed all.
-
-    A network that fails for a time loses more then than if it lost as many evenly. What is missing at other
-    times the capture may have missed, and as large a share of what passed in those.
-
-    Args:
-        losses: each with how many of it are in doubt.
-        sent: messages of all streams, those included that are missing.
-    """
-    items = [
-        (item, most, item.among) for item, most in losses if item.among and item.among.missing is not None
-    ]
-    gaps = [(among.stream.time_ns[among.rows], among.missing) for _, _, among in items]
-    if not gaps:
-        return
-    whose = np.repeat(np.arange(len(gaps)), [len(times) for times, _ in gaps])
-    times, numbers = (np.concatenate(column) for column in zip(*gaps, strict=True))
-    order = np.argsort(times, kind="stable")
-    whose, times, numbers = whose[order], times[order], numbers[order]
-    first, sizes = bursts(times, _BURST_NS)
-    lacking = np.add.reduceat(numbers, first)
-    captured = np.sort(np.concatenate([item.time_ns for item in case.streams if item.counted]))
-    ends = np.searchsorted(captured, times[first + sizes - 1], "right")
-    passed = lacking + ends - np.searchsorted(captured, times[first])
-    share, chance = int(numbers.sum()) / sent, (1 - CONFIDENCE) / len(first)
-    pairs = zip(lacking.tolist(), passed.tolist(), strict=True)
-    beyond = np.array([binomial_tail(of - number, of, 1 - share) < chance for number, of in pairs])
-    inside = np.repeat(beyond, sizes)
-    others, of = int(numbers[~inside].sum()), sent - int(passed[beyond].sum())
-    if not others or case.quality.excludes(others / of):
-        return
-    within = numbers[inside].tolist()
-    doubtful = numbers.copy()
-    doubtful[inside] = shares(largest_number(int(passed[beyond].sum()), of, others), within, within)
-    for place, number in enumerate(np.bincount(whose, doubtful, len(items)).tolist()):
-        if number:
-            yield items[place][0], min(int(number), items[place][1])
 
 
 def _leave_quiet(case: Case, telemetry: Telemetry) -> None:

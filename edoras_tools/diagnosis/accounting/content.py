@@ -281,17 +281,17 @@ def _rounds(case: Case, hop: Hop) -> int:
 
 def _expected(case: Case, hop: Hop) -> Integers:
     """Return until when each message that goes in has to come out, behind what waits in CI's socket."""
-    own, profile = hop.into.time_ns, case.profile
-    rows = case.rows
+    profile, rows, waits_ns = case.profile, case.rows, _rounds(case, hop)
     every = np.sort(rows.time_ns[rows.destination == hop.into.receiver])
-    if hop.into.link.only_to_cfs:
-        step = profile.ci_wake_ns / profile.ci_datagrams_per_wake
-        place = np.arange(len(every)) * step
-        read = np.maximum.accumulate(every - every[:1] - place) + place + every[:1]
-    else:
-        read = every.astype(float)
-    at = np.searchsorted(every, own, "right") - 1
-    return np.asarray(read[at].astype(np.int64) + _rounds(case, hop) + _SLACK_NS)
+    own = np.searchsorted(every, hop.into.time_ns, "right") - 1
+    step = profile.ci_wake_ns / profile.ci_datagrams_per_wake if hop.into.link.only_to_cfs else 0
+    place, arrived, first = np.arange(len(every)) * step, every - every[0], hop.in_rows.argmin()
+    # The first that came out waited behind what was sent before the capture began, and came out before it.
+    read_ns, head = hop.out.time_ns[hop.out_rows[first]] - waits_ns, own[hop.in_rows[first]]
+    if hop.out_rows[first]:
+        arrived[head] = max(arrived[head], read_ns - every[0])
+    read = np.maximum.accumulate(arrived - place) + place
+    return np.asarray(read[own].astype(np.int64) + every[0] + waits_ns + _SLACK_NS)
 
 
 def _stood_still(case: Case, sent_ns: Integers, when: Integers) -> Mask:

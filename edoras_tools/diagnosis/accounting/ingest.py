@@ -292,7 +292,7 @@ class _Counted:
         account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
         sent = np.searchsorted(self._sent_ns, self._seen, "right")
         starts = [at for at in range(1, len(own)) if _began_again(own[at - 1], own[at])]
-        lost = before = last = idle_ns = 0
+        lost = before = last = idle_ns = room = 0
         crowded = False
         for first, end in pairwise([0, *starts, len(own)]):
             part = slice(first, end)
@@ -305,7 +305,8 @@ class _Counted:
                 begin: tuple[Cause, int] = ("socket" if crowded else "network", idle_ns)
                 most_read = before + self._most_read(own[last:first], own[first].made_ns) - own[first].count
                 low[0] = -_MODULUS  # it may have left something then
-                before = min(_fewer(low, high) - lost, most_read)
+                least, before = before + own[first - 1].count, min(_fewer(low, high) - lost, most_read)
+                room += max(0, before - least)
             elif first:
                 begin, lost, before = self._restarted(account, last, first, lost, before)
             else:
@@ -326,7 +327,7 @@ class _Counted:
             # What was sent before the capture began may wait, and is not lost here.
             high = high - before if first else np.minimum(high - before, sent[part])
             run = _Run(self._seen[part], low - before, high, drained, busy, 2 * most, unread)
-            lost = _follow(account, run, lost, begin)
+            lost = _follow(account, run, lost, begin, room)
             if not first and before and unread is None and account.losses and not busy[1:2].any():
                 account.unsure += max(0, before - self._surely_sent(int(emptied_ns[0])) + own[0].count)
             account.waiting = max(0, int(run.high[-1]) - lost)
@@ -592,7 +593,7 @@ def _levels(run: _Run, lost: int, most: int) -> tuple[list[_Level], int]:
     return levels, shown_less
 
 
-def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int]) -> int:
+def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], room: int) -> int:
     """Go through a run, add what is lost in it to the account; return all that is lost until its end."""
     # What a first count does not have is older than the capture.
     before = account.losses[-1:]
@@ -622,7 +623,7 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int]) -> 
                 account.add(Before(cause, number - lost, min(since_ns, until_ns), until_ns))
         lost = number
     if account.losses[-1:] != before:
-        account.losses[-1] = replace(account.losses[-1], more=max(0, levels[-1].high - lost))
+        account.losses[-1] = replace(account.losses[-1], more=max(0, levels[-1].high - lost) + room)
     return lost
 
 
@@ -748,12 +749,19 @@ class BeforeCi:
                 self.losses.append(fate.loss("network", rows, [text], among=inside))
 
     def rest(self, account: Ingest) -> None:
-        """Tell lost with a socket what did not come out and no pipe lost, as far as counts leave room."""
+        """Tell lost before CI what did not come out and no pipe lost, as far as counts leave room.
+
+        Not what the capture may have missed; and nothing where nothing counts what pipes lost.
+        """
         # Of what an application keeps the newest of, others than lost ones did not come out.
         all_out = [fate for fate in self._to(account) if fate.seen and not fate.keeps_newest]
-        for before in (item for item in account.losses if item.cause in _OUTAGES):
+        size = sum(len(fate.stream) for fate in all_out)
+        for before in account.losses if size and self._case.loss_counts else ():
+            may = self._open(all_out, before, before.since_ns)
+            number = sum(int(own.sum()) for _, own in may)
+            number -= self._case.may_lack(size, number)
             text = "so many did not come out, and its counts leave room for them"
-            self._spread(self._open(all_out, before, before.since_ns), before, before.more, [text])
+            self._spread(may, before, min(number, before.more), [text])
 
     def wait(self, account: Ingest) -> None:
         """Tell which messages may wait in CI's socket at its last count, once all else is told: the latest.

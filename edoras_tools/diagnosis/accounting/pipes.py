@@ -206,10 +206,9 @@ class Pipes:
 
     def _taken_since(self, fate: Fate, times: NDArray[np.int64]) -> int:
         """Return from when on a stream was taken: CI first takes what waits from before the capture."""
-        firsts = [hop.first for hop in fate.hops if hop.first is not None]
-        if not firsts or not fate.stream.link.only_to_cfs:
+        if not fate.hops or not fate.stream.link.only_to_cfs:
             return 0
-        out_ns, went_ns = min(firsts)
+        out_ns, went_ns = min(hop.first for hop in fate.hops)
         profile = self._case.profile
         wakes = 1 + int(np.searchsorted(times, went_ns)) // profile.ci_datagrams_per_wake
         return out_ns - wakes * profile.ci_wake_ns - LEAD_NS
@@ -378,6 +377,11 @@ class _Candidate:
         over = int(np.maximum(in_round - self.queue.limit(self.msg_id), 0).sum())
         return min(count, int(_LATE * over) + self.queue.limit(self.msg_id))
 
+    def beyond(self, sent_ns: NDArray[np.int64], start_ns: int, end_ns: int) -> int:
+        """Return how many sent between two times a pipe can have lost: it takes some each round."""
+        number, queue = int(((sent_ns > start_ns) & (sent_ns <= end_ns)).sum()), self.queue
+        return number - (end_ns - start_ns) // queue.round_ns * queue.limit(self.msg_id) if queue else number
+
     @property
     def named(self) -> tuple[str, int, str]:
         """Label of its link, MsgId and pipe."""
@@ -410,7 +414,7 @@ class Leftover:
         self._pipes, self._losses = pipes, pipes.losses
         self._older_ns = {item.endpoint: item.older_until_ns for item in case.ingests}
         self.uncaptured = Counter[int]()
-        self._without_span: dict[tuple[str, str, int, int, str], Loss] = {}
+        self._places: dict[tuple[object, ...], Loss] = {}
 
     def share(self, shared: Sequence[Shared]) -> None:
         """Share out what nothing has taken: to what events name, else to what is sent too fast for a pipe.
@@ -511,6 +515,9 @@ class Leftover:
             if fate is not None and not fate.seen:
                 sent = fate.stream.time_ns[fate.open]
                 fate.ends["earlier"] += min(counts.first.get(kind, 0), int((sent < counts.times[0]).sum()))
+                for second in counts.set_back:
+                    more = item.beyond(sent, *counts.span([second])) - int(rest[second])
+                    fate.ends["earlier"] += max(0, more)
         groups: dict[tuple[tuple[int, range], ...], list[int]] = {}
         for second in np.flatnonzero(rest).tolist():
             times = counts.span([second])
@@ -652,12 +659,12 @@ class Leftover:
         self._add(loss)
 
     def _add(self, loss: Loss) -> None:
-        """Take a loss; what an event names and the capture lacks is one."""
-        key = loss.kind, loss.hop, loss.instance, loss.msg_id, loss.sender
-        before = self._without_span.setdefault(key, loss) if loss.span is None else loss
+        """Take a loss; what one traffic lost at one place in one span is one."""
+        key = loss.kind, loss.hop, loss.instance, loss.msg_id, loss.sender, loss.span
+        before = self._places.setdefault(key, loss)
         if before is loss:
             self._losses.append(loss)
             return
         before.lost += loss.lost
         before.start_ns, before.end_ns = min(before.start_ns, loss.start_ns), max(before.end_ns, loss.end_ns)
-        before.evidence += loss.evidence[-1:]
+        before.evidence += [line for line in loss.evidence if line not in before.evidence]

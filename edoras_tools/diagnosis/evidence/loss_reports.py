@@ -36,13 +36,13 @@ class Track:
         times: when each sample was made, capture time.
         totals: counter to its growth up to each sample.
         older: counter to what the first sample already showed: lost before it.
-        resets: times that a counter was set back.
+        set_back: steps between two samples in which a counter was set back: nobody has what it had last.
     """
 
     times: list[int] = field(default_factory=list)
     totals: dict[str, list[int]] = field(default_factory=dict)
     older: dict[str, int] = field(default_factory=dict)
-    resets: int = 0
+    set_back: list[int] = field(default_factory=list)
 
     def growth(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> int:
         """Return by how much a counter grew between two times.
@@ -85,16 +85,17 @@ class Track:
     @classmethod
     def of(cls, made_ns: Integers, counters: Mapping[str, Integers]) -> Self:
         """Follow samples of the counters, each made at another time and later than the one before."""
-        track = cls(made_ns.tolist())
+        track, set_back = cls(made_ns.tolist()), np.zeros(max(len(made_ns) - 1, 0), bool)
         for name, values in counters.items():
             modulus = 1 << _WIDTHS[name]
             steps = np.diff(values) % modulus
             # Down by a little is no wrap: the counters were reset. Eight bits wrap too soon to tell.
             reset = (np.diff(values) < 0) & (steps > modulus // 2)
-            track.resets += int(reset.sum()) * (modulus > _BYTE)
+            set_back |= reset & (modulus > _BYTE)
             grown = np.cumsum(np.where(reset, values[1:], steps))
             track.older[name] = int(values[0])
             track.totals[name] = [0, *grown.tolist()]
+        track.set_back = np.flatnonzero(set_back).tolist()
         return track
 
 
@@ -117,7 +118,7 @@ def tracks(rows: Rows, payloads: Payloads, instances: Instances) -> dict[int, Tr
         for number in np.argsort(-sizes, kind="stable").tolist():
             track = _track(samples, own[which == number], instances)
             # Counters that step back again and again are those of two instances, and tell nothing.
-            if track.resets <= 1 + len(track.times) // 10:
+            if len(track.set_back) <= 1 + len(track.times) // 10:
                 by_instance[index] = track
                 break
     return by_instance

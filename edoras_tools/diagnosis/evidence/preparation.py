@@ -135,7 +135,8 @@ def prepare(
     stranger = kind[rest.places] == _PLACE[ConversationKind.STRANGER]
     if len(rest.places) < len(rows) or stranger.any():
         payloads = payloads.over(np.where(stranger, -1, rest.places), len(rows))
-    rest.rows = replace(rest.rows, undelivered=_find_astray(rest.rows, astray, sure=True))
+    surely, perhaps_astray = _find_astray(rest.rows, astray)
+    rest.rows = replace(rest.rows, undelivered=surely)
     return Prepared(
         rows=_emptied(rest.rows, stranger) if stranger.any() else rest.rows,
         payloads=payloads,
@@ -147,7 +148,7 @@ def prepare(
         duplicates=np.flatnonzero(duplicate[~copy]),
         damaged=damaged,
         doubled=doubled,
-        perhaps_astray=_find_astray(rest.rows, astray, sure=False) | alone[~copy],
+        perhaps_astray=perhaps_astray | alone[~copy],
         disordered=disordered,
         translated={
             endpoints[index].address: endpoints[name].address
@@ -170,12 +171,16 @@ class _Left:
             self.rows, self.places = self.rows.take(some), self.places[some]
 
 
-def _find_astray(rows: Rows, astray: Sequence[tuple[int, int, bool]], *, sure: bool) -> Mask:
-    out, pairs = np.zeros(len(rows), bool), {(when, value) for when, value, known in astray if known is sure}
-    near = np.flatnonzero(np.isin(rows.time_ns, [when for when, _ in pairs]))
-    key = zip(rows.time_ns[near].tolist(), rows.bytes_print[near].tolist(), strict=True)
-    out[near] = [item in pairs for item in key]
-    return out
+def _find_astray(rows: Rows, astray: Sequence[tuple[int, int, bool]]) -> tuple[Mask, Mask]:
+    """Tell which rows surely never came to the place of another capture, and which perhaps did not."""
+    sure = {(when, value): known for when, value, known in astray}
+    near = np.flatnonzero(np.isin(rows.time_ns, [when for when, _ in sure]))
+    keys = zip(rows.time_ns[near].tolist(), rows.bytes_print[near].tolist(), strict=True)
+    known = np.zeros((2, len(rows)), bool)
+    for row, key in zip(near.tolist(), keys, strict=True):
+        if key in sure:
+            known[int(not sure[key]), row] = True
+    return known[0], known[1]
 
 
 def _doubled(

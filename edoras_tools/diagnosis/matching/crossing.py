@@ -84,7 +84,6 @@ class Hop:
         delays_ns: i64, the delay of each of those.
         out_ns: i64, and when each came out.
         last_ns: the longest that one took.
-        first: when the first came out, and when it had gone in; None where none did.
         in_rows: intp, the messages that came out, as indices into the rows of ``into``.
         out_rows: intp, and what each is, as an index into those of ``out``.
     """
@@ -102,7 +101,6 @@ class Hop:
     delays_ns: Integers
     out_ns: Integers
     last_ns: int
-    first: tuple[int, int] | None
     in_rows: Places
     out_rows: Places
 
@@ -120,6 +118,12 @@ class Hop:
     def matched(self) -> int:
         """How many of those came out."""
         return int(self.arrived.sum())
+
+    @property
+    def first(self) -> tuple[int, int]:
+        """When the first came out, and when it had gone in, ns since 1970."""
+        times = self.out.time_ns[self.out_rows]
+        return int(times.min()), int(self.into.time_ns[self.in_rows[times.argmin()]])
 
     @property
     def absent(self) -> Mask:
@@ -423,8 +427,7 @@ def _match(into: Stream, out: Stream, came: Prints, went: Prints) -> Hop:
         latency=latency_of(delay[single]),
         delays_ns=delay[single][by_time],
         out_ns=out_ns[goes_row][single][by_time],
-        last_ns=int(delay.max()) if len(delay) else 0,
-        first=min(zip(out_ns[goes_row].tolist(), in_ns[from_row].tolist(), strict=True), default=None),
+        last_ns=int(delay.max(initial=0)),
         in_rows=from_row,
         out_rows=goes_row,
     )
