@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import in_16_bits, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -222,11 +222,16 @@ def _ahead(rounds_at: Integers, arrivals: Integers, reads: int, depth: int) -> I
         rounds_at: numbers of the rounds in which something arrives.
         arrivals: how much.
     """
-    ahead, waiting, before = [], 0, 0
-    for at, arriving in zip(rounds_at.tolist(), arrivals.tolist(), strict=True):
-        ahead.append(max(0, waiting - reads * (at - before)))
-        waiting, before = min(depth, ahead[-1] + arriving), at
-    return np.array(ahead, np.int64)
+    read = reads * np.diff(rounds_at, prepend=0)
+    grown = np.cumsum(np.append(0, arrivals)[:-1] - read)
+    ahead = grown - np.minimum.accumulate(grown)
+    if not (ahead[1:].astype(bool) & (ahead + arrivals > depth)[:-1]).any():
+        return ahead
+    exact, waiting = [], 0
+    for leaving, arriving in zip(read.tolist(), arrivals.tolist(), strict=True):
+        exact.append(max(0, waiting - leaving))
+        waiting = min(depth, exact[-1] + arriving)
+    return np.array(exact, np.int64)
 
 
 def _read(waiting: Integers, left_ns: Integers, wakes_ns: Integers, reads: int) -> Integers:
@@ -262,7 +267,7 @@ class _Messages(NamedTuple):
         """
         limit, group = self.limit[rows], self.kind[rows]
         if batch is not None:
-            group = numbered(batch, group)[1]
+            group = group + (group.max(initial=0) + 1) * np.cumsum(np.diff(batch, prepend=batch[:1]) != 0)
         below = _rank(group) < limit
         ahead = np.cumsum(below) - below if batch is None else _rank(batch, below)
         entered = below & (ahead < self.queue.depth)
@@ -294,8 +299,7 @@ class _Messages(NamedTuple):
 
 def _rank(group: NDArray[np.int64], among: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
     """Return how many elements of the same group stand before each one; only those ``among`` count."""
-    # 16 bits sort by radix, several times as fast.
-    order = np.argsort(group.astype(np.uint16) if group.max(initial=0) <= 0xFFFF else group, kind="stable")
+    order = np.argsort(in_16_bits(group), kind="stable")
     ones = np.ones(len(group), np.int64) if among is None else among[order].astype(np.int64)
     before = np.cumsum(ones) - ones
     ordered = group[order]

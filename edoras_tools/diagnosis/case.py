@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 import numpy as np
@@ -88,6 +89,7 @@ _MOST: Final = 0.5
 _SLACK_NS: Final = 50 * MILLISECOND
 _CLEAN_NS: Final = 10 * SECOND
 _HIGHER: Final = 1.1
+_TIME: Final = attrgetter("time_ns")
 OfLink = TypeVar("OfLink")
 
 
@@ -219,6 +221,7 @@ class Case:
         self.advice: dict[tuple[object, ...], Advice] = {}
         self._silences: dict[int, list[tuple[int, int]]] = {}
         self._times: dict[tuple[int, ...], NDArray[np.int64]] = {}
+        self._events: dict[tuple[tuple[str, ...], frozenset[int]], list[EventRecord]] = {}
 
     @cached_property
     def constants(self) -> Constants:
@@ -386,11 +389,12 @@ class Case:
                 and hosts[item.sender] == hosts[rows.source[place]]
             ]
             places.setdefault(min(own, default=(0, 0))[1], []).append(place)
-        return {key: rows.take(np.array(own)) for key, own in places.items()}
+        none = rows.take(slice(0))
+        return defaultdict(lambda: none, {key: rows.take(np.array(own)) for key, own in places.items()})
 
     def damaged_of(self, stream: Stream | None) -> Rows:
         """Return the datagrams of a stream, or of none, that the network damaged."""
-        return self.damaged.get(0 if stream is None else id(stream)) or self.prepared.damaged.take(slice(0))
+        return self.damaged[0 if stream is None else id(stream)]
 
     def arrival(self, stream: Stream) -> Hashable:
         """Return all that decides what may come out of a stream; None where nobody took it."""
@@ -655,22 +659,15 @@ class Case:
         """Return what a MsgId of version 1 that facts of cFS name is here."""
         return self.mission.msg_ids.of_known(msg_id)
 
-    @cached_property
-    def _event_times(self) -> list[int]:
-        return [item.time_ns for item in self.payloads.events]
-
     def said(
         self, start_ns: int, end_ns: int, *apps: str, event_ids: Iterable[int] = ()
     ) -> list[EventRecord]:
         """Return the events of applications, or of all, in a span of time."""
-        ids = set(event_ids)
-        times = self._event_times
-        between = slice(bisect_left(times, start_ns), bisect_right(times, end_ns))
-        return [
-            item
-            for item in self.payloads.events[between]
-            if (not apps or item.app in apps) and (not ids or item.event_id in ids)
-        ]
+        ids = frozenset(event_ids)
+        if (own := self._events.get((apps, ids))) is None:
+            own = [item for item in self.payloads.events if not apps or item.app in apps]
+            own = self._events[apps, ids] = [item for item in own if not ids or item.event_id in ids]
+        return own[bisect_left(own, start_ns, key=_TIME) : bisect_right(own, end_ns, key=_TIME)]
 
     @cached_property
     def _names(self) -> dict[str, str]:

@@ -66,9 +66,7 @@ def find_round(times: Integers) -> int | None:
     own = steps[np.abs(steps - period) < _NEAR * period]
     ratio = steps[steps < (_MULTIPLES + 0.5) * period] / period
     fits = np.abs(ratio - np.round(ratio)) < 2 * _NEAR
-    if len(own) < _OFTEN * len(steps) or fits.mean() < _NEARLY_ALL:
-        return None
-    return int(period)
+    return None if len(own) < _OFTEN * len(steps) or fits.mean() < _NEARLY_ALL else int(period)
 
 
 @dataclass(frozen=True, slots=True)

@@ -345,13 +345,14 @@ class Examination:
         faults: what a proxy or a replay did on purpose, as the recording says.
         listing: whether to list every message that was lost.
         latest: how many of each loss are listed at the most, the latest.
+        accounting: whether to give the account of every route.
     """
 
     def __init__(self, context: Context, profile: SimProfile | None = None) -> None:
         self.zero_ns: int | None = None
         self.progress: Callable[[int, int], None] = lambda _count, _of: None
         self.faults: Sequence[Fault] = ()
-        self.listing, self.latest = False, ALL
+        self.listing, self.latest, self.accounting = False, ALL, True
         self._apart: Apart | None = None
         self.context = context
         self.profile = profile or context.mission.software.profile
@@ -473,7 +474,7 @@ class Examination:
         return Diagnosis(
             verdicts=_sorted(item for item in verdicts if item.severity is not Severity.HABIT),
             habits=tuple(item for item in verdicts if item.severity is Severity.HABIT),
-            routes=accounts(case) if len(case.rows) else [],
+            routes=accounts(case) if len(case.rows) and self.accounting else [],
             peers=[item.as_json() for item in case.network.connections.values()],
             datagrams=len(case.rows),
             start_ns=min((start_ns for start_ns, _ in spans), default=case.start_ns),
@@ -502,7 +503,10 @@ class Examination:
 def _called(verdict: Verdict, case: Case) -> Verdict:
     """Return a verdict that names applications as the cFS of the capture does."""
     reason, remedy = case.called(verdict.reason), case.called(verdict.remedy)
-    return replace(verdict, reason=reason, remedy=remedy, hop=verdict.hop and case.called(verdict.hop))
+    hop = verdict.hop and case.called(verdict.hop)
+    if (reason, remedy, hop) == (verdict.reason, verdict.remedy, verdict.hop):
+        return verdict  # copying some hundred of them takes milliseconds
+    return replace(verdict, reason=reason, remedy=remedy, hop=hop)
 
 
 def _sorted(verdicts: Any) -> tuple[Verdict, ...]:

@@ -18,7 +18,7 @@ Rules:
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, get_args
 
@@ -345,7 +345,7 @@ class _Hop:
             else:
                 sums[entry.ending] += entry.number
         return Row(
-            **asdict(traffic),
+            **{item.name: getattr(traffic, item.name) for item in fields(traffic)},
             hop=self.name,
             came=self.out + self.ended - self.duplicated,
             out=self.out,

@@ -11,7 +11,7 @@ Rules:
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -20,6 +20,7 @@ from edoras_tools.diagnosis.accounting.losses import Among
 from edoras_tools.diagnosis.ledger import LedgerEntry
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.sessions.sequence import MODULUS
+from edoras_tools.wire.arrays.order import distinct, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -79,7 +80,8 @@ class Missing:
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --list-lost json``."""
-        return {**asdict(self), "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}"}
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return {**values, "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}"}
 
 
 def missing(case: Case, most: int = ALL) -> list[Missing]:
@@ -129,7 +131,7 @@ def _connected(units: Sequence[Integers]) -> Places:
     """Return a label for each set of messages, the same for those that share some, or do so by others."""
     label = np.arange(len(units))
     which = np.repeat(label, [len(own) for own in units])
-    _, unit = np.unique(np.concatenate(units), return_inverse=True)
+    unit = numbered(np.concatenate(units))[1]
     while len(unit):
         least = np.full(int(unit.max()) + 1, len(units))
         np.minimum.at(least, unit, label[which])
@@ -143,7 +145,7 @@ def _connected(units: Sequence[Integers]) -> Places:
 
 def _together(case: Case, shares: Sequence[_ShareUnits], most: int) -> Iterator[Missing]:
     """Yield the messages of losses that share what they are among (rules 2 to 4)."""
-    every = np.unique(np.concatenate([units for _, _, units in shares]))
+    every = distinct(np.concatenate([units for _, _, units in shares]))
     if sum(entry.number for entry, _, _ in shares) == len(every):
         causes: dict[int, dict[str, _Share]] = {}
         for entry, among, units in shares:

@@ -61,7 +61,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Confidence
-    from edoras_tools.model import Link
 
 _SLACK_NS: Final = 50 * MILLISECOND
 """By so much the times of two packets of one cFS may be wrong."""
@@ -564,7 +563,8 @@ class Telemetry:
         rows = self._case.rows
         same = (rows.link == stream.link.code) & (rows.msg_id == stream.msg_id)
         bare = (rows.mission_time_ns[same] <= 0).any()
-        return bool(bare and (rows.has(Finding.CAPTURE_CUT) & among(rows.link, _timed)).any())
+        timed = among(rows.link, lambda link: link.from_cfs and link.packets)
+        return bool(bare and (rows.has(Finding.CAPTURE_CUT) & timed).any())
 
     def _grown(self, part: Part, name: str) -> int:
         track = self._case.tracks.get(part.owner)
@@ -583,7 +583,3 @@ class Telemetry:
         loss.evidence, loss.closed = list(part.evidence), part.closed
         self.losses.append(loss)
         return loss
-
-
-def _timed(link: Link) -> bool:
-    return link.from_cfs and link.packets

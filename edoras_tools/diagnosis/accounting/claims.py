@@ -390,6 +390,7 @@ class _Table:
         # What was lost before the first sample or behind the last is in no count here.
         self._last[(high <= own.times[0]) | (low >= own.times[-1])] = -1
         self._place = {at: place for place, at in enumerate(self.asking)}
+        self._within: dict[int, list[int]] = {}
 
     def prefers(self, at: int, rank: int, place: int) -> bool:
         """Tell whether a claim is of a rank, is open, and names this kind at a place."""
@@ -398,8 +399,10 @@ class _Table:
 
     def within(self, second: int) -> list[int]:
         """Return the claims whose time holds a second."""
-        places = np.flatnonzero((self._first <= second) & (self._last >= second))
-        return [self.asking[place] for place in places.tolist()]
+        if (own := self._within.get(second)) is None:
+            places = np.flatnonzero((self._first <= second) & (self._last >= second))
+            own = self._within[second] = [self.asking[place] for place in places.tolist()]
+        return own
 
     def sharers(
         self, second: int, takers: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]

@@ -212,10 +212,9 @@ class Commands:
         """Tell lost what came to one capture and never to the next; leave open what that may lack."""
         masks = self._case.rows.undelivered, self._case.prepared.perhaps_astray
         silent = self._case.unheard.get(id(stream))
-        rows, perhaps = (
-            np.setdiff1d(np.flatnonzero(mask[stream.rows]), silent.unheard if silent else [])
-            for mask in masks
-        )
+        rows, perhaps = (np.flatnonzero(mask[stream.rows]) for mask in masks)
+        if silent:
+            rows, perhaps = (np.setdiff1d(own, silent.unheard) for own in (rows, perhaps))
         text = f"{plural(len(rows), 'datagram')} came to one capture, and not to the next on their way"
         if fate is not None:
             self._lose(fate, "network", rows, text)

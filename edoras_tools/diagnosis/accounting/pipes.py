@@ -47,7 +47,7 @@ from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.matching.streams import bursts
 from edoras_tools.links.table import carrying
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import by_value, distinct
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -145,14 +145,14 @@ class Pipes:
         kinds += [kind for kind in COUNTERS if kind not in kinds]
         low_ns, high_ns = self._times(fate)
         which = np.searchsorted([item.first for item in fate.spans], np.arange(len(stream)), "right") - 1
-        counts = [self._counts[instance] for instance in group]
+        counts, is_named = [self._counts[instance] for instance in group], has_events or self._bursts(fate)
         for place, mask in enumerate(_standing(fate)):
             if place == _BLIND and not has_events:
                 continue
             rows, rank = np.flatnonzero(mask), _RANKS[place]
             if has_events:
                 rank = Rank.PRESSED if rank == Rank.ABSENT else rank
-            elif not self._bursts(fate):
+            elif not is_named:
                 rank = _UNNAMED.get(rank, rank + len(_RANKS))
             if place == _MAY_WAIT:
                 rows = rows[np.logical_or.reduce([own.often(low_ns[rows], high_ns[rows]) for own in counts])]
@@ -235,7 +235,7 @@ class Pipes:
         if (loss := self._same.get(key)) is not None:
             loss.lost += number
             before = loss.among.rows if loss.among else among[:0]
-            loss.among = Among(stream, np.union1d(before, among))
+            loss.among = Among(stream, distinct(np.concatenate((before, among))))
             return
         reported, report = self._from_events(stream, kind, instance)
         evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them{_FIRST if first else ''}"]

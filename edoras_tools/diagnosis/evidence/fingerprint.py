@@ -23,6 +23,7 @@ from edoras_tools.structs.payloads import payloads
 from edoras_tools.structs.shapes import UDP_KEY
 from edoras_tools.wire import robot
 from edoras_tools.wire.arrays.fingerprint import HASHED_BYTES, MIX, WEIGHTS, finished, of_bytes, stirred
+from edoras_tools.wire.arrays.order import in_16_bits, numbered
 from edoras_tools.wire.arrays.window import PADDING, gather
 
 if TYPE_CHECKING:
@@ -109,7 +110,8 @@ def _in_order(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) ->
     """Return both together, and their order: equal ones by time, what went in first at one time."""
     prints = np.concatenate((into, out))
     side = np.repeat([0, 1], [len(into), len(out)])
-    return prints, np.lexsort((side, np.concatenate((into_ns, out_ns)), prints))
+    by_time = np.lexsort((side, np.concatenate((into_ns, out_ns))))
+    return prints, by_time[np.argsort(in_16_bits(numbered(prints)[1])[by_time], kind="stable")]
 
 
 def brackets(group: NDArray[Any], opens: Mask) -> tuple[Places, Places]:
@@ -124,7 +126,7 @@ def brackets(group: NDArray[Any], opens: Mask) -> tuple[Places, Places]:
     # The brackets of one level of a group follow each other, whatever is within or is never closed.
     level = np.cumsum(np.where(opens, 1, -1)) + ~opens
     number = np.cumsum(np.append(False, group[1:] != group[:-1])[: len(group)])
-    order = np.lexsort((np.arange(len(group)), level, number))
+    order = np.lexsort((in_16_bits(level - level.min(initial=0)), in_16_bits(number)))
     before, behind = order[:-1], order[1:]
     closed = opens[before] & ~opens[behind]
     closed &= (number[before] == number[behind]) & (level[before] == level[behind])

@@ -235,7 +235,8 @@ class Instances:
         owners = self._owners.get(source)
         if not owners:
             return NOBODY
-        return owners[max(bisect_right(owners, time_ns, key=itemgetter(0)) - 1, 0)][1]
+        later = bisect_right(owners, time_ns, key=itemgetter(0)) - 1 if len(owners) > 1 else 0
+        return owners[max(later, 0)][1]
 
     def named(self, name: str, time_ns: int, source: int) -> int:
         """Return the instance of a name that was there at a time; the nearest where none was.

@@ -245,9 +245,13 @@ class Network:
             timeout = silent = _NEVER
         begin_ns = int(rows.time_ns[0])
         changes: list[PeerChange] = []
-        up, last = False, 0
-        away = [*farewells, (np.iinfo(np.int64).max, 0)]
-        for now, kind in zip(rows.time_ns[heard].tolist(), rows.sbn_msg_type[heard].tolist(), strict=True):
+        up, away = False, [*farewells, (np.iinfo(np.int64).max, 0)]
+        times, kinds = rows.time_ns[heard], rows.sbn_msg_type[heard]
+        # While it is connected only a silence and a DISCONNECT, and what follows one, change anything.
+        ends = (times < alive_ns - 500 * MILLISECOND) | (kinds == sbn.MsgType.DISCONNECT)
+        changing = ends | np.append(True, ends)[: len(ends)] | (np.diff(times, prepend=0) >= timeout)
+        for at in np.flatnonzero(changing | bool(farewells)).tolist():
+            now, kind, last = int(times[at]), int(kinds[at]), int(times[at - 1])
             if now > away[0][0]:
                 if up:
                     changes.append(PeerChange(away[0][0], "disconnected", SAID_GOODBYE))
@@ -268,10 +272,10 @@ class Network:
             elif not up:
                 began = kind in _BEGINS
                 first = not changes and now - begin_ns < (_ALREADY_NS if began else timeout)
-                why = ALREADY if first else f"its {_name(kind)} arrived"
+                why = ALREADY if first else f"its {sbn.MSG_TYPE_NAMES.get(kind, f'type {kind:#04x}')} arrived"
                 changes.append(PeerChange(now, "connected", why))
                 up = True
-            last = now
+        last = int(times[-1]) if up else 0
         if up and away[0][0] <= end_ns:
             changes.append(PeerChange(away[0][0], "disconnected", SAID_GOODBYE))
         elif up and (quiet := end_ns - last - self._away(last, end_ns)) >= timeout + SECOND:
@@ -336,14 +340,13 @@ def _greeted(changes: list[PeerChange], rows: Rows, sent: Places, app: Places) -
     It may not have read what it was sent meanwhile.
     """
     out, app_ns = list(changes), rows.time_ns[app]
-    for when in rows.time_ns[sent[rows.sbn_msg_type[sent] == sbn.MsgType.SUB]].tolist():
-        place, later = bisect_right(out, when, key=_TIME), int(np.searchsorted(app_ns, when))
-        if (
-            0 < later < len(app)
-            and place
-            and out[place - 1].state == "connected"
-            and rows.missing[app[later]]
-        ):
+    subscribed = rows.time_ns[sent[rows.sbn_msg_type[sent] == sbn.MsgType.SUB]]
+    behind = np.searchsorted(app_ns, subscribed)
+    # Nothing is missing before the first, nor behind the last.
+    lacking = np.concatenate(([0], rows.missing[app[1:]], [0]))[behind] != 0
+    for when, later in zip(subscribed[lacking].tolist(), behind[lacking].tolist(), strict=True):
+        place = bisect_right(out, when, key=_TIME)
+        if place and out[place - 1].state == "connected":
             last_ns = int(app_ns[later - 1])
             if out[place - 1].time_ns < last_ns < when - _STILL_NS:
                 lost = PeerChange(last_ns + 1, "timed_out", "the observer sent it nothing any more")
@@ -393,7 +396,3 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
         around = int(heard[place]), int(heard[again[0]])
         restarts.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around, read_ns))
     return restarts
-
-
-def _name(kind: int) -> str:
-    return sbn.MSG_TYPE_NAMES.get(kind, f"type 0x{kind:02x}")

@@ -258,9 +258,7 @@ def _disordered(rows: Rows) -> int:
     if not len(back):
         return 0
     seldom = len(back) * SCATTERED < len(rows)
-    if seldom and 0 < len(far) <= _MOST_SET and not _goes_back(rows, far):
-        return 0
-    return len(back)
+    return 0 if seldom and 0 < len(far) <= _MOST_SET and not _goes_back(rows, far) else len(back)
 
 
 def _goes_back(rows: Rows, far: Places) -> bool:

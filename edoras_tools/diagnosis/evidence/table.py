@@ -154,9 +154,9 @@ class Rows:
         values, counts = np.unique(self.sbn_sender(rows), return_counts=True)
         return str(peer_of(int(values[counts.argmax()]))), int(counts.max())
 
-    def has(self, finding: Finding) -> Mask:
-        """Tell which rows have one of these findings."""
-        return np.asarray((self.findings & np.uint32(finding)) != 0)
+    def has(self, finding: Finding, rows: NDArray[Any] | slice = slice(None)) -> Mask:
+        """Tell which of some rows have one of these findings."""
+        return np.asarray((self.findings[rows] & np.uint32(finding)) != 0)
 
 
 def peer_of(number: int) -> Peer:

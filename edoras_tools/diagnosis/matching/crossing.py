@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.fingerprint import MIX
-from edoras_tools.wire.arrays.order import distinct, numbered, quantiles
+from edoras_tools.wire.arrays.order import distinct, numbered, perhaps_in, quantiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -160,8 +160,7 @@ def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list
             into, out = ways_in.streams[place], ways_out.streams[at]
             came, went = ways_in.of(place, came_by), ways_out.of(at, went_by)
             hops.append(_match(into, out, came, went))
-            other = ~np.isin(went, came)
-            if out.link.last_hop and other.any():
+            if out.link.last_hop and (other := ~np.isin(went, came)).any():
                 comes_out.append(replace(out, rows=out.rows[other], time_ns=out.time_ns[other]))
     return [hop for hop in hops if hop.matched]
 
@@ -214,17 +213,17 @@ class _Ends:
         """Return the fingerprints of a stream's rows, u64: of a column, or its counts; 0 tells nothing."""
         return self._prints(kind, self.streams[place].rows)
 
-    def different(self, kind: str, some: Mask) -> tuple[Places, Prints]:
-        """Return the different fingerprints of some streams but 0, stream by stream: whose, and which."""
+    def prints(self, kind: str, some: Mask) -> tuple[Places, Prints]:
+        """Return the fingerprints of some streams but 0, stream by stream: whose, and which."""
         mine = slice(None) if some.all() else some[self._owner]
         owner, prints = self._owner[mine], self._prints(kind, self._at[mine])
         places = np.flatnonzero(prints)
-        once = places[numbered(owner[places], prints[places])[0]]
+        owner, prints = owner[places], prints[places]
         if kind != _COUNT:
-            return owner[once], prints[once]
+            return owner, prints
         # A count says nothing but within one MsgId of one cFS.
-        origin = self.msg_id[owner[once]] << 16 | self.instance[owner[once]] << 48
-        return owner[once], prints[once] + origin.astype(np.uint64)
+        origin = self.msg_id[owner] << 16 | self.instance[owner] << 48
+        return owner, prints + origin.astype(np.uint64)
 
     def keys(self, owner: Places, values: Prints, *, into: bool) -> tuple[Places, Prints]:
         """Return what equal fingerprints are looked up by: whose, and which.
@@ -243,7 +242,14 @@ def _ways_in(
 ) -> dict[int, tuple[int, tuple[str, str]]]:
     """Return the likeliest way in of each way out, and the fingerprints that are alike; by their places."""
     party = _Parties(into, out, follows)
-    parts = [part for kinds in _COMPARED for part in _scored(into, out, party, kinds)]
+    parts: list[Sequence[NDArray[Any]]] = []
+    undecided = np.ones(len(out.streams), bool)
+    for kinds in _COMPARED:
+        parts += _scored(into, out, party, kinds, undecided)
+        for _, at, _, score, _ in parts if kinds == _BODIES else ():
+            undecided[at[score >= _ALIKE]] = False  # what has equal bodies is not looked for by anything else
+    if not parts:
+        return {}
     place, at, order, score, near = (np.concatenate(part) for part in zip(*parts, strict=True))
     rank = np.maximum(score, _ALIKE)
     alike: dict[int, list[int]] = {}
@@ -288,6 +294,11 @@ def share_out(alike: dict[int, list[int]], came: Integers, went: Integers) -> di
     return ways
 
 
+def _kind(places: Places) -> NDArray[np.uint8]:
+    """Return a number below 64 for each stream; every 64th has the same."""
+    return (places % 64).astype(np.uint8)
+
+
 class _Parties:
     """Answers for many pairs of streams whether one may follow the other, and asks once for each kind."""
 
@@ -296,16 +307,23 @@ class _Parties:
         self._width = int(out.party.max(initial=-1)) + 1
         self._known: dict[int, bool] = {}
 
-    def usable(self, kinds: tuple[str, str]) -> tuple[Mask, Mask]:
-        """Tell of which streams of each side something may be the same; of very many it is not asked."""
+    def usable(self, kinds: tuple[str, str]) -> tuple[Mask, Prints]:
+        """Tell of which streams that go in something may come out, and which of them each way out may be.
+
+        Of very many it is not asked.
+
+        Returns:
+            bool, and a bit for each that it may be, by ``_kind``.
+        """
         shape = len(self._into.streams), len(self._out.streams)
-        able = self._into.party >= 0
+        able, fit = self._into.party >= 0, np.zeros(shape[1], np.uint64)
         if shape[0] * shape[1] > _PAIRS:
-            return able, np.ones(shape[1], bool)
+            return able, ~fit
         place, at = np.nonzero(np.broadcast_to(able[:, None], shape))
         fits = _may_follow(self._into, self._out, place, at, kinds)
         fits[fits] = self.follows(place[fits], at[fits])
-        return np.isin(np.arange(shape[0]), place[fits]), np.isin(np.arange(shape[1]), at[fits])
+        np.bitwise_or.at(fit, at[fits], np.uint64(1) << _kind(place[fits]))
+        return np.isin(np.arange(shape[0]), place[fits]), fit
 
     def follows(self, place: Places, at: Places) -> Mask:
         """Tell for pairs of places, of which none is of a party where nothing follows."""
@@ -319,7 +337,7 @@ class _Parties:
 
 
 def _scored(
-    into: _Ends, out: _Ends, party: _Parties, kinds: tuple[str, str]
+    into: _Ends, out: _Ends, party: _Parties, kinds: tuple[str, str], undecided: Mask
 ) -> Iterator[Sequence[NDArray[Any]]]:
     """Yield the likeliest ways in of each way out by one kind of fingerprints, and those that may be it.
 
@@ -329,15 +347,26 @@ def _scored(
         of pairs of streams: the places of both and of the fingerprints, how alike, how near the MsgIds are.
     """
     order = _COMPARED.index(kinds)
-    goes, comes = party.usable(kinds)
-    owner, values = out.different(kinds[1], comes)
-    different = np.bincount(owner, minlength=len(out.streams))
+    goes, fit = party.usable(kinds)
+    owner, values = out.prints(kinds[1], (fit != 0) & undecided)
+    came_owner, came = into.prints(kinds[0], goes & bool(len(owner)))
+    there = perhaps_in(values, came, _kind(came_owner), fit[owner])
+    some = (np.bincount(owner[there], minlength=len(fit)) > 0)[owner]
+    once = np.flatnonzero(some)[numbered(owner[some], values[some])[0]]
+    owner, values, there = owner[once], values[once], there[once]
+    different = np.bincount(owner, minlength=len(fit))
     # Where too few differ to tell, nothing is alike; a robot gets no equal value by chance.
-    some = ((different >= _LEAST_DIFFERENT) | out.last_hop)[owner]
+    enough = np.bincount(owner[there], minlength=len(fit)) >= _ALIKE * different
+    some = ((enough & (different >= _LEAST_DIFFERENT)) | out.last_hop)[owner] & there
+    if not some.any():
+        return
     seeker, sought = out.keys(owner[some], values[some], into=False)
     by_seeker = np.argsort(seeker, kind="stable")
     seeker, sought = seeker[by_seeker], sought[by_seeker]
-    owner, keys = into.keys(*into.different(kinds[0], goes & bool(len(seeker))), into=True)
+    met = perhaps_in(came, values[some])
+    owner, keys = came_owner[met], came[met]
+    once = numbered(owner, keys)[0]
+    owner, keys = into.keys(owner[once], keys[once], into=True)
     by_key = np.argsort(keys, kind="stable")
     owner, keys = owner[by_key], keys[by_key]
     low, high = (np.searchsorted(keys, sought, side) for side in ("left", "right"))
@@ -411,7 +440,10 @@ def _match(into: Stream, out: Stream, came: Prints, went: Prints) -> Hop:
     arrived = np.zeros(len(came), bool)
     arrived[from_row] = True
     rewritten = out.link.last_hop or into.msg_id != out.msg_id
-    often, out_often = _occurrences(came), _occurrences(went)
+    which = numbered(np.concatenate((came, went)))[1]
+    came_as, went_as = which[: len(came)], which[len(came) :]
+    number = np.bincount(came_as, minlength=len(which))
+    often, out_often = number[came_as], np.bincount(went_as)[went_as]
     single = often[from_row] == 1
     by_time = np.argsort(out_ns[goes_row][single], kind="stable")
     return Hop(
@@ -422,8 +454,8 @@ def _match(into: Stream, out: Stream, came: Prints, went: Prints) -> Hop:
         arrived=arrived,
         single=often[came != 0] == 1,
         origin=from_,
-        sole=(went != 0) & (out_often == 1) & ~np.isin(went, came[often > 1]),
-        doubled=int(np.isin(went, came[arrived]).sum()) - len(goes_row),
+        sole=(went != 0) & (out_often == 1) & (number[went_as] <= 1),
+        doubled=int((np.bincount(came_as[arrived], minlength=len(which))[went_as] > 0).sum()) - len(goes_row),
         latency=latency_of(delay[single]),
         delays_ns=delay[single][by_time],
         out_ns=out_ns[goes_row][single][by_time],
@@ -431,12 +463,6 @@ def _match(into: Stream, out: Stream, came: Prints, went: Prints) -> Hop:
         in_rows=from_row,
         out_rows=goes_row,
     )
-
-
-def _occurrences(values: Prints) -> Places:
-    """Return how often each value occurs."""
-    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
-    return np.asarray(counts[which])
 
 
 def latency_of(delay_ns: Integers) -> Latency | None:

@@ -263,8 +263,8 @@ def _evidence(
 def _unheard(case: Case, start_ns: int) -> str:
     """Return why what cFS said of a command cannot be in the capture; empty where it can."""
     rows, until_ns = case.rows, start_ns + _ANSWERED_NS
-    inside = (rows.time_ns >= start_ns) & (rows.time_ns <= until_ns)
-    if (inside & (rows.known_id == cfe.EVENT_MSG_ID) & rows.has(Finding.CAPTURE_CUT)).any():
+    inside = slice(*np.searchsorted(rows.time_ns, (start_ns, until_ns + 1)).tolist())
+    if ((rows.known_id[inside] == cfe.EVENT_MSG_ID) & rows.has(Finding.CAPTURE_CUT, inside)).any():
         return "the capture cut the events of that time: what cFS said about it is not there"
     if case.has_telemetry and until_ns > case.end_ns:
         return "the capture ends before what cFS says about it is due"

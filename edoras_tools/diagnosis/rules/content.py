@@ -165,9 +165,7 @@ def _about(
 
 
 def _where(case: Case, item: WayContent) -> str:
-    if item.out.link.last_hop:
-        return "reached the robot"
-    return f"came out as {case.name(item.out.msg_id)}"
+    return "reached the robot" if item.out.link.last_hop else f"came out as {case.name(item.out.msg_id)}"
 
 
 def _first(case: Case, members: Places) -> str:

@@ -45,9 +45,12 @@ def order_by(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
             room = 0x10000 // size
             if size > 0x10000:
                 digits.append((moved >> 16).astype(np.uint16))
-    if not digits:
-        return np.arange(len(keys[0]))
-    return np.lexsort(digits)
+    return np.arange(len(keys[0])) if not digits else np.lexsort(digits)
+
+
+def in_16_bits(values: NDArray[Any]) -> NDArray[Any]:
+    """Return numbers, none negative, in 16 bits if they fit: radix sorts those several times as fast."""
+    return values.astype(np.uint16) if values.max(initial=0) <= 0xFFFF else values
 
 
 def changes(rows: NDArray[np.intp], *columns: NDArray[Any]) -> NDArray[np.bool_]:
@@ -78,29 +81,49 @@ def numbered(*keys: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _numbered(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Number one column: by a table of its values or their hashes; by sorting where two share a hash."""
     rows = np.arange(len(values))
     least, most = (int(values.min()), int(values.max())) if len(values) else (0, 0)
-    size = most - least + 1
-    bits = min(_SLOTS, len(values).bit_length() + _SLOTS_EACH)
-    if exact := size <= 1 << bits:
-        place = (values.astype(np.uint64) - np.uint64(least % (1 << 64))).astype(np.intp)
-    else:
-        size = 1 << bits
-        spread = (values.astype(np.uint64) * _MIX) >> np.uint64(64 - bits)
-        place = spread.astype(np.intp)
-    table = np.empty(size, np.intp)  # what is written is read, and nothing else
+    if most - least >= len(values):
+        first_rows = _first_rows(values)
+        first = np.flatnonzero(first_rows == rows)
+        rows[first] = np.arange(len(first))
+        return first, rows[first_rows]
+    place = (values.astype(np.uint64) - np.uint64(least % (1 << 64))).astype(np.intp)
+    table = np.full(most - least + 1, -1)
     table[place[::-1]] = rows[::-1]  # of several the last one stays: the first row
-    met = table[place]
-    if not exact and (values[met] != values).any():
-        _, first, which = np.unique(values, return_index=True, return_inverse=True)
-        order = np.argsort(first)
-        number = np.empty_like(order)
-        number[order] = np.arange(len(order))
-        return first[order], number[which.reshape(-1)]
-    first = np.flatnonzero(met == rows)
+    first = np.sort(table[table >= 0])
     table[place[first]] = np.arange(len(first))
     return first, table[place]
+
+
+def _first_rows(values: NDArray[Any], mix: int = int(_MIX)) -> NDArray[np.intp]:
+    """Return the first row with the value of each, by hashes; values that share one go by another."""
+    bits = min(_SLOTS, len(values).bit_length() + _SLOTS_EACH)
+    place = ((values.astype(np.uint64) * np.uint64(mix)) >> np.uint64(64 - bits)).astype(np.intp)
+    table = np.empty(1 << bits, np.intp)  # what is written is read, and nothing else
+    table[place[::-1]] = np.arange(len(values))[::-1]
+    met = table[place]
+    if len(others := np.flatnonzero(values[met] != values)):
+        met[others] = others[_first_rows(values[others], mix * int(_MIX) % (1 << 64))]
+    return met
+
+
+def perhaps_in(
+    values: Prints, others: Prints, kinds: NDArray[np.uint8] | None = None, fits: Prints | None = None
+) -> Mask:
+    """Tell which fingerprints are among others, and perhaps a few more: nothing is sorted.
+
+    Args:
+        kinds: below 64, what each of the others is.
+        fits: a bit for each kind that a fingerprint may be the same as; by default any.
+    """
+    bits = min(_SLOTS, len(others).bit_length() + _SLOTS_EACH)
+    table, shift = np.zeros(1 << bits, np.uint64), np.uint64(64 - bits)
+    slots = others * _MIX >> shift
+    for kind, rows in by_value(np.zeros(len(others), np.uint8) if kinds is None else kinds):
+        table[slots[rows]] |= np.uint64(1 << kind)
+    met = table[values * _MIX >> shift]
+    return np.asarray((met if fits is None else met & fits) != 0)
 
 
 def distinct_rows(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.intp], NDArray[np.intp]]:
@@ -130,9 +153,8 @@ def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
         if len(values):
             yield least, np.arange(len(values))
         return
-    # 16 bits sort by radix, several times as fast.
-    narrow = values.dtype.itemsize <= 2 or (least >= 0 and most <= 0xFFFF)
-    order = np.argsort(values.astype(np.uint16) if narrow else values, kind="stable")
+    is_small = least >= 0 or values.dtype.itemsize <= 2
+    order = np.argsort(in_16_bits(values) if is_small else values, kind="stable")
     ends = np.flatnonzero(np.diff(values[order])) + 1
     for first, end in pairwise([0, *ends.tolist(), len(order)]):  # ``numpy.split`` takes longer
         yield int(values[order[first]]), order[first:end]

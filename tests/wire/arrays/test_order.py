@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.wire.arrays.order import by_value, numbered, order_by, quantiles
+from edoras_tools.wire.arrays.order import by_value, numbered, order_by, perhaps_in, quantiles
 
 
 @pytest.mark.parametrize("values", [[3, 1, 3, 2, 1], [70_000, 1, 70_000, 65_536 + 1, 1], [], [5]])
@@ -70,6 +70,28 @@ def test_numbered_tells_values_apart_that_share_a_hash():
     first, which = numbered(values)
     assert len(first) == len(values)
     assert which.tolist() == list(range(len(values)))
+
+
+def test_numbered_numbers_very_many_values_by_one_hash_after_the_other():
+    values = np.random.default_rng(1).integers(0, 1 << 63, 300_000, np.int64)[
+        np.random.default_rng(2).integers(0, 300_000, 600_000)
+    ]
+    _, index, inverse = np.unique(values, return_index=True, return_inverse=True)
+    first, which = numbered(values)
+    assert (first == np.sort(index)).all()
+    assert (first[which] == index[inverse]).all()
+
+
+def test_perhaps_in_misses_no_equal_one_of_a_kind_that_fits_and_adds_few():
+    random = np.random.default_rng(1)
+    others, strange = random.integers(1, 1 << 63, (2, 5_000), np.int64).astype(np.uint64)
+    kinds = (np.arange(len(others)) % 64).astype(np.uint8)
+    fits = np.uint64(1) << kinds
+    assert perhaps_in(others, others).all()
+    assert perhaps_in(others, others, kinds, fits).all()
+    assert perhaps_in(strange, others).mean() < 1 / 8
+    assert perhaps_in(others, others, kinds, np.roll(fits, 1)).mean() < 1 / 8
+    assert not perhaps_in(others, others[:0]).any()
 
 
 @given(

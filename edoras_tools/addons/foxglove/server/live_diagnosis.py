@@ -114,7 +114,7 @@ class LiveDiagnosis:
 
     def _fresh(self) -> Examination:
         examination = self._begin()
-        examination.listing, examination.latest = True, _MOST_LISTED
+        examination.listing, examination.latest, examination.accounting = True, _MOST_LISTED, False
         return examination
 
     def _run(self) -> None:
