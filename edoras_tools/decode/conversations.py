@@ -282,9 +282,7 @@ def unnamed(flows: Iterable[Flow]) -> list[Unnamed]:
 
 def _count(which: NDArray[np.intp], marked: NDArray[np.bool_], total: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return how many of each group are marked, of so many in all: mostly all, or none."""
-    if marked.all():
-        return total
-    return np.bincount(which[marked], minlength=len(total))
+    return total if marked.all() else np.bincount(which[marked], minlength=len(total))
 
 
 def _spans(

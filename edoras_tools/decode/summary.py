@@ -206,7 +206,7 @@ def _values(column: NDArray[Any]) -> list[str]:
 
 def short_values(values: Mapping[str, Any]) -> str:
     """Return a message in a few words: zeros left out, long arrays cut, the header last."""
-    leaves = [leaf for leaf in leaves_of(values) if _says_something(leaf[1])]
+    leaves = [leaf for leaf in leaves_of(values) if leaf[1] or leaf[1] not in (0, "", [], b"")]
     leaves.sort(key=lambda leaf: leaf[0].startswith("header."))
     words = [f"{path}={_short(value)}" for path, value in leaves[:_MOST_FIELDS]]
     return " ".join(words) + " ..." * (len(leaves) > _MOST_FIELDS) if words else "all zero"
@@ -219,10 +219,6 @@ def leaves_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str
             yield from leaves_of(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
-
-
-def _says_something(value: Any) -> bool:
-    return bool(value) or value not in (0, "", [], b"")
 
 
 def _short(value: Any) -> str:

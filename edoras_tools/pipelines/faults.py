@@ -80,7 +80,7 @@ def fault_plan(
             files.append(Path(text))
         else:
             singles.append(text)
-    for read, texts in ((parse_profile, links), (_one, singles)):
+    for read, texts in ((parse_profile, links), (lambda text: (parse_rule(text),), singles)):
         for text in filter(None, texts):
             try:
                 rules += read(text)
@@ -111,10 +111,6 @@ def load_scenario(path: Path) -> FaultPlan:
     plan = _plan(document, report) if document is not None else FaultPlan()
     report.raise_all()
     return plan
-
-
-def _one(text: str) -> tuple[Rule, ...]:
-    return (parse_rule(text),)
 
 
 def _plan(tree: Tree, report: Mistakes) -> FaultPlan:

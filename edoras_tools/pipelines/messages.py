@@ -152,9 +152,7 @@ def definition_of(topic: RecordedTopic) -> str:
         text = topic.schema.decode()
     except UnicodeDecodeError as error:
         raise ConfigError("its schema is not text") from error
-    if topic.schema_encoding == "ros2msg":
-        return text
-    return text_of_idl(topic.type, text)
+    return text if topic.schema_encoding == "ros2msg" else text_of_idl(topic.type, text)
 
 
 def _normal(kind: str, text: str) -> str:
@@ -169,6 +167,4 @@ def _unread(topic: RecordedTopic, types: TypeStore) -> str:
         return "json, not cdr: shown and copied, without fields to select, plot or export"
     if topic.encoding != "cdr":
         return f"{topic.encoding or 'of no encoding'}, not cdr: only counted and copied"
-    if not topic.type:
-        return "without a schema: only counted and copied"
-    return types.check(topic.type) or ""
+    return "without a schema: only counted and copied" if not topic.type else types.check(topic.type) or ""

@@ -144,10 +144,6 @@ def _state(item: Mapping[str, Any], *, live: bool) -> tuple[str, str]:
     return f"   peer {item['peer']} not connected{times}", Level.WARNING.style
 
 
-def _refused(row: Mapping[str, Any]) -> Text:
-    return count_cell(sum(row["refused"].values()), Level.ERROR.style)
-
-
 def _latency(name: str) -> Any:
     def cell(row: Mapping[str, Any]) -> Text:
         return Text(units.microseconds(row["latency_us"][name] if row["out"] else None))
@@ -175,7 +171,7 @@ _ROUTES: Final = (
     Column("Rate", lambda row: Text(units.rate(row["rate"]))),
     Column("Limit", _limit, rank=2),
     Column("Held", figure("held")),
-    Column("Refused", _refused),
+    Column("Refused", lambda row: count_cell(sum(row["refused"].values()), Level.ERROR.style)),
     Column("p50", _latency("p50"), rank=1),
     Column("p99", _latency("p99"), rank=1),
 )

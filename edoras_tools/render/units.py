@@ -33,18 +33,14 @@ def rate(hertz: float | None) -> str:
     """Return ``10.0 Hz``, ``250 Hz``, ``12.4 kHz``; ``-`` where there is none."""
     if hertz is None:
         return NONE
-    if abs(hertz) >= 9999.5:
-        return f"{hertz / 1e3:,.1f} kHz"
-    return f"{_shortened(hertz, 1)} Hz"
+    return f"{hertz / 1e3:,.1f} kHz" if abs(hertz) >= 9999.5 else f"{_shortened(hertz, 1)} Hz"
 
 
 def milliseconds(value: float | None) -> str:
     """Return ``0.42 ms``, ``12.5 ms``, ``1.3 s``; ``-`` where there is none."""
     if value is None:
         return NONE
-    if abs(value) >= 999.5:
-        return f"{value / 1e3:,.1f} s"
-    return f"{_shortened(value, 9.995)} ms"
+    return f"{value / 1e3:,.1f} s" if abs(value) >= 999.5 else f"{_shortened(value, 9.995)} ms"
 
 
 def microseconds(value: float | None) -> str:

@@ -202,6 +202,4 @@ def primitive(basic: Basic) -> str:
     """Return the ROS type of a basic type."""
     if basic.kind is BasicKind.BOOL:
         return "bool"
-    if basic.kind in {BasicKind.CHAR, BasicKind.BYTE}:
-        return "uint8"
-    return str(basic)
+    return "uint8" if basic.kind in {BasicKind.CHAR, BasicKind.BYTE} else str(basic)

@@ -329,7 +329,7 @@ def _endpoint(name: str, side: str) -> FilterField:
         lambda _, decoded: str(getattr(decoded.datagram, side)),
         read,
         cost=BYTES_COST,
-        alike=_same_endpoint,
+        alike=lambda text, word: word in {text, text.rpartition(":")[0].strip("[]")},
         doc="address and port",
     )
 
@@ -426,10 +426,6 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
         alike=alike,
         doc=f"the {name} of the route, or of the C struct, that its MsgId is",
     )
-
-
-def _same_endpoint(text: str, word: str) -> bool:
-    return word in {text, text.rpartition(":")[0].strip("[]")}
 
 
 def _same_topic(text: str, word: str) -> bool:

@@ -230,7 +230,7 @@ class Window:
         self.end = len(head)
         self.data: NDArray[np.uint8] = np.frombuffer(head + bytes(PADDING), dtype=np.uint8)
         self._size = FIRST
-        self.room: Callable[[int], NDArray[np.uint8]] = _fresh
+        self.room: Callable[[int], NDArray[np.uint8]] = lambda size: np.empty(size, np.uint8)
 
     def advance(self, start: int) -> bool:
         """Move forward: keep the bytes from ``start`` on, and read more after them into another buffer.
@@ -252,10 +252,6 @@ class Window:
         self.data, self.end = data[: rest + count + PADDING], rest + count
         self._size = min(SLICE, max(_SECOND_WINDOW, 2 * self._size))
         return True
-
-
-def _fresh(size: int) -> NDArray[np.uint8]:
-    return np.empty(size, dtype=np.uint8)
 
 
 _COPIED_BYTES: Final = 1 << 20

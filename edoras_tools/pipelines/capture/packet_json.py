@@ -289,9 +289,7 @@ def _texts(column: Column) -> Texts:
             else value_texts(_doubles(column.values))
         )
         return [f"[{','.join(items[first:last])}]" for first, last in pairwise(offsets)]
-    if len(column) and _all_equal(column):
-        return str(_each(column[:1])[0])
-    return _each(column)
+    return str(_each(column[:1])[0]) if len(column) and _all_equal(column) else _each(column)
 
 
 def _each(column: NDArray[Any]) -> list[Any]:

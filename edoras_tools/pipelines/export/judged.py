@@ -113,10 +113,6 @@ def _texts(values: Sequence[Any]) -> NDArray[Any]:
     )
 
 
-def _counts(values: Sequence[int | None]) -> NDArray[np.int64]:
-    return np.array([value or 0 for value in values], np.int64)
-
-
 def _lists(values: Sequence[Sequence[str]]) -> Ragged:
     offsets = np.cumsum([0, *map(len, values)])
     return Ragged(np.array([text for texts in values for text in texts], object), offsets)
@@ -124,6 +120,6 @@ def _lists(values: Sequence[Sequence[str]]) -> Ragged:
 
 _MAKE: Final[Mapping[str, Callable[[Sequence[Any]], NDArray[Any] | Ragged]]] = {
     _TEXT: _texts,
-    _COUNT: _counts,
+    _COUNT: lambda values: np.array([value or 0 for value in values], np.int64),
     _TEXTS: _lists,
 }

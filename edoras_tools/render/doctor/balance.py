@@ -104,10 +104,6 @@ def _figure(name: str) -> Any:
     return cell
 
 
-def _msg_id(row: Mapping[str, Any]) -> Text:
-    return msg_id_text(row) if row["msg_id"] else Text("")
-
-
 def balance_table(result: Diagnosis, width: int) -> RenderableType:
     """Return the table, without the columns that are empty in every row."""
     last = "Lost by", causes
@@ -143,7 +139,7 @@ def _table(
         apart: as ``build`` takes it.
     """
     columns = [
-        Column("MsgId", _msg_id, justify="left"),
+        Column("MsgId", lambda row: msg_id_text(row) if row["msg_id"] else Text(""), justify="left"),
         Column("Topic", route_text, justify="left", elastic=True),
         Column("Hop", lambda row: plain(row["hop"]), justify="left"),
         *(

@@ -158,9 +158,7 @@ class Cursor:
     def need(self, size: Position, carried: Position = 0) -> Position:
         """Drop the rows that have fewer bytes left; return a carried column without them."""
         end = self.position + size
-        if isinstance(end, int) and end <= self.room:
-            return carried
-        return self.keep(end <= self.end, carried)
+        return carried if isinstance(end, int) and end <= self.room else self.keep(end <= self.end, carried)
 
     def body(self, row: int) -> tuple[int, bytes]:
         """Return the byte order of one row, 0 for little-endian and 1 for big, and its body."""

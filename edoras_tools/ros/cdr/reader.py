@@ -192,10 +192,6 @@ def _numbers(leaf: Leaf, order: int, data: bytes) -> list[Any]:
     return list(struct.unpack(f"{'<>'[order]}{len(data) // leaf.size}{leaf.code}", data))
 
 
-def _unterminated(step: Text, data: bytes, end: int, length: int) -> bool:
-    return step.width == 1 and length > 0 and data[end - 1] != 0
-
-
 def _over(step: Text, length: int) -> bool:
     """Tell whether a string is longer than its bound; the length of a narrow one counts the NUL."""
     return 0 < step.bound < length - (step.width == 1)
@@ -246,7 +242,7 @@ class _Walk:
         self._need(path, start, end)
         if _over(step, length):
             self._refuse(path, f"{length} characters at byte {start}; at most {step.bound} may be there")
-        if _unterminated(step, self._cdr, end, length):
+        if step.width == 1 and length > 0 and self._cdr[end - 1] != 0:
             self._refuse(path, f"the string of {length} bytes at byte {start} does not end in NUL")
         self._spans.append(
             ValueSpan(path, string_value(step, self._order, self._cdr[start:end]), start - 4, end)
@@ -270,7 +266,7 @@ class _Walk:
             return end
         if not count:
             self._spans.append(ValueSpan(path, [], begin, position))
-        dot = "" if _unnamed(plan) else "."
+        dot = "." if _first_name(plan.steps[0]) else ""  # strings have no name of their own
         for index in range(count):
             position = self.plan(plan, f"{path}[{index}]{dot}", position)
         return position
@@ -291,11 +287,6 @@ class _Walk:
 def _aligned(position: int, alignment: int) -> int:
     """Align a position that counts from the encapsulation: alignment counts from the byte after it."""
     return ((position - ENCAPSULATION_BYTES + alignment - 1) & -alignment) + ENCAPSULATION_BYTES
-
-
-def _unnamed(plan: CdrPlan) -> bool:
-    """Tell whether the elements of a plan are strings, which have no name of their own."""
-    return not _first_name(plan.steps[0])
 
 
 def _first_name(step: PrimitiveRun | Text | Repeat) -> str:

@@ -248,7 +248,8 @@ class McapFile:
         with os_errors(f"{path}: cannot be created"):
             self.output = OutputFile(path)
         try:
-            self.add_bytes(_opening() if header is None else header)
+            usual = MAGIC + record_bytes(Header("ros2", f"edoras-tools {__version__}"))
+            self.add_bytes(usual if header is None else header)
         except CaptureError:
             self.abandon()
             raise
@@ -414,10 +415,6 @@ def _chunk_start(head: ChunkHead) -> bytes:
 def _text(name: str) -> str:
     """Escape what UTF-8 cannot encode: file names may contain bytes that are not text."""
     return name.encode(errors="backslashreplace").decode()
-
-
-def _opening() -> bytes:
-    return MAGIC + record_bytes(Header("ros2", f"edoras-tools {__version__}"))
 
 
 def record_bytes(*records: McapRecord) -> bytes:

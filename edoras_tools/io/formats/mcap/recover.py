@@ -96,7 +96,8 @@ def _examined(
         damaged = any(loss.messages for loss in report.losses) or report.left_out
         if not damaged and file.read(0, len(MAGIC)) != MAGIC:
             raise CaptureError(f"{file.path}: is not an MCAP file, or one without any complete record")
-        raise CaptureError(f"{file.path}: it contains nothing to recover{_why(report)}")
+        why = f": {report.losses[0].reason}" if report.losses else ""
+        raise CaptureError(f"{file.path}: it contains nothing to recover{why}")
     return report, stretches
 
 
@@ -599,10 +600,6 @@ class _Assembly:
             why[f"its record {name} is lost"] = True
         self._reasons |= {reason: None for reason, holds in why.items() if holds}
         return not self._reasons and not self._losses
-
-
-def _why(report: Recovery) -> str:
-    return f": {report.losses[0].reason}" if report.losses else ""
 
 
 def _span(walked: Walked) -> tuple[int, int] | tuple[None, None]:
