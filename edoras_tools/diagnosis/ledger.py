@@ -553,7 +553,9 @@ def _lost_copies(case: Case, fate: Fate, doubled: int) -> tuple[int, int]:
 def _by_relay(way: LedgerWay, relayed: LostInRelay, losses: Sequence[Loss]) -> list[Loss]:
     """Go on through a relay with both its sides in the capture; return what else was lost."""
     way.hop(relayed.hop, {"in": _SEEN, "out": _SEEN}, **relayed.figures)
-    way.lose([loss for loss in losses if loss.hop == relayed.hop], frozenset({"network"}))
+    own = [loss for loss in losses if loss.hop == relayed.hop]
+    way.lose(own, frozenset({"network"}))
+    way.end("uncertain", len(relayed.lost_ns) - sum(loss.lost for loss in own))
     return [loss for loss in losses if loss.hop != relayed.hop]
 
 

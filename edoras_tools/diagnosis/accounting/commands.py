@@ -314,7 +314,9 @@ class Commands:
             stream = streams.get((item.link, item.msg_id, item.receiver))
             if stream is not None:
                 self.relayed[id(stream)] = item
-            if number := len(item.lost_ns):
+            number = len(item.lost_ns)
+            number -= _allowance(self._case, item.of, number) if number else 0
+            if number:
                 span = int(item.lost_ns.min()), int(item.lost_ns.max())
                 text = f"{number:,} of {item.of:,} went into {item.relay} and did not come out of it"
                 loss = Loss("network", item.hop, number, *span, "high", msg_id=item.msg_id, stream=stream)

@@ -3,7 +3,8 @@
 One datagram keeps its IP identification and its bytes wherever it is captured, and a sender gives the next
 one another identification. So:
 
-1. Equal bytes between the same ports, with one identification that is not 0, within 20 ms: one datagram.
+1. Equal bytes between the same ports, with one identification that is not 0, within a second: one datagram,
+   if the sender does not give one identification to many.
    Where it was captured at two places (another link layer header, interface or time to live), or four of
    five datagrams of the conversation are doubled, the capture did it: a *copy*, counted once. Else it is a
    *duplicate*: the network's, which its receiver gets twice, as far as rules 3 to 7 cannot tell otherwise.
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
 
 
 _WITHIN_NS: Final = 20 * MILLISECOND
+_LATER_NS: Final = SECOND
 _UNNUMBERED_NS: Final = 5 * MILLISECOND
 _STEADY: Final = 0.8
 _NEARLY_ALL: Final = 0.95
@@ -118,6 +120,9 @@ def find_copies(
     step = np.abs(np.diff(when))
     near = (key[1:] == key[:-1]) & (step <= np.where(numbered[1:], _WITHIN_NS, _UNNUMBERED_NS))
     same = np.concatenate(([False], (key[1:] == key[:-1]) & numbered[1:]))
+    later = same[1:] & ~near & (step <= _LATER_NS)
+    if later.any():
+        near |= later & _varied(conversation, identification)[order[1:]]
     far = same & (np.append(0, step) > _WITHIN_NS)
     two_places = _of_most(same, numbered & ~same, conversation[order])
     far &= two_places  # their clocks differ
@@ -159,6 +164,13 @@ def find_copies(
             if has_id:
                 out.duplicate[twice[~copied]] = True
     return out
+
+
+def _varied(conversation: NDArray[np.integer[Any]], identification: NDArray[np.uint16]) -> Mask:
+    """Tell which datagrams are of a sender that gives few of its datagrams one identification."""
+    _, which = numbered(conversation.astype(np.int64))
+    first, _ = numbered(which, identification)
+    return np.asarray(2 * np.bincount(which[first]) > np.bincount(which))[which]
 
 
 def _of_most(twice: Mask, first: Mask, conversation: NDArray[np.integer[Any]]) -> bool:
@@ -209,7 +221,7 @@ class Once:
             copy = find_copies(*both[:-1]).copy[len(last[0]) :]
             mask[rows[copy]] = False
             self.copies += int(copy.sum())
-        late = batch.time_ns > batch.time_ns.max(initial=0) - _WITHIN_NS
+        late = batch.time_ns > batch.time_ns.max(initial=0) - _LATER_NS
         self._last = whole(np.flatnonzero(late))
         return mask
 
@@ -231,7 +243,7 @@ class Repeats:
 
     def add(self, batch: PacketBatch, some: Places) -> None:
         """Take those of a batch that may be equal to another one, also of the batch before."""
-        late = np.flatnonzero(batch.time_ns > batch.time_ns.max(initial=0) - _WITHIN_NS)
+        late = np.flatnonzero(batch.time_ns > batch.time_ns.max(initial=0) - _LATER_NS)
         own, newest = ((rows, _alone(rows)) for rows in (batch.take(some), batch.take(late)))
         glances = np.append(self._last[0], own[1])
         self.possible |= _perhaps_again(glances, np.append(self._last[1], own[0].time_ns))
@@ -264,8 +276,8 @@ def _glance(batch: PacketBatch, conversation: Integers, identification: NDArray[
 
 
 def _perhaps_again(number: Prints, time_ns: Integers) -> bool:
-    """Tell whether two datagrams within 20 ms may be equal, by the numbers that equal ones share."""
-    window = time_ns // _WITHIN_NS  # two within 20 ms are in one, or in two side by side
+    """Tell whether two datagrams within a second may be equal, by the numbers that equal ones share."""
+    window = time_ns // _LATER_NS  # two within a second are in one, or in two side by side
     window -= window.min(initial=_NEVER_NS)
     most = (1 << _WINDOW_BITS) - 1
     key = number * MIX & ~np.uint64(most) | np.minimum(window, most).astype(np.uint64)
@@ -358,7 +370,9 @@ def who_doubled(
         vote = 0
         for track in _tracks(rows, receiver, samples, sources, endpoints):
             vote += _by_counts(rows.time_ns[mine], own, *track)
-        vote = vote or _by_answers(rows, mine, own, answers)
+        if vote >= 0:  # what the capture lacks is counted, too
+            vote = min(vote, int(own.sum())) + _by_answers(rows, mine, own, answers)
+        vote *= not 0 < vote <= max(1, own.sum() // 2)  # what a few say may be chance
         at_once = int(copies.at_once[mine[own]].sum())
         votes[receiver] = 2 * vote - at_once if vote else 0
     whole = sum(votes.values())
@@ -390,7 +404,7 @@ def _by_counts(sent_ns: Integers, again: Mask, seen_ns: Integers, total: Integer
         seen_ns: when each count was.
         total: the counts.
     """
-    vote, step = 0, 1
+    vote, step, lacking = 0, 1, False
     early, late = (np.searchsorted(sent_ns, seen_ns - slack) for slack in (_READ_NS, 0))
     twice = np.concatenate(([0], np.cumsum(again)))
     while step < len(seen_ns):
@@ -405,9 +419,10 @@ def _by_counts(sent_ns: Integers, again: Mask, seen_ns: Integers, total: Integer
             )
         ]
         number = twice[late[last]] - twice[late[first]]
+        lacking |= bool((growth > most[0] - most[1])[number == 0].any())
         vote += int(number[fits[0] & ~fits[1]].sum()) - int(number[fits[1] & ~fits[0]].sum())
         step *= 2
-    return vote
+    return min(vote, 0) if lacking else vote  # it counts what the capture lacks, too
 
 
 def _by_answers(rows: Rows, mine: Places, again: Mask, answers: Places) -> int:

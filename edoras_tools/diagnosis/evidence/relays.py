@@ -51,7 +51,7 @@ from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
@@ -372,12 +372,18 @@ class RelayedWay:
         """Yield what the relay did to each MsgId that has no sequence count to show it."""
         commands = self.before[rows.function_code[self.before] >= 0]
         lost, doubled = np.delete(self.before, self.segment.into), np.delete(self.behind, self.segment.out)
+        # What is there twice in front of it came out once.
+        ways = np.concatenate((self.before[self.segment.into], lost))
+        named = rows.identification[ways] != 0
+        again = np.where(named, rows.bytes_print[ways] ^ rows.identification[ways].astype(np.uint64) * MIX, 0)
+        again[~named] = np.arange(1, 1 + int((~named).sum()))
+        lost = lost[np.isin(lost, ways[numbered(again)[0]])]
         receiver, link = int(rows.destination[self.behind[0]]), int(rows.link[self.before[0]])
         for msg_id, own in by_value(rows.msg_id[commands]):
             lost_ns = rows.time_ns[lost[rows.msg_id[lost] == msg_id]]
-            again = int((rows.msg_id[doubled] == msg_id).sum())
+            more = int((rows.msg_id[doubled] == msg_id).sum())
             passed = self.segment.take(rows.msg_id[self.before[self.segment.into]] == msg_id)
-            figures = {"duplicated": again, "late": passed.late, "out_of_order": passed.out_of_order}
+            figures = {"duplicated": more, "late": passed.late, "out_of_order": passed.out_of_order}
             if len(lost_ns) or any(figures.values()):
                 yield LostInRelay(self.relay, link, msg_id, receiver, lost_ns, len(own), figures)
 
