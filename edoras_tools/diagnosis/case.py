@@ -21,7 +21,7 @@ from edoras_tools.diagnosis.accounting.claims import Counts
 from edoras_tools.diagnosis.accounting.commands import Commands
 from edoras_tools.diagnosis.accounting.content import judge_contents
 from edoras_tools.diagnosis.constants import learn_constants
-from edoras_tools.diagnosis.evidence.clocks.steady import steadied
+from edoras_tools.diagnosis.evidence.clocks.steady import steadied, unsteadiness
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.loss_reports import (
     LossEvents,
@@ -161,6 +161,7 @@ class Case:
         rows: a row a datagram.
         jumps: clocks that were set meanwhile; times are as if they had not been.
         instances: the cFS instances.
+        unsteady_ns: by how much capture times are wrong in no order.
         payloads: counters, events, subscriptions, TO commands.
         endpoints: what ``source`` and ``destination`` of the rows index.
         samples: (link, MsgId) to some CDR messages by length.
@@ -206,6 +207,7 @@ class Case:
             self.instances = Instances(rows, payloads.events, recorder.endpoints)
         self.rows: Rows = rows
         self.payloads: Payloads = payloads
+        self.unsteady_ns = unsteadiness(rows, self.instances)
         self.endpoints: Sequence[Endpoint] = recorder.endpoints
         self._errors = recorder.errors
         self.samples = recorder.samples

@@ -290,7 +290,8 @@ class _Counted:
         """Hold what was sent against the counts, if that was under way for so long at the most."""
         own, count, most = self._own, self._count, self._most
         account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
-        sent = np.searchsorted(self._sent_ns, self._seen, "right")
+        unsteady_ns = self._case.unsteady_ns
+        sent = np.searchsorted(self._sent_ns, self._seen + unsteady_ns, "right")
         starts = [at for at in range(1, len(own)) if _began_again(own[at - 1], own[at])]
         lost = before = last = idle_ns = room = 0
         crowded = False
@@ -298,7 +299,7 @@ class _Counted:
             part = slice(first, end)
             high = sent[part] - count[part]
             emptied_ns, busy = self._emptied(part)
-            emptied_ns -= under_way_ns
+            emptied_ns -= under_way_ns + unsteady_ns
             low = np.where(busy, -_MODULUS, self._sent_until(emptied_ns) - count[part])
             if first and self._reset(own[first - 1], own[first]):
                 # It ran on, and set its count to 0: it read no more until then than it can.
@@ -435,7 +436,8 @@ class _Counted:
         """
         seen_ns, count, wake_ns = self._seen[part], self._count[part], self._profile.ci_wake_ns
         read = np.diff(count, prepend=count[0])
-        steps = np.diff(seen_ns, prepend=seen_ns[0])
+        times = self._made[part] if self._case.unsteady_ns else seen_ns
+        steps = np.diff(times, prepend=times[0])
         busy = read > _BUSY * self._most * np.maximum(1.0, steps / wake_ns)
         # Fewer than one wake-up can read: it was empty after the last. Else after an earlier one, or never.
         oldest = np.minimum(seen_ns - self._profile.to_wake_ns, self._made[part]) - wake_ns - _SLACK_NS

@@ -132,7 +132,13 @@ class Hop:
 
 
 class Crossing(Protocol):
-    """Tells which streams may be what others were further on; each is asked once for streams of one kind."""
+    """Tells which streams may be what others were further on; each is asked once for streams of one kind.
+
+    Attributes:
+        unsteady_ns: by how much capture times are wrong in no order.
+    """
+
+    unsteady_ns: int
 
     def arrival(self, stream: Stream) -> Hashable:
         """Return all that matters of a stream that goes in; None where nothing of it comes out."""
@@ -159,7 +165,7 @@ def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list
         for at, (place, (came_by, went_by)) in sorted(_ways_in(ways_in, ways_out, crossing.follows).items()):
             into, out = ways_in.streams[place], ways_out.streams[at]
             came, went = ways_in.of(place, came_by), ways_out.of(at, went_by)
-            hops.append(_match(into, out, came, went))
+            hops.append(_match(into, out, came, went, max(_EARLY_NS, crossing.unsteady_ns)))
             if out.link.last_hop and (other := ~np.isin(went, came)).any():
                 comes_out.append(replace(out, rows=out.rows[other], time_ns=out.time_ns[other]))
     return [hop for hop in hops if hop.matched]
@@ -428,10 +434,10 @@ def _likely(came: Prints, went: Prints) -> bool:
     return bool(there_too.sum() >= _LEAST_DIFFERENT and there_too.mean() > _NEARLY_ALL)
 
 
-def _match(into: Stream, out: Stream, came: Prints, went: Prints) -> Hop:
+def _match(into: Stream, out: Stream, came: Prints, went: Prints, early_ns: int) -> Hop:
     """Give every message that came out the latest equal one that had gone in and not come out yet."""
     in_ns, out_ns = into.time_ns, out.time_ns
-    from_ = paired(came, in_ns - _EARLY_NS, went, out_ns)
+    from_ = paired(came, in_ns - early_ns, went, out_ns)
     from_[out_ns - in_ns[from_] > _LONGEST_NS] = -1
     goes_row = np.flatnonzero(from_ >= 0)
     from_row = from_[goes_row]
