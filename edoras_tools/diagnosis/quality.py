@@ -543,7 +543,7 @@ def _went_on(rows: Rows, streams: Sequence[Places], start_ns: int, end_ns: int) 
     missing = number = 0
     for own in streams:
         at = int(np.searchsorted(rows.time_ns[own], start_ns, "right"))
-        if _steady(rows.time_ns[own], start_ns, end_ns):
+        if _LEAST_ROWS <= at <= len(own) - _LEAST_ROWS:
             number += 1
             missing += bool(rows.missing[own[at]] > 0)
     return missing >= _LEAST_STREAMS and 2 * missing > number

@@ -477,6 +477,9 @@ class Stops:
                 self._hold(fate, fate.open & (times > item.start_ns) & (times < item.end_ns))
         if item.app in executive_services.SCHEDULERS:
             inside &= ~fate.newer  # nobody woke the application: it kept the newest
+            if NEVER in {until_ns, last_ns or NEVER}:  # what that was, the capture does not show
+                self._hold(fate, inside)
+                inside = np.zeros(len(times), bool)
         again = np.zeros(len(times), bool)
         if item.end_ns is not None and until_ns > item.end_ns + TAIL_NS:
             again = times > item.end_ns  # it runs, and passes nothing on
