@@ -563,13 +563,15 @@ def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
     """Go on to what shows what became of what the software bus did not lose."""
     if not (fate.seen or fate.reached is not None or fate.commanded is not None):
         way.end("uncertain", min(fate.ends["earlier"] + fate.ends["unaccounted"], way.left))
-    if fate.commanded is not None and fate.ends["unaccounted"]:
+    if fate.commanded is not None and fate.ends["unaccounted"] + fate.ends["elsewhere"]:
         way.hop(telemetry_output.NAME, {"in": _NOT_LOST, "out": "0x880: commands that it took or refused"})
         way.end("unaccounted", fate.ends["unaccounted"])
+        way.end("uncertain", fate.ends["elsewhere"])
     if fate.reached is not None:
         sources = {"in": _NOT_LOST, "out": "number of datagrams on the robot link"}
         way.hop(APPLICATION, sources, onward=((ROBOT.label, NO_MSG_ID),))
         way.end("unaccounted", fate.ends["unaccounted"])
+        way.end("uncertain", fate.ends["elsewhere"])
         way.end("waiting", way.left - fate.reached)
     if fate.seen:
         _applied(case, fate, way)

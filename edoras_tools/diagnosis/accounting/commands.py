@@ -73,6 +73,7 @@ _WRAPPED: Final = 128
 _BURST_NS: Final = 4 * SECOND
 """What is missing within so long of the next that is missing is of one time."""
 _UNEXPLAINED: Final = frozenset({"after", "unknown"})
+_COUNTED: Final = frozenset({*COUNTERS, "unknown"})
 
 
 class Commands:
@@ -492,7 +493,13 @@ class Commands:
             fate.ends["late"] = min(fate.ends["late"], rest - fate.ends["queued"])
             rest -= fate.ends["queued"] + fate.ends["late"]
             late = fate.stream.time_ns > self._case.end_ns - WAITS_NS
-            fate.ends["unaccounted"] = max(0, rest - int(late.sum()))
+            self._leave_open(fate, rest - int(late.sum()))
+
+    def _leave_open(self, fate: Fate, number: int) -> None:
+        """Leave so many of a stream unaccounted for, but for those that may be what the bus counted of nobody."""
+        counted = sum(loss.lost for loss in self.losses if loss.stream is None and loss.kind in _COUNTED)
+        fate.ends["unaccounted"] = max(0, number - counted)
+        fate.ends["elsewhere"] = max(0, number) - fate.ends["unaccounted"]
 
     def _commanded(self, fate: Fate) -> None:
         """Hold commands to Telemetry Output against its own counters in 0x880.
@@ -512,7 +519,7 @@ class Commands:
         fate.commanded = int(steps.sum())
         times, counted_ns = fate.stream.time_ns, samples["time_ns"]
         inside = int(((times > counted_ns[0]) & (times <= counted_ns[-1] - TAIL_NS)).sum())
-        fate.ends["unaccounted"] = max(0, inside - (len(times) - self._untold(fate)) - fate.commanded)
+        self._leave_open(fate, inside - (len(times) - self._untold(fate)) - fate.commanded)
 
     def _end(self, fates: Sequence[Fate], tails: Mapping[int, int], shared: Sequence[Shared]) -> None:
         """Tell what became of what is left, rules 6 and 7.
