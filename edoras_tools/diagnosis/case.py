@@ -61,7 +61,7 @@ from edoras_tools.diagnosis.quality import (
     overlapping,
 )
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, HostCounters, InterfaceOutage, Link, Peer
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding, HostCounters, InterfaceOutage, Link, Peer
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.sbn import HEADER as SBN_HEADER
@@ -312,9 +312,12 @@ class Case:
     def quality(self) -> Quality:
         """What bounds the datagrams that the capture missed."""
         holes, drops = sorted([*self.away, *self.quiet]), self.capture.drops
-        return assess_quality(
+        quality = assess_quality(
             self.rows, self.payloads, self.instances, self.streams, self.hops, self.tracks, holes, drops
         )
+        # Where frames are cut, no answer tells what was missed; what CI counts more does.
+        cut = self.rows.has(Finding.CAPTURE_CUT).any() and not quality.lacks_answered
+        return quality.lacking(self.ingests) if cut else quality
 
     @cached_property
     def confidence(self) -> float:

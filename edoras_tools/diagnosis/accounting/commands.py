@@ -369,7 +369,10 @@ class Commands:
                 fate, within = first
                 if within.sum() == 1 and item.confidence == "high":
                     self._give_way(fate, np.flatnonzero(within & fate.arrived))
-                self._place(item, fate, np.flatnonzero((fate.open | fate.blind) & within), rest)
+                rows = np.flatnonzero((fate.open | fate.blind) & within)
+                if number := min(rest, len(rows)) if (fate.arrived & within).any() else 0:
+                    rest = number - _allowance(self._case, int(within.sum()), number)  # some come out
+                self._place(item, fate, rows, rest)
                 rest = 0  # what is not open arrived, or is told of by another verdict
             self.unplaced[id(item)] = rest
 

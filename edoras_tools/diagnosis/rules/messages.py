@@ -195,7 +195,7 @@ def _unwanted(case: Case, track: Track) -> Iterator[tuple[int, Places, int]]:
     counts, spread = track.beyond_steady("no_subscribers", np.sort(times[arriving]), _COUNTED_NS)
     if spread:
         counts = np.array(track.totals["no_subscribers"])
-    published = (item.time_ns - SECOND for item in case.streams if item.link.only_from_cfs)
+    published = (_published(item) - SECOND for item in case.streams if item.link.only_from_cfs)
     if counts[-1] <= 0 or any(_may_be(sent_ns, seen_ns, counts, _COUNTED_NS, 0) for sent_ns in published):
         return  # what cFS does as often it may do for nobody: a scheduler wakes those that are not there
     inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
@@ -215,6 +215,12 @@ def _unwanted(case: Case, track: Track) -> Iterator[tuple[int, Places, int]]:
                 yield msg_id, members, round(part * len(members))
         if fits:
             return
+
+
+def _published(stream: Stream) -> Integers:
+    """Return when messages of a stream came, and about when those would have come that did not."""
+    place = np.cumsum(stream.missing + 1) - stream.missing - 1
+    return np.interp(np.arange(place[-1] + 1), place, stream.time_ns).astype(np.int64)
 
 
 def _perhaps_unwanted(case: Case) -> Places:
