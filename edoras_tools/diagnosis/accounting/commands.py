@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.losses import LossKind
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.relays import LostInRelay
+    from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Verdict
     from edoras_tools.wire.arrays.order import Places
@@ -126,6 +127,9 @@ class Commands:
             self._pass_on(fate)
             pipes.claim(fate)
         hold_back(case, telemetry.claims)
+        for claim in pipes.claims if case.quality.lacks_answered else ():
+            if claim.rank in {Rank.CLOSED, Rank.INTO_STOP}:
+                claim.rank = Rank.PRESSED  # the capture may have missed what others lack
         counts, claims = case.loss_counts, [*telemetry.claims, *pipes.claims]
         leftover = Leftover(case, self.fates, pipes)
         leftover.take_named()
@@ -148,7 +152,7 @@ class Commands:
         settle_doubted(counts, claims)
         telemetry.tell()
         self._name([item for item in case.refused if item.by_type])
-        doubt(case, telemetry, fates)
+        doubt(case, telemetry, fates, self.losses)
         leftover.tell()
         self.uncaptured = leftover.uncaptured
         self.refused_of: dict[int, list[tuple[Verdict, int, Among]]] = {}
@@ -316,7 +320,7 @@ class Commands:
             if stream is not None:
                 self.relayed[id(stream)] = item
             number = len(item.lost_ns)
-            number -= _allowance(self._case, item.of, number) if number else 0
+            number -= self._case.may_lack(item.of, number) if number else 0
             if number:
                 span = int(item.lost_ns.min()), int(item.lost_ns.max())
                 text = f"{number:,} of {item.of:,} went into {item.relay} and did not come out of it"
@@ -371,7 +375,7 @@ class Commands:
                     self._give_way(fate, np.flatnonzero(within & fate.arrived))
                 rows = np.flatnonzero((fate.open | fate.blind) & within)
                 if number := min(rest, len(rows)) if (fate.arrived & within).any() else 0:
-                    rest = number - _allowance(self._case, int(within.sum()), number)  # some come out
+                    rest = number - self._case.may_lack(int(within.sum()), number)  # some come out
                 self._place(item, fate, rows, rest)
                 rest = 0  # what is not open arrived, or is told of by another verdict
             self.unplaced[id(item)] = rest
@@ -436,7 +440,7 @@ class Commands:
                 fate.passed[own[fate.open[own]]] = True
             if not (hop.rewritten and hop.out.counted):
                 continue
-            into, out = np.sort(hop.in_rows), np.sort(hop.out_rows)
+            into, out = _in_order(hop)
             behind = np.searchsorted(into, open_)
             passed = np.concatenate(([0], np.cumsum(self.telemetry.passed(hop.out))))[out]
             room = np.concatenate(([0], np.diff(passed) - 1, [0]))
@@ -603,6 +607,17 @@ class Commands:
         ends["passed_on"] -= ends["shared"] - superseded
 
 
+def _in_order(hop: Hop) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return what went in, and what of it came out, each in order, without pairs that stand far apart.
+
+    Of equal messages the one that came out may be another than the one that it is taken for.
+    """
+    into = hop.in_rows[np.argsort(hop.out_rows, kind="stable")]
+    away = np.abs(np.argsort(np.argsort(into)) - np.arange(len(into)))
+    near = away <= (np.diff(into) < 0).sum()
+    return np.sort(into[near]), np.sort(hop.out_rows)[near]
+
+
 def hold_back(case: Case, claims: Sequence[Claim]) -> None:
     """Keep counts from what the capture may have missed, where no event names it and no pipe was full of it.
 
@@ -642,7 +657,7 @@ def may_be_missed(case: Case, claims: Sequence[Claim]) -> dict[int, int]:
     return {flow: case.may_lack(sizes[flow], number) for flow, number in open_.items()}
 
 
-def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate]) -> None:
+def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], counted: Sequence[Loss]) -> None:
     """Take losses back that the capture may have missed: they become uncertain.
 
     None does where a capture that misses such a share would show it; nor what came over TCP, where the bytes
@@ -651,6 +666,7 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate]) -> None:
     Args:
         telemetry: its losses become fewer, and are counted as uncertain there.
         fates: likewise what is unaccounted for.
+        counted: losses of what went in.
     """
     _leave_quiet(case, telemetry)
     streamed, quality = case.rows.streamed, case.quality
@@ -666,16 +682,32 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate]) -> None:
     missing += sum(fate.ends["unaccounted"] for fate in unseen)
     if not missing:
         return
+    for fate in unseen if case.unsteady_ns else ():  # what is late may be taken for another
+        fate.ends["missed"], fate.ends["unaccounted"] = fate.ends["unaccounted"], 0
     if quality.excludes(missing / sent):
         return
+    spare = _mistaken(case, [*telemetry.losses, *counted])
     for stream in case.streams:
         own = gaps.get(id(stream), [])
-        for (loss, _), share in zip(own, _missed(case, stream, [number for _, number in own]), strict=True):
-            _take_back(telemetry, loss, share)
+        for (loss, number), share in zip(own, _missed(case, stream, [many for _, many in own]), strict=True):
+            more = min(spare, number - share)
+            _take_back(telemetry, loss, share + more)
+            spare -= more
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
-    for fate in unseen:
-        fate.ends["missed"] = case.may_lack(len(fate.stream), fate.ends["unaccounted"])
+    for fate in () if case.unsteady_ns else unseen:
+        missed = case.may_lack(len(fate.stream), fate.ends["unaccounted"])
+        fate.ends["missed"] = missed + min(spare, fate.ends["unaccounted"] - missed)
+        spare -= fate.ends["missed"] - missed
         fate.ends["unaccounted"] -= fate.ends["missed"]
+
+
+def _mistaken(case: Case, losses: Sequence[Loss]) -> int:
+    """Return how many that counters have the capture may have missed: they may be others that are missing."""
+    lost = Counter[int]()
+    for loss in losses if case.quality.lacks_answered else ():
+        if loss.kind in COUNTERS and loss.stream is not None:
+            lost[id(loss.stream)] += loss.lost
+    return sum(case.may_lack(len(item), lost[id(item)]) for item in case.streams if lost[id(item)])
 
 
 def _leave_quiet(case: Case, telemetry: Telemetry) -> None:
