@@ -21,7 +21,7 @@ from edoras_tools.diagnosis.accounting.claims import Counts
 from edoras_tools.diagnosis.accounting.commands import Commands
 from edoras_tools.diagnosis.accounting.content import judge_contents
 from edoras_tools.diagnosis.constants import learn_constants
-from edoras_tools.diagnosis.evidence.clocks.steady import steadied, unsteadiness
+from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.loss_reports import (
     LossEvents,
@@ -207,7 +207,7 @@ class Case:
             self.instances = Instances(rows, payloads.events, recorder.endpoints)
         self.rows: Rows = rows
         self.payloads: Payloads = payloads
-        self.unsteady_ns = unsteadiness(rows, self.instances)
+        self.unsteady_ns = self.prepared.unsteady_ns
         self.endpoints: Sequence[Endpoint] = recorder.endpoints
         self._errors = recorder.errors
         self.samples = recorder.samples

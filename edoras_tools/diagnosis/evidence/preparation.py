@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.decode.conversations import LEFT_OUT, ConversationKind, Flow
+from edoras_tools.diagnosis.evidence.clocks.unsteady import unsteadiness
 from edoras_tools.diagnosis.evidence.copies import (
     BY_CAPTURE,
     BY_NETWORK,
@@ -63,6 +64,7 @@ class Prepared:
         doubled: rows that were captured twice, or sent twice: nothing tells. They are left out.
         perhaps_astray: rows that came to one capture, and that the next one on their way lacks, or missed.
         disordered: records that stood behind a later one.
+        unsteady_ns: by how much capture times are wrong in no order.
         translated: address to the address that it is another name of.
     """
 
@@ -78,6 +80,7 @@ class Prepared:
     doubled: Rows
     perhaps_astray: Mask
     disordered: int
+    unsteady_ns: int
     translated: Mapping[str, str]
 
 
@@ -113,7 +116,8 @@ def prepare(
     if lost.any():
         rest.keep(~lost)
         rest.rows = followed(rest.rows)
-    passed = find_relayed(rest.rows, endpoints)
+    unsteady_ns = unsteadiness(rest.rows)
+    passed = find_relayed(rest.rows, endpoints, unsteady_ns)
     lost_there = tuple(loss for item in passed for loss in item.losses(rest.rows))
     if passed:
         # What was damaged behind a relay did not come out of it.
@@ -150,6 +154,7 @@ def prepare(
         doubled=doubled,
         perhaps_astray=perhaps_astray | alone[~copy],
         disordered=disordered,
+        unsteady_ns=unsteady_ns,
         translated={
             endpoints[index].address: endpoints[name].address
             for index, name in enumerate(names.tolist())

@@ -388,14 +388,15 @@ class RelayedWay:
                 yield LostInRelay(self.relay, link, msg_id, receiver, lost_ns, len(own), figures)
 
 
-def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
+def find_relayed(rows: Rows, endpoints: Sequence[Endpoint], unsteady_ns: int = 0) -> list[RelayedWay]:
     """Return what passed a relay on both sides of which the rows were captured.
 
     Args:
         rows: in order of time.
         endpoints: what their ``source`` and ``destination`` index.
+        unsteady_ns: by how much their times are wrong in no order.
     """
-    host = number_hosts(endpoints)
+    early_ns, host = max(_CLOCKS_NS, unsteady_ns), number_hosts(endpoints)
     if not len(rows) or len(np.unique(host[rows.source])) < 2:
         return []
     leaving: dict[int, list[NDArray[np.intp]]] = {}
@@ -416,7 +417,7 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
             and not senders & {int(rows.source[behind[0]]), int(rows.destination[behind[0]])}
             and int(host[rows.destination[behind[0]]]) != at
             and int(host[rows.destination[behind[0]]]) in leaving
-            and (item := _relayed(rows, endpoints[relay], before, behind)) is not None
+            and (item := _relayed(rows, endpoints[relay], before, behind, early_ns)) is not None
         ]
     # Within the slack of two clocks each side may be behind the other: the later one is.
     both = _both_ways(rows, host, relayed)
@@ -440,12 +441,12 @@ def _both_ways(rows: Rows, host: NDArray[np.int32], relayed: list[RelayedWay]) -
 
 
 def _relayed(
-    rows: Rows, relay: Endpoint, before: NDArray[np.intp], behind: NDArray[np.intp]
+    rows: Rows, relay: Endpoint, before: NDArray[np.intp], behind: NDArray[np.intp], early_ns: int
 ) -> RelayedWay | None:
     """Hold what came to an address against what left it; None where that is not the same."""
     into, out = ((rows.bytes_print[own], rows.time_ns[own]) for own in (before, behind))
-    made_of = latest_equal(*into, out[0], out[1] + _CLOCKS_NS)
+    made_of = latest_equal(*into, out[0], out[1] + early_ns)
     made_of[out[1] - into[1][made_of] > LONGEST_NS] = -1
     if (made_of >= 0).sum() < max(_LEAST_DATAGRAMS, _NEARLY_ALL * len(behind)):
         return None
-    return RelayedWay(relay, before, behind, made_of, pair_up(*into, *out, _CLOCKS_NS))
+    return RelayedWay(relay, before, behind, made_of, pair_up(*into, *out, early_ns))

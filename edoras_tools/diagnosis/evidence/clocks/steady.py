@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs import telemetry_output
-from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
+from edoras_tools.diagnosis.evidence.instances import Instances
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import numbered
@@ -283,29 +283,3 @@ def _without(rows: Rows, jump: Jump, before: Mask) -> Rows:
         & among(rows.link, lambda link: link.from_cfs and link.packets)
     )
     return replace(rows, mission_time_ns=rows.mission_time_ns - timed * jump.by_ns)
-
-
-_TOGETHER_NS: Final = 20 * MILLISECOND
-_HALF_ROUND_NS: Final = 250 * MILLISECOND
-_UNSTEADY: Final = 0.2
-_LEAST_PAIRS: Final = 20
-_TAIL: Final = 1.5
-"""Of two times that are late by up to some time, one of ten differs by less than two thirds of that."""
-
-
-def unsteadiness(rows: Rows, instances: Instances) -> int:
-    """Return by how much capture times are wrong in no order, ns; 0 where they are not.
-
-    What a cFS makes at nearly one time leaves in one round and in that order: capture times that often say
-    otherwise, by less than half a round, are not those at which it left.
-    """
-    own = among(rows.link, lambda link: link.only_from_cfs) & (rows.mission_time_ns > 0)
-    at = np.flatnonzero(own & (instances.of_row != NOBODY))
-    at = at[np.lexsort((rows.mission_time_ns[at], rows.source[at], instances.of_row[at]))]
-    same = (np.diff(instances.of_row[at]) == 0) & (np.diff(rows.source[at]) == 0)
-    steps = np.diff(rows.time_ns[at])[same & (np.diff(rows.mission_time_ns[at]) < _TOGETHER_NS)]
-    steps = steps[np.abs(steps) < _HALF_ROUND_NS]
-    back = -steps[steps < -MILLISECOND // 2]
-    if len(steps) < _LEAST_PAIRS or len(back) < _UNSTEADY * len(steps):
-        return 0
-    return int(_TAIL * np.quantile(back, 0.9))
