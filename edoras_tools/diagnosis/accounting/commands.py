@@ -503,8 +503,9 @@ class Commands:
             self._leave_open(fate, rest - int(late.sum()))
 
     def _leave_open(self, fate: Fate, number: int) -> None:
-        """Leave so many of a stream unaccounted for, but for those that may be what the bus counted of nobody."""
+        """Leave so many of a stream unaccounted for: not what the capture missed, or the bus counted of nobody."""
         counted = sum(loss.lost for loss in self.losses if loss.stream is None and loss.kind in _COUNTED)
+        counted += _allowance(self._case, len(fate.stream), max(0, number))
         fate.ends["unaccounted"] = max(0, number - counted)
         fate.ends["elsewhere"] = max(0, number) - fate.ends["unaccounted"]
 

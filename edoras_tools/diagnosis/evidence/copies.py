@@ -372,7 +372,7 @@ def who_doubled(
             vote += _by_counts(rows.time_ns[mine], own, *track)
         if vote >= 0:  # what the capture lacks is counted, too
             vote = min(vote, int(own.sum())) + _by_answers(rows, mine, own, answers)
-        vote *= not 0 < vote <= max(1, own.sum() // 2)  # what a few say may be chance
+        vote *= not 0 < vote <= max(2, own.sum() // 2)  # what a few say may be chance
         at_once = int(copies.at_once[mine[own]].sum())
         votes[receiver] = 2 * vote - at_once if vote else 0
     whole = sum(votes.values())
