@@ -61,7 +61,16 @@ from edoras_tools.diagnosis.quality import (
     overlapping,
 )
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding, HostCounters, InterfaceOutage, Link, Peer
+from edoras_tools.model import (
+    NO_MSG_ID,
+    NO_ROUTE,
+    Endpoint,
+    Finding,
+    HostCounters,
+    InterfaceOutage,
+    Link,
+    Peer,
+)
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.sbn import HEADER as SBN_HEADER

@@ -523,7 +523,7 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
     for start_ns, end_ns in zip(rows.time_ns[long].tolist(), rows.time_ns[long + 1].tolist(), strict=True):
         others = _steady(commands, start_ns, end_ns)
         others |= sum(_steady(times, start_ns, end_ns) for times in peers) > 1
-        if _went_on(rows, streams, start_ns, end_ns):
+        if _went_on(rows, streams, start_ns):
             holes[not others].append((start_ns, end_ns))
     return holes[0], holes[1]
 
@@ -548,7 +548,7 @@ def _steady(times: Integers, start_ns: int, end_ns: int) -> bool:
     return bool(1.5 * usual < end_ns - start_ns and idle <= max(3 * usual, _IDLE_NS))
 
 
-def _went_on(rows: Rows, streams: Sequence[Places], start_ns: int, end_ns: int) -> bool:
+def _went_on(rows: Rows, streams: Sequence[Places], start_ns: int) -> bool:
     """Tell whether most streams that are there before and after a time miss counts in it."""
     missing = number = 0
     for own in streams:

@@ -127,9 +127,7 @@ class Commands:
             self._pass_on(fate)
             pipes.claim(fate)
         hold_back(case, telemetry.claims)
-        for claim in pipes.claims if case.quality.lacks_answered else ():
-            if claim.rank in {Rank.CLOSED, Rank.INTO_STOP}:
-                claim.rank = Rank.PRESSED  # the capture may have missed what others lack
+        _prefer_stopped(case, pipes.claims)
         counts, claims = case.loss_counts, [*telemetry.claims, *pipes.claims]
         leftover = Leftover(case, self.fates, pipes)
         leftover.take_named()
@@ -503,10 +501,10 @@ class Commands:
             self._leave_open(fate, rest - int(late.sum()))
 
     def _leave_open(self, fate: Fate, number: int) -> None:
-        """Leave so many of a stream unaccounted for: not what the capture missed, or the bus counted of nobody."""
-        counted = sum(loss.lost for loss in self.losses if loss.stream is None and loss.kind in _COUNTED)
-        counted += _allowance(self._case, len(fate.stream), max(0, number))
-        fate.ends["unaccounted"] = max(0, number - counted)
+        """Leave so many unaccounted for, but those that the capture missed, or the bus counted of nobody."""
+        others = sum(loss.lost for loss in self.losses if loss.stream is None and loss.kind in _COUNTED)
+        others += _allowance(self._case, len(fate.stream), max(0, number))
+        fate.ends["unaccounted"] = max(0, number - others)
         fate.ends["elsewhere"] = max(0, number) - fate.ends["unaccounted"]
 
     def _commanded(self, fate: Fate) -> None:
@@ -585,7 +583,8 @@ class Commands:
         # One that came out and was lost behind that took others' place, too.
         more = min(unaccounted, ends["passed_on"]) if fate.newer.any() else 0
         ends["superseded"] += more
-        ends["unaccounted"] = unaccounted - more
+        # Where times are wrong, what is late may be taken for another.
+        ends["missed" if self._case.unsteady_ns else "unaccounted"] = unaccounted - more
 
     @staticmethod
     def _share(fate: Fate, own: Sequence[int], rest: list[int]) -> None:
@@ -636,6 +635,13 @@ def hold_back(case: Case, claims: Sequence[Claim]) -> None:
                 claim.number, claim.doubted = claim.number - share, claim.doubted + share
 
 
+def _prefer_stopped(case: Case, claims: Sequence[Claim]) -> None:
+    """Let what nobody took have counts first, where the capture may have missed what others lack."""
+    for claim in claims if case.quality.lacks_answered else ():
+        if claim.rank in {Rank.CLOSED, Rank.INTO_STOP}:
+            claim.rank = Rank.PRESSED
+
+
 def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
     """Return how many the capture may have missed of some numbers that are missing from a stream."""
     of = len(stream) + int(stream.missing.sum())
@@ -658,7 +664,7 @@ def may_be_missed(case: Case, claims: Sequence[Claim]) -> dict[int, int]:
     return {flow: case.may_lack(sizes[flow], number) for flow, number in open_.items()}
 
 
-def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], counted: Sequence[Loss]) -> None:
+def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Sequence[Loss]) -> None:
     """Take losses back that the capture may have missed: they become uncertain.
 
     None does where a capture that misses such a share would show it; nor what came over TCP, where the bytes
@@ -667,7 +673,7 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], counted: Sequ
     Args:
         telemetry: its losses become fewer, and are counted as uncertain there.
         fates: likewise what is unaccounted for.
-        counted: losses of what went in.
+        losses: of what went in.
     """
     _leave_quiet(case, telemetry)
     streamed, quality = case.rows.streamed, case.quality
@@ -683,23 +689,27 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], counted: Sequ
     missing += sum(fate.ends["unaccounted"] for fate in unseen)
     if not missing:
         return
-    for fate in unseen if case.unsteady_ns else ():  # what is late may be taken for another
-        fate.ends["missed"], fate.ends["unaccounted"] = fate.ends["unaccounted"], 0
     if quality.excludes(missing / sent):
         return
-    spare = _mistaken(case, [*telemetry.losses, *counted])
+    spare = _mistaken(case, [*telemetry.losses, *losses])
     for stream in case.streams:
         own = gaps.get(id(stream), [])
         for (loss, number), share in zip(own, _missed(case, stream, [many for _, many in own]), strict=True):
-            more = min(spare, number - share)
-            _take_back(telemetry, loss, share + more)
-            spare -= more
+            _take_back(telemetry, loss, min(number, share + spare))
+            spare -= min(spare, number - share)
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
-    for fate in () if case.unsteady_ns else unseen:
-        missed = case.may_lack(len(fate.stream), fate.ends["unaccounted"])
-        fate.ends["missed"] = missed + min(spare, fate.ends["unaccounted"] - missed)
-        spare -= fate.ends["missed"] - missed
-        fate.ends["unaccounted"] -= fate.ends["missed"]
+    for fate in unseen:
+        spare -= _leave_missed(case, fate, spare)
+
+
+def _leave_missed(case: Case, fate: Fate, spare: int) -> int:
+    """Take back what the capture may have missed, and so many more; return how many more."""
+    absent = fate.ends["unaccounted"]
+    missed = case.may_lack(len(fate.stream), absent)
+    more = min(spare, absent - missed)
+    fate.ends["missed"] += missed + more
+    fate.ends["unaccounted"] -= missed + more
+    return more
 
 
 def _mistaken(case: Case, losses: Sequence[Loss]) -> int:

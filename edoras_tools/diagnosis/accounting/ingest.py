@@ -144,13 +144,12 @@ class Ingest:
 
     def steadied(self) -> Ingest:
         """Return it where times are wrong: what was lost too early is what CI counted too much later."""
-        losses, rest = list[Before](), min(self.not_captured, self.lost)
-        taken, missing = self.taken + rest, self.not_captured - rest
+        rest, losses = min(self.not_captured, self.lost), list[Before]()
+        result = replace(self, taken=self.taken + rest, losses=losses, not_captured=self.not_captured - rest)
         for loss in self.losses:
-            part = min(rest, loss.lost)
-            rest -= part
-            losses += [replace(loss, lost=loss.lost - part)] if loss.lost > part else []
-        return replace(self, taken=taken, losses=losses, not_captured=missing)
+            losses += [replace(loss, lost=loss.lost - rest)] * (loss.lost > rest)
+            rest -= min(rest, loss.lost)
+        return result
 
     @property
     def lost_on_network(self) -> int:

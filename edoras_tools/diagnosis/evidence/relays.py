@@ -373,11 +373,10 @@ class RelayedWay:
         commands = self.before[rows.function_code[self.before] >= 0]
         lost, doubled = np.delete(self.before, self.segment.into), np.delete(self.behind, self.segment.out)
         # What is there twice in front of it came out once.
-        ways = np.concatenate((self.before[self.segment.into], lost))
-        named = rows.identification[ways] != 0
-        again = np.where(named, rows.bytes_print[ways] ^ rows.identification[ways].astype(np.uint64) * MIX, 0)
-        again[~named] = np.arange(1, 1 + int((~named).sum()))
-        lost = lost[np.isin(lost, ways[numbered(again)[0]])]
+        every = np.concatenate((self.before[self.segment.into], lost))
+        number = rows.identification[every]
+        once = numbered(rows.bytes_print[every], number, np.where(number, 0, every))[0]
+        lost = lost[np.isin(lost, every[once])]
         receiver, link = int(rows.destination[self.behind[0]]), int(rows.link[self.before[0]])
         for msg_id, own in by_value(rows.msg_id[commands]):
             lost_ns = rows.time_ns[lost[rows.msg_id[lost] == msg_id]]
