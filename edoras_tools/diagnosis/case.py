@@ -53,6 +53,7 @@ from edoras_tools.diagnosis.matching.streams import (
 )
 from edoras_tools.diagnosis.quality import (
     CONFIDENCE,
+    Evidence,
     HostDrops,
     Quality,
     assess_quality,
@@ -326,7 +327,11 @@ class Case:
         )
         # Where frames are cut, no answer tells what was missed; what CI counts more does.
         cut = self.rows.has(Finding.CAPTURE_CUT).any() and not quality.lacks_answered
-        return quality.lacking(self.ingests) if cut else quality
+        own = [item for item in self.ingests if item.not_captured and cut]
+        more = [(item.endpoint, item.taken + item.not_captured, item.not_captured) for item in own]
+        return replace(
+            quality, evidence=(*quality.evidence, *(Evidence("ci_counts", *item) for item in more))
+        )
 
     @cached_property
     def confidence(self) -> float:

@@ -35,7 +35,7 @@ The capture has a hole if nothing was captured although everybody went on sendin
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 from math import exp, lgamma, log, log1p, sqrt
 from typing import TYPE_CHECKING, Final, Literal
@@ -52,7 +52,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.accounting.ingest import Ingest
     from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.loss_reports import Track
     from edoras_tools.diagnosis.evidence.payloads import Payloads
@@ -127,15 +126,6 @@ class Quality:
     def lacks_answered(self) -> bool:
         """Whether datagrams were missed that surely came to the tap: they were answered, or counted there."""
         return any(item.missing for item in self._answers)
-
-    def lacking(self, ingests: Sequence[Ingest]) -> Quality:
-        """Return it with what CIs counted and the capture does not show as checked, too."""
-        more = [
-            Evidence("ci_counts", own.endpoint, own.taken + own.not_captured, own.not_captured)
-            for own in ingests
-            if own.not_captured
-        ]
-        return replace(self, evidence=(*self.evidence, *more))
 
     @cached_property
     def groups(self) -> list[tuple[int, int]]:

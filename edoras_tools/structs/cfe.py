@@ -118,9 +118,7 @@ _STRUCTS: Final[dict[str, tuple[str, dict[str, str | tuple[str, str]]]]] = {
         {
             "pipe_id": ("uint32 hex", "0 for none"),
             "max_queue_depth": "uint16",
-            "current_queue_depth": "uint16",
-            "peak_queue_depth": "uint16",
-            "spare": "uint16",
+            **dict.fromkeys(("current_queue_depth", "peak_queue_depth", "spare"), "uint16"),
         },
     ),
     "CFE_SB_StatsTlm": (
@@ -131,9 +129,7 @@ _STRUCTS: Final[dict[str, tuple[str, dict[str, str | tuple[str, str]]]]] = {
                 for resource in ("msg_ids", "pipes", "memory", "subscriptions")
                 for name in (f"{resource}_in_use", f"peak_{resource}_in_use", f"max_{resource}_allowed")
             },
-            "buffers_in_use": "uint32",
-            "peak_buffers_in_use": "uint32",
-            "max_pipe_depth_allowed": "uint32",
+            **dict.fromkeys(("buffers_in_use", "peak_buffers_in_use", "max_pipe_depth_allowed"), "uint32"),
             "pipes": ("CFE_SB_PipeDepth[]", "one for each pipe, as many as the build has room for"),
         },
     ),

@@ -127,6 +127,13 @@ def jittered(most_ns: int) -> Change:
     return change
 
 
+def shaken(most_ns: int) -> Change:
+    """Let times be late by a random part of ``most_ns``; the records stay where they are."""
+    return lambda items, chance: [
+        item._replace(time_ns=item.time_ns + chance.randrange(most_ns)) for item in items
+    ]
+
+
 def stepped(by_ns: int) -> Change:
     """Set the capture's clock somewhere between a quarter and three quarters of the records."""
 
@@ -175,9 +182,13 @@ CHANGES: dict[str, Change] = {
     "1 % doubled": doubled(0.01),
     "5 % doubled": doubled(0.05),
     "5 % doubled 40 us later": doubled_later(0.05, 40_000),
+    "5 % doubled 3 us later": doubled_later(0.05, 3_000),
+    "5 % doubled 50 ms later": doubled_later(0.05, 50_000_000),
     "displaced by up to 1 s": displaced(),
     **{f"cut to {most}": cut_off(most) for most in (64, 80, 96, 112, 128)},
     "times late by up to 20 ms": jittered(20_000_000),
+    "times late by up to 200 ms": jittered(200_000_000),
+    "times late, in the order of the file": shaken(200_000_000),
     "clock set ahead by 300 s": stepped(300 * SECOND),
     "clock set back by 300 s": stepped(-300 * SECOND),
     "the first half": part(0, 0.5),

@@ -176,7 +176,7 @@ def examined(path: Path, options: tuple[str, ...] = (), configs: tuple[Path, ...
     ports = [word.split(":") for word in options[1::2]]
     links = Options(ports=tuple((table.link_of_label(link), int(port)) for link, port in ports))
     with closing(open_file(path)) as source:
-        bench = Settings(configs=list(configs), options=links).workbench(source.info)
+        bench = Settings(configs=list(configs), options=links).workbench(source.info, [path])
         return examine(source, bench).diagnosis
 
 

@@ -34,18 +34,8 @@ _ALIASES: Final = {
 }
 """Names of ``sniff --json`` and of the columns, which win over everything else of that name."""
 _OF_MESSAGES: Final = (
-    "number",
-    "time_ns",
-    "time",
-    "utc",
-    "length",
-    "topic",
-    "type",
-    "findings",
-    "ros",
-    "summary",
-    "stop",
-    "payload",
+    *("number", "time_ns", "time", "utc", "length", "topic", "type"),
+    *("findings", "ros", "summary", "stop", "payload"),
 )
 """Names of the packet itself that messages without datagrams have, too."""
 _BITS: Final = {bit: finding.label for bit, finding in enumerate(Finding)}

@@ -503,7 +503,7 @@ class Commands:
     def _leave_open(self, fate: Fate, number: int) -> None:
         """Leave so many unaccounted for, but those that the capture missed, or the bus counted of nobody."""
         others = sum(loss.lost for loss in self.losses if loss.stream is None and loss.kind in _COUNTED)
-        others += _allowance(self._case, len(fate.stream), max(0, number))
+        others += self._case.may_lack(len(fate.stream), max(0, number))
         fate.ends["unaccounted"] = max(0, number - others)
         fate.ends["elsewhere"] = max(0, number) - fate.ends["unaccounted"]
 

@@ -3,11 +3,11 @@
 One datagram keeps its IP identification and its bytes wherever it is captured, and a sender gives the next
 one another identification. So:
 
-1. Equal bytes between the same ports, with one identification that is not 0, within a second: one datagram,
-   if the sender does not give one identification to many.
-   Where it was captured at two places (another link layer header, interface or time to live), or four of
-   five datagrams of the conversation are doubled, the capture did it: a *copy*, counted once. Else it is a
-   *duplicate*: the network's, which its receiver gets twice, as far as rules 3 to 7 cannot tell otherwise.
+1. Equal bytes between the same ports, with one identification that is not 0, within half a second: one
+   datagram, if the sender does not give one identification to many. Where it was captured at two places
+   (another link layer header, interface or time to live), or four of five datagrams of the conversation are
+   doubled, the capture did it: a *copy*, counted once. Else it is a *duplicate*: the network's, which its
+   receiver gets twice, as far as rules 3 to 7 cannot tell otherwise.
 2. Where the identification is 0 (it may be, where fragmenting is forbidden) equal bytes are a copy only
    where they were captured at two places, or the whole conversation comes steadily in twos: at least eight
    groups of equal datagrams within 5 ms, nearly all of exactly two. A burst of 50 equal datagrams is one
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
 
 
 _WITHIN_NS: Final = 20 * MILLISECOND
-_LATER_NS: Final = SECOND
+_LATER_NS: Final = 500 * MILLISECOND
 _UNNUMBERED_NS: Final = 5 * MILLISECOND
 _STEADY: Final = 0.8
 _NEARLY_ALL: Final = 0.95
@@ -276,8 +276,8 @@ def _glance(batch: PacketBatch, conversation: Integers, identification: NDArray[
 
 
 def _perhaps_again(number: Prints, time_ns: Integers) -> bool:
-    """Tell whether two datagrams within a second may be equal, by the numbers that equal ones share."""
-    window = time_ns // _LATER_NS  # two within a second are in one, or in two side by side
+    """Tell whether two datagrams within half a second may be equal, by the numbers that equal ones share."""
+    window = time_ns // _LATER_NS  # two within half a second are in one, or in two side by side
     window -= window.min(initial=_NEVER_NS)
     most = (1 << _WINDOW_BITS) - 1
     key = number * MIX & ~np.uint64(most) | np.minimum(window, most).astype(np.uint64)
@@ -442,6 +442,8 @@ def _by_answers(rows: Rows, mine: Places, again: Mask, answers: Places) -> int:
     number = np.searchsorted(went, values, "right") - np.searchsorted(went, values)
     alone = number[(came == 1) & ~doubled & (number > 0) & (values != 0)]
     usual = int(np.median(alone)) if len(alone) else 0  # it may leave on several ways
+    if 10 * (alone == 2 * usual).sum() > len(alone):
+        return 0  # an application that sends some again of its own accord
     twice = number[(came == 2) & doubled & (values != 0)]
     return int((twice == 2 * usual).sum()) - int((twice == usual).sum()) if usual else 0
 

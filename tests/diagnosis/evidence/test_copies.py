@@ -94,13 +94,13 @@ def test_info_counts_once_what_was_captured_twice(tmp_path):
     st.lists(st.tuples(st.integers(0, 9), st.integers(0, 60)), max_size=60),
     st.sampled_from([1, 1 << 40]),
 )
-def test_a_glance_misses_no_two_within_20_ms(items, spread):
+def test_a_glance_misses_no_two_within_half_a_second(items, spread):
     number = np.array([value * spread for value, _ in items], np.uint64)
-    time_ns = np.cumsum(np.array([step for _, step in items], np.int64) * MILLISECOND)
-    near = abs(time_ns[:, None] - time_ns) <= 20 * MILLISECOND
+    time_ns = np.cumsum(np.array([step for _, step in items], np.int64) * 50 * MILLISECOND)
+    near = abs(time_ns[:, None] - time_ns) <= 500 * MILLISECOND
     again = near & (number[:, None] == number) & ~np.eye(len(items), dtype=bool)
-    # Windows are 40 ms long: some that are further apart share one.
-    near_enough = abs(time_ns[:, None] - time_ns) <= 40 * MILLISECOND
+    # Two windows are 1 s long: some that are further apart share them.
+    near_enough = abs(time_ns[:, None] - time_ns) <= 1000 * MILLISECOND
     may = near_enough & (number[:, None] == number) & ~np.eye(len(items), dtype=bool)
     assert again.any() <= _perhaps_again(number, time_ns) <= may.any()
 
