@@ -379,9 +379,9 @@ def who_doubled(
     for receiver, members in by_value(np.where(copies.duplicate, rows.destination, -1)):
         if receiver >= 0 and (vote := votes.get(receiver, 0) or whole):
             out[members] = BY_NETWORK if vote > 0 else BY_CAPTURE
-            at_once = copies.at_once[members]
-            if 2 * at_once.sum() < len(members):
-                out[members[at_once]] = BY_CAPTURE
+            together = copies.at_once[members]
+            if 2 * together.sum() < len(members):
+                out[members[together]] = BY_CAPTURE
     out[copies.duplicate & (out == 0) & copies.at_once] = BY_CAPTURE
     return out
 
