@@ -213,6 +213,7 @@ def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdi
         and (item.hop in {row.hop, sbn.NAME} or not row.hop.startswith(_OF_ONE_HOP))
     ]
     own = [item for item in own if item.msg_id is not None] or own
+    own = [item for item in own if item.link == row.link] or own
     return [item for item in own if item.hop == row.hop] or own
 
 

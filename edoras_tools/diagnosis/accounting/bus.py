@@ -237,7 +237,7 @@ class Telemetry:
             span = Span(first, last, int(times[first]), int(times[last]), 0, number)
             part = Part(stream, span, owner, own.among(stream), number, closed=True)
             part.silenced, part.unled = bool(silenced[index]), bool(unled[index])
-            self._claim_closed(part, own)
+            self._claim_closed(part, own, gaps)
         gaps, spans = gaps.take(~closed), stream.spans
         which = np.searchsorted([item.first for item in spans], gaps.at, "right") - 1
         for index in np.unique(which).tolist():
@@ -316,17 +316,21 @@ class Telemetry:
                     self.ends[id(stream)][ending] += 1
         return numbers
 
-    def _claim_closed(self, part: Part, gap: _Gaps) -> None:
-        """Claim counts of what is missing: a pipe that nobody empties fills up, and the bus counts that."""
+    def _claim_closed(self, part: Part, gap: _Gaps, gaps: _Gaps) -> None:
+        """Claim counts of what is missing: a pipe that nobody empties fills up, and the bus counts that.
+
+        Args:
+            gaps: all that is missing from the stream.
+        """
         if not part.silenced and not part.unled:
             part.cause = self._cause(part)
         if part.owner in self._counts and part.stream.link.only_from_cfs:
             rank, kinds = Rank.OWN_PACKETS if part.cause is None else Rank.CLOSED, tuple(COUNTERS)
-            span, of, number = (int(gap.low_ns[0]), int(gap.high_ns[0])), (part.owner,), self._countable(part)
+            span, of, number = (int(gap.low_ns[0]), int(gap.high_ns[0])), (part.owner,), self._countable(part, gaps)
             self.claims.append(Claim(len(self.parts), *span, number, kinds, of, rank, id(part.stream)))
         self.parts.append(part)
 
-    def _countable(self, part: Part) -> int:
+    def _countable(self, part: Part, gaps: _Gaps) -> int:
         """Return how many of what is missing while its way out was closed a pipe can have counted."""
         stream, span = part.stream, part.span
         before, behind = self._case.rows.source[stream.rows[[span.first, span.last]]]
@@ -335,9 +339,8 @@ class Telemetry:
             full = self._grown(part, COUNTERS["overflow"])
             return part.missing if full else max(0, part.missing - waited)
         # Taken off the table and put there again: over a limit where it was around that, too.
-        around = stream.missing[max(0, span.first - _AROUND) : span.first + 1 + _AROUND].copy()
-        around[min(span.first, _AROUND)] = 0
-        return part.missing if around.any() else 0
+        near = (gaps.at != span.first) & (np.abs(gaps.at - span.first) <= _AROUND)
+        return part.missing if near.any() else 0
 
     def _cause(self, part: Part) -> tuple[LossKind, str, str] | None:
         """Return what closed the way out of messages of the mission, unless a command took them off it."""
@@ -399,7 +402,7 @@ class Telemetry:
         case, stream, span = self._case, part.stream, part.span
         came = f"{part.missing:,} of {span.count + part.missing:,}"
         part.evidence.append(
-            f"{came} that came in on the SBN link did not go out"
+            f"{came} that came in did not go out"
             if via
             else f"sequence count: {came} never came"
         )
@@ -488,7 +491,8 @@ class Telemetry:
             part.evidence.append(f"the first fragments of {cut:,} of them came, and no later ones")
             self._lose(part, "fragments", cut, of, "high")
             rest -= cut
-        if rest <= 0:
+        hop = self._case.upstream(part.stream)
+        if rest <= 0 or (hop is not None and hop.is_copy):  # a command may be lost before the bus, too
             return
         is_counted = part.owner in self._counts
         if part.kinds and not is_counted:

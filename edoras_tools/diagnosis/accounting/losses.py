@@ -277,7 +277,7 @@ def _keep_newest(hops: Sequence[Hop]) -> bool:
 
 def follow(case: Case, stream: Stream) -> Fate:
     """Follow a stream to where it comes out, if that can be seen."""
-    hops = [hop for hop in case.hops if hop.into is stream]
+    hops = [hop for hop in case.hops if hop.into is stream and not hop.is_copy]
     size, times = len(stream), stream.time_ns
     arrived, followed = (
         np.logical_or.reduce([np.zeros(size, bool), *masks])

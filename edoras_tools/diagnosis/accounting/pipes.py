@@ -259,7 +259,9 @@ class Pipes:
     def _from_events(
         self, stream: Stream, kind: PipeKind, instance: int
     ) -> tuple[ReportedLoss | None, LossEvents | None]:
-        return next(iter(self._case.events_about(instance, stream.msg_id, kind)), (None, None))
+        about = self._case.events_about(instance, stream.msg_id, kind)
+        # A command that Telemetry Output is to send as well is lost there apart from its application.
+        return next((own for own in about if not (stream.is_command and own[0].at_output)), (None, None))
 
 
 def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: NDArray[np.int64]) -> bool:

@@ -27,7 +27,7 @@ from edoras_tools.diagnosis.evidence.copies import (
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
 from edoras_tools.diagnosis.evidence.relays import before_proxy, find_relayed, one_name
 from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, followed, number_hosts
-from edoras_tools.links.table import among
+from edoras_tools.links.table import among, carrying
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import numbered
@@ -98,6 +98,7 @@ def prepare(
         shared: there are several captures, and what two of them have is there once.
     """
     rows, payloads, disordered = in_time_order(recorder)
+    rows = _of_output(rows)
     flows, endpoints = recorder.conversations.judge(), recorder.endpoints
     kind = _kinds(rows, flows, endpoints)
     if not _has_strangers(rows, payloads, kind):
@@ -220,6 +221,15 @@ def in_time_order(recorder: Recorder) -> tuple[Rows, Payloads, int]:
         order = np.argsort(rows.time_ns, kind="stable")
         rows, payloads = followed(rows.take(order)), payloads.over(order, len(rows))
     return rows, payloads, disordered
+
+
+def _of_output(rows: Rows) -> Rows:
+    """Give Telemetry Output the commands that it was told to send as well, to a port that a CI has, too."""
+    up, down = (rows.link == carrying("ground", to_cfs=to_cfs) for to_cfs in (True, False))
+    way = rows.way()
+    own = up & np.isin(way, way[down])
+    link = np.where(own, carrying("ground", to_cfs=False), rows.link).astype(np.uint8)
+    return replace(rows, link=link) if own.any() else rows
 
 
 def _kinds(rows: Rows, flows: Sequence[Flow], endpoints: Sequence[Endpoint]) -> NDArray[np.int8]:

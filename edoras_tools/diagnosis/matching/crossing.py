@@ -110,6 +110,11 @@ class Hop:
         return np.asarray(self.prints != 0)
 
     @property
+    def is_copy(self) -> bool:
+        """Whether Telemetry Output was told to send commands as well, which go on to an application."""
+        return self.into.is_command and not self.rewritten and self.out.link.only_from_cfs
+
+    @property
     def of(self) -> int:
         """How many went in that can be found again."""
         return int(self.known.sum())

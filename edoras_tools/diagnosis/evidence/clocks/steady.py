@@ -121,15 +121,21 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> Integers:
 
 
 def _slips(level: Integers, rows: Places, name: str) -> list[Jump]:
-    """Return where the level of delays steps for good: one that it comes back from is a queue on the way.
+    """Return where the level of delays steps for good: one that it comes back from, or to, is a slow network.
 
     Args:
         level: i64 (n,), ns.
         rows: (n,), the first row of each.
     """
     places = np.flatnonzero(np.abs(np.diff(level)) > 2 * _CYCLE_NS)[:_MOST].tolist()
-    lasting = [at for at in places if not (np.abs(level[at + 2 :] - level[at]) < _CYCLE_NS).any()]
+    lasting = [at for at in places if not _comes_back(level, at)]
     return [Jump(name or "cFS", int(rows[at + 1]), int(level[at] - level[at + 1])) for at in lasting]
+
+
+def _comes_back(level: Integers, at: int) -> bool:
+    """Tell whether delays are as before a step again later, or behind it as they were earlier."""
+    again, earlier = np.abs(level[at + 2 :] - level[at]), np.abs(level[:at] - level[at + 1])
+    return bool((again < _CYCLE_NS).any() or (earlier < _CYCLE_NS).any())
 
 
 def _neighbours(values: Integers) -> Integers:
