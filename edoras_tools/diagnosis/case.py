@@ -356,8 +356,8 @@ class Case:
 
     @property
     def unnamed(self) -> list[Unnamed]:
-        """The same, where not all of it reached nobody."""
-        closed = {id(flow) for flow, number in self.shut if number >= flow.datagrams}
+        """The same, where errors do not say of most of it that it reached nobody."""
+        closed = {id(flow) for flow, number in self.shut if number > _MOST * flow.datagrams}
         return unnamed(flow for flow in self.prepared.flows if id(flow) not in closed)
 
     @cached_property

@@ -138,10 +138,18 @@ def _limits(
         most = _full_round(times)
         # Fewer came, and many are missing: no more are kept. More came: more are.
         scarce = stream.msg_id in at_output and int(stream.missing.sum()) > _ALIKE * len(stream)
-        scarce = scarce and full_where_lacking(times, stream.missing, most)
+        lacking = times, stream.missing, most
+        scarce = scarce and full_where_lacking(*lacking) and _lacks_often(*lacking)
         if most and (scarce or most > (limit or assumed.to_default_limit)):
             limits[stream.msg_id] = most
     return limits
+
+
+def _lacks_often(times: Integers, missing: Integers, most: int) -> bool:
+    """Tell whether many full rounds lack some, or each few: else a pause of its reader lost them."""
+    begins, sizes = bursts(times, _BURST_NS)
+    lacking = np.add.reduceat(missing, begins)
+    return bool((lacking[sizes >= most] > 0).mean() >= _FULL or np.median(lacking[lacking > 0]) <= 1)
 
 
 def _usual(profile: SimProfile, name: str) -> bool:

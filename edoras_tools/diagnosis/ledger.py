@@ -468,10 +468,13 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
             _to_port(case, way, item)
             yield way
     for flow, number in case.shut:
-        way = LedgerWay(LedgerTraffic(link=flow.looks_like.label), number)
+        # What no error quotes may have come before the port was closed, or its error is not here.
+        rest = (flow.datagrams - number) * (2 * number > flow.datagrams)
+        way = LedgerWay(LedgerTraffic(link=flow.looks_like.label), number + rest)
         way.hop(f"{UDP_PORT} {flow.destination}", dict.fromkeys(("in", "lost"), "ICMP errors"))
         text, times = _UNREACHED[PORT_CLOSED].format(flow.destination), (flow.first_ns, flow.last_ns)
         way.end("lost", number, PORT_CLOSED, text=text, times_ns=times)
+        way.end("uncertain", rest)
         yield way
     yield from (_unseen(case, loss) for loss in case.losses if loss.stream is None)
     for instance, number in case.commands.uncaptured.items():

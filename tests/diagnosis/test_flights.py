@@ -75,6 +75,9 @@ FLIGHTS = {
     "each_sent_twice": (18, {"limit": 18}),
     "port_for_each": (12, {"limit": 12}),
     "doubled_both_ways": (84, {"limit": 84}),
+    "commands_at_output": (101, {"limit": 101}),
+    "delay_comes_and_goes": (8, {"network": 8}),
+    "stood_still_three_times": (57, {"limit": 35, "down": 22}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -140,6 +143,7 @@ def first_screen(found):
         "port_for_*",
         "doubled_both_*",
     ),
+    *("commands_*", "delay_*"),
 )
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_the_doctor_says_how_many_were_lost_and_why(name):
@@ -183,8 +187,23 @@ def test_frames_that_the_capture_lost_in_bursts_are_no_loss():
     assert not found.bad
 
 
-def test_a_queue_on_the_way_is_no_clock_that_was_set():
-    assert not [item for item in examined("slow_downlink").verdicts if item.rule == "clock_jump"]
+@pytest.mark.parametrize("name", ["slow_downlink", "delay_comes_and_goes"])
+def test_a_queue_on_the_way_is_no_clock_that_was_set(name):
+    assert not [item for item in examined(name).verdicts if item.rule == "clock_jump"]
+
+
+def test_commands_that_output_sends_as_well_are_lost_there_apart_from_the_application():
+    rows = {(row.link, row.hop): row.all_lost for row in examined("commands_at_output").balance if row.lost}
+    assert rows == {("to", "TO_LAB_TLM_PIPE"): 95, ("ci", "software bus"): 6}
+
+
+def test_a_pause_of_its_reader_shows_no_limit():
+    assert "TO keeps 4 of this MsgId" in first_screen(examined("stood_still_three_times"))
+
+
+def test_what_an_application_gets_once_a_second_names_it_where_it_was_stopped():
+    text = first_screen(examined("ci_stopped_for_good"))
+    assert "CI_LAB_APP was stopped start CI_LAB_APP again" in text
 
 
 def test_a_rate_that_is_clean_here_beats_the_assumed_one():

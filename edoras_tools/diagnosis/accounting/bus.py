@@ -326,7 +326,11 @@ class Telemetry:
             part.cause = self._cause(part)
         if part.owner in self._counts and part.stream.link.only_from_cfs:
             rank, kinds = Rank.OWN_PACKETS if part.cause is None else Rank.CLOSED, tuple(COUNTERS)
-            span, of, number = (int(gap.low_ns[0]), int(gap.high_ns[0])), (part.owner,), self._countable(part, gaps)
+            span, of, number = (
+                (int(gap.low_ns[0]), int(gap.high_ns[0])),
+                (part.owner,),
+                self._countable(part, gaps),
+            )
             self.claims.append(Claim(len(self.parts), *span, number, kinds, of, rank, id(part.stream)))
         self.parts.append(part)
 
@@ -402,9 +406,7 @@ class Telemetry:
         case, stream, span = self._case, part.stream, part.span
         came = f"{part.missing:,} of {span.count + part.missing:,}"
         part.evidence.append(
-            f"{came} that came in did not go out"
-            if via
-            else f"sequence count: {came} never came"
+            f"{came} that came in did not go out" if via else f"sequence count: {came} never came"
         )
         window = span.start_ns - LEAD_NS, span.end_ns + TAIL_NS
         kinds: list[tuple[bool, PipeKind]] = []

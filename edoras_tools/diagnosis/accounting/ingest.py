@@ -224,7 +224,8 @@ def _samples(case: Case) -> dict[int, list[_Sample]]:
     row, counts = samples["row"], (samples["packets"] + samples["errors"]) % _MODULUS
     by_system: dict[int, dict[int, _Sample]] = {}
     own = (instances.of_row[row] != NOBODY) & among(rows.link[row], lambda link: link.only_from_cfs)
-    own &= rows.reordered[row] == 0  # an older count behind a newer one is no start anew
+    # An older count behind a newer one is no start anew; of two places copies are out of order.
+    own &= (rows.reordered[row] == 0) | (case.prepared.copies > 0)
     row = row[own]
     columns = instances.of_row[row], rows.source[row], samples["time_ns"][own], rows.mission_time_ns[row]
     for instance, source, seen_ns, mission_ns, count in zip(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import Counter
-from collections.abc import Mapping  # noqa: TC003  _TICKS is annotated with it
+from collections.abc import Mapping  # noqa: TC003  TICKS is annotated with it
 from dataclasses import dataclass, replace
 from math import ceil
 from typing import TYPE_CHECKING, Final
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
 
 LATE_NS: Final = 2 * SECOND
 """A count is seen within so long of what it counts."""
-_TICKS: Final[Mapping[str, int]] = {
+TICKS: Final[Mapping[str, int]] = {
     **dict.fromkeys(executive_services.SCHEDULERS, executive_services.TICK_MSG_ID),
     **dict.fromkeys(command_ingest.NAMES, command_ingest.REQUEST_MSG_ID),
     **dict.fromkeys(telemetry_output.NAMES, telemetry_output.REQUEST_MSG_ID),
@@ -427,7 +427,7 @@ class Leftover:
         names = {id(item): (item.link.label, item.msg_id, self._pipe(item)) for item in self._case.streams}
         names |= {id(item): ("", item.msg_id, item.pipe) for item in self._case.reported_losses}
         for lost, _ in self._ticked():
-            names[id(lost)] = "", self._case.of_known(_TICKS[lost.app]), f"pipe of {lost.app}"
+            names[id(lost)] = "", self._case.of_known(TICKS[lost.app]), f"pipe of {lost.app}"
         for item in shared:
             self._together(item, {names[flow] for flow in item.flows})
         for instance, counts in self._counts.items():
@@ -498,7 +498,7 @@ class Leftover:
     def _ticked(self) -> Iterator[tuple[Outage, int]]:
         """Yield the times in which one that gets something once a second did not run, and when each ended."""
         for item in self._case.outages:
-            if item.app in _TICKS:
+            if item.app in TICKS:
                 yield item, self._case.end_ns if item.end_ns is None else item.end_ns
 
     def tell(self) -> None:

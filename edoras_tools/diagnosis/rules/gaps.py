@@ -16,7 +16,10 @@ from edoras_tools.diagnosis.advice import loss_verdict, lost_at
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.rules.about import stream_subject
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, habit, note, verdict, warning
+from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
 from edoras_tools.words import listed, plural
 
@@ -303,6 +306,8 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
 
     Say how many, of which they may be, and what would tell.
     """
+    lacking = [item.name for item in (CI, TO, SBN) if not (case.rows.link == item).any()]
+    also = f"capture {' and '.join(lacking)} too where cFS uses it, and " if lacking else ""
     for loss in case.losses:
         if loss.rivals or (loss.kind == "unknown" and loss.stream is None):
             where = f"on the {BUS}" if loss.hop == BUS else f"at {loss.hop}"
@@ -319,8 +324,8 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
                 span=(loss.start_ns, loss.end_ns),
                 remedy="none beside what helps each of these"
                 if helped
-                else "capture CI, TO and SBN together, and before the traffic starts let events name "
-                f"MsgId, pipe and sender: {case.inject(ENABLE_OUTPUT)}; "
+                else f"{also}before the traffic starts let events name MsgId, pipe and "
+                f"sender: {case.inject(ENABLE_OUTPUT)}; "
                 f"{case.inject('evs-reset-filters', NAME)}",
                 confidence="low",
             )

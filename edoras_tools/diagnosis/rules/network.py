@@ -237,6 +237,8 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
         seconds = len(np.unique(rows.time_ns[own] // SECOND))
         if last_ns - first_ns < _WAIT_NS or seconds < _LEAST_SECONDS:
             continue  # cFS sends each new SUB to every peer of its table, there or not
+        if case.unreachable.closed[own].any():
+            continue  # nobody listened: that is said by itself
         who = case.network.identity_of.get(source, str(case.endpoints[source]))
         kinds = np.unique(rows.sbn_msg_type[own]).tolist()
         names = ", ".join(sbn.MSG_TYPE_NAMES.get(kind, hex(kind)) for kind in kinds)

@@ -12,8 +12,8 @@ from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.executive_services import STARTS
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.ingest import QUOTED
-from edoras_tools.diagnosis.accounting.losses import CI_SOCKET
-from edoras_tools.diagnosis.accounting.pipes import measured_depth
+from edoras_tools.diagnosis.accounting.losses import CI_SOCKET, TAIL_NS
+from edoras_tools.diagnosis.accounting.pipes import TICKS, measured_depth
 from edoras_tools.diagnosis.advice import (
     advise,
     clean_round,
@@ -30,7 +30,7 @@ from edoras_tools.diagnosis.rules.commands import refusals
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, warning
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
-from edoras_tools.model import NO_ROUTE, Finding
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.order import groups
 from edoras_tools.words import plural
@@ -61,13 +61,13 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     clean = pipe.rate_hz(limit)
     least = "at least " if loss.instance not in case.tracks else ""
     if loss.sender and not loss.sender.startswith((*command_ingest.NAMES, "SBN")):
-        return loss_verdict(
-            case,
-            loss,
-            f"{least}{lost_at(case, loss)}: {loss.sender} sent more than may wait, or nobody read the pipe",
-            link=None,
-            remedy="see whether the application that reads this pipe runs",
-        )
+        over = (item for item in case.outages if item.start_ns < loss.end_ns + TAIL_NS)
+        over = (item.app for item in over if loss.start_ns < (item.end_ns or case.end_ns))
+        app = next((item for item in over if case.of_known(TICKS.get(item, NO_MSG_ID)) == loss.msg_id), "")
+        sent = f"{loss.sender} sent more than may wait, or nobody read the pipe"
+        remedy = f"start {app} again" if app else "see whether the application that reads this pipe runs"
+        reason = f"{least}{lost_at(case, loss)}: {f'{app} was stopped' if app else sent}"
+        return loss_verdict(case, loss, reason, link=None, remedy=remedy)
     if loss.stream is not None and (hz := case.shown_hz(loss.stream, clean)):
         return loss_verdict(
             case,

@@ -230,7 +230,9 @@ def _flows(ways: Iterable[WaySum], topics: Mapping[int, str]) -> list[dict[str, 
         groups.setdefault(key, []).append(way.hops)
     flows = []
     for (spacecraft, link, hops), members in groups.items():
-        names = [topics.get(first.route) or first.topic or first.name for first, *_ in members]
+        names = {topics.get(first.route) or first.topic or first.name for first, *_ in members}
+        ids = {own for first, *_ in members for own in (first.msg_id, *(item[1] for item in first.among))}
+        names = names if any(names) else {f"0x{own:04x}" for own in ids if own is not None}
         columns = zip(*members, strict=True)
         rows = [_hop(hop, rows) for hop, rows in zip(hops, columns, strict=True)]
         ends = _ends(link_of_label(link), hops[0]) if link else ("", "")  # rows of a shared counter have none

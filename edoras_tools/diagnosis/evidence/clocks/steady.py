@@ -128,14 +128,9 @@ def _slips(level: Integers, rows: Places, name: str) -> list[Jump]:
         rows: (n,), the first row of each.
     """
     places = np.flatnonzero(np.abs(np.diff(level)) > 2 * _CYCLE_NS)[:_MOST].tolist()
-    lasting = [at for at in places if not _comes_back(level, at)]
+    near = ((at, np.append(level[at + 2 :] - level[at], level[:at] - level[at + 1])) for at in places)
+    lasting = [at for at, others in near if not (np.abs(others) < _CYCLE_NS).any()]
     return [Jump(name or "cFS", int(rows[at + 1]), int(level[at] - level[at + 1])) for at in lasting]
-
-
-def _comes_back(level: Integers, at: int) -> bool:
-    """Tell whether delays are as before a step again later, or behind it as they were earlier."""
-    again, earlier = np.abs(level[at + 2 :] - level[at]), np.abs(level[:at] - level[at + 1])
-    return bool((again < _CYCLE_NS).any() or (earlier < _CYCLE_NS).any())
 
 
 def _neighbours(values: Integers) -> Integers:
