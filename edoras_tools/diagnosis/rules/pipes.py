@@ -62,8 +62,8 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     least = "at least " if loss.instance not in case.tracks else ""
     if loss.sender and not loss.sender.startswith((*command_ingest.NAMES, "SBN")):
         over = (item for item in case.outages if item.start_ns < loss.end_ns + TAIL_NS)
-        over = (item.app for item in over if loss.start_ns < (item.end_ns or case.end_ns))
-        app = next((item for item in over if case.of_known(TICKS.get(item, NO_MSG_ID)) == loss.msg_id), "")
+        apps = (item.app for item in over if loss.start_ns < (item.end_ns or case.end_ns))
+        app = next((item for item in apps if case.of_known(TICKS.get(item, NO_MSG_ID)) == loss.msg_id), "")
         sent = f"{loss.sender} sent more than may wait, or nobody read the pipe"
         remedy = f"start {app} again" if app else "see whether the application that reads this pipe runs"
         reason = f"{least}{lost_at(case, loss)}: {f'{app} was stopped' if app else sent}"
