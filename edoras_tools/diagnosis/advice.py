@@ -13,8 +13,8 @@ Rules:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -59,8 +59,7 @@ _WHILE_NS: Final = 10 * SECOND
 """Who sends no more than gets through in so long, but too many at once, sends bursts."""
 
 
-@dataclass(frozen=True, slots=True)
-class Arrivals:
+class Arrivals(NamedTuple):
     """What arrives at a queue, in order of time.
 
     Attributes:

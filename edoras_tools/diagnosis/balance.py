@@ -104,8 +104,7 @@ def not_counted(rows: Iterable[Row]) -> str:
     return next((f"{row.counted['lost']} ({row.hop})" for row in unseen), "")
 
 
-@dataclass(frozen=True, slots=True)
-class WaySum:
+class WaySum(NamedTuple):
     """What became of one traffic on its way.
 
     Attributes:
@@ -277,8 +276,7 @@ class ChainHop:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class Chain:
+class Chain(NamedTuple):
     """The hops of one command.
 
     Attributes:

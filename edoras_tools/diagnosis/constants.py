@@ -10,8 +10,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -69,8 +69,7 @@ def find_round(times: Integers) -> int | None:
     return None if len(own) < _OFTEN * len(steps) or fits.mean() < _NEARLY_ALL else int(period)
 
 
-@dataclass(frozen=True, slots=True)
-class Constants:
+class Constants(NamedTuple):
     """The constants of a capture's flight side.
 
     Attributes:

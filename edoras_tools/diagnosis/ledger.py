@@ -185,8 +185,7 @@ class LedgerTraffic:
     topic: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class LedgerEntry:
+class LedgerEntry(NamedTuple):
     """Arrivals of one traffic that ended at one hop in one way.
 
     Attributes:

@@ -38,7 +38,7 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import cache, cached_property
 from math import exp, lgamma, log, log1p, sqrt
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -89,8 +89,7 @@ _DEVIATIONS: Final = 12
 _BISECTIONS: Final = 60
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
+class Evidence(NamedTuple):
     """Datagrams that were sent past the tap, as something else than their own capture shows.
 
     Attributes:
@@ -549,8 +548,7 @@ def _went_on(rows: Rows, streams: Sequence[Places], start_ns: int) -> bool:
     return missing >= _LEAST_STREAMS and 2 * missing > number
 
 
-@dataclass(frozen=True, slots=True)
-class HostDrops:
+class HostDrops(NamedTuple):
     """Increases of the kernel's counters.
 
     Attributes:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.cfs import sbn
 from edoras_tools.diagnosis.accounting.closed import UDP_PORT
@@ -94,8 +94,7 @@ class Problem:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class DoctorSummary:
+class DoctorSummary(NamedTuple):
     """What a person reads first.
 
     Attributes:

@@ -350,8 +350,7 @@ _FASTER: Final = 1.25
 """Messages that come faster than rounds by this give way to newer ones."""
 
 
-@dataclass(frozen=True, slots=True)
-class Outage:
+class Outage(NamedTuple):
     """A time in which an application did not run.
 
     Attributes:

@@ -26,7 +26,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import ceil
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -562,8 +562,7 @@ def _fewer(low: NDArray[np.int64], high: NDArray[np.int64]) -> int:
     return int(high[: later[0] if len(later) else None].min())
 
 
-@dataclass(frozen=True, slots=True)
-class _Run:
+class _Run(NamedTuple):
     """Samples of one count: when seen, and the least and most that was lost until then (rules 1 to 3).
 
     ``drained`` tells which read fewer than a wake-up can, ``busy`` which read nearly all that they can; more

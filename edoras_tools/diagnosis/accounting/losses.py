@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence  # noqa: TC003  COUNTERS is annotated with it
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -54,8 +54,7 @@ BUS: Final = "software bus"
 BEHIND: Final = "between cFS and the capture"
 
 
-@dataclass(frozen=True, slots=True)
-class Among:
+class Among(NamedTuple):
     """The messages that a loss is some of, or all.
 
     Attributes:

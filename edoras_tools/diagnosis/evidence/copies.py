@@ -39,8 +39,7 @@ came than one sender means to send.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -77,8 +76,7 @@ _WINDOW_BITS: Final = 20
 _NEVER_NS: Final = (1 << 63) - 1
 
 
-@dataclass(frozen=True, slots=True)
-class Copies:
+class Copies(NamedTuple):
     """What is there more than once.
 
     Attributes:

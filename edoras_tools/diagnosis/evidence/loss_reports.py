@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -144,8 +144,7 @@ _KINDS: Final[dict[int, LossEventKind]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class ReportedLoss:
+class ReportedLoss(NamedTuple):
     """What an event about a loss names.
 
     Attributes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -151,8 +151,7 @@ class EventRecord:
         return f"{self.app} {self.event_id}: {self.message}"
 
 
-@dataclass(frozen=True, slots=True)
-class SubscriptionMessage:
+class SubscriptionMessage(NamedTuple):
     """What a SUB or UNSUB says.
 
     Attributes:
@@ -164,8 +163,7 @@ class SubscriptionMessage:
     ident: str
 
 
-@dataclass(frozen=True, slots=True)
-class CommandRecord:
+class CommandRecord(NamedTuple):
     """One command that changes what a cFS does.
 
     Attributes:

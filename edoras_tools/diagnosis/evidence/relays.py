@@ -40,7 +40,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -255,8 +255,7 @@ LONGEST_NS: Final = 10 * SECOND
 _LATE_NS: Final = 100 * MILLISECOND
 
 
-@dataclass(frozen=True, slots=True)
-class Segment:
+class Segment(NamedTuple):
     """What is the same at one point of a way and at the next.
 
     Attributes:
@@ -306,8 +305,7 @@ def pair_up(
     return segment.take(segment.took_ns <= LONGEST_NS)
 
 
-@dataclass(frozen=True, slots=True)
-class LostInRelay:
+class LostInRelay(NamedTuple):
     """What a relay did to the messages of one MsgId to one receiver.
 
     Attributes:
@@ -339,8 +337,7 @@ class LostInRelay:
         return len(self.lost_ns) - self.figures["duplicated"]
 
 
-@dataclass(frozen=True, slots=True)
-class RelayedWay:
+class RelayedWay(NamedTuple):
     """What came to a relay and what left it again, of which the capture has both.
 
     Attributes:

@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -51,8 +51,7 @@ _REGULAR: Final = 2
 """A port speaks regularly if it sent so many datagrams, and was silent for no more than so many steps."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClosedSpan:
+class ClosedSpan(NamedTuple):
     """A time in which a port was closed.
 
     Attributes:
@@ -72,8 +71,7 @@ class ClosedSpan:
     step_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Unreachable:
+class Unreachable(NamedTuple):
     """What reached nobody.
 
     Attributes:

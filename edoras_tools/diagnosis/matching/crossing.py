@@ -8,7 +8,7 @@ mission have them: what the bytes tell holds with any mission.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -66,8 +66,7 @@ class Latency:
         return {"count": self.count, "p50_ms": self.p50, "p99_ms": self.p99, "max_ms": self.most}
 
 
-@dataclass(frozen=True, slots=True)
-class Hop:
+class Hop(NamedTuple):
     """Messages of one stream that came out again as another.
 
     Attributes:

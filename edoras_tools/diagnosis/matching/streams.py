@@ -464,8 +464,7 @@ def steady_rate(times: NDArray[np.int64], missing: int = 0) -> float | None:
     return (len(times) - 1 + missing) * SECOND / length if near.mean() >= _STEADY else None
 
 
-@dataclass(frozen=True, slots=True)
-class Comb:
+class Comb(NamedTuple):
     """How a stream arrives in rounds.
 
     Attributes:

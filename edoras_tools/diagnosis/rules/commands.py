@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import cache, reduce
 from operator import or_
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -38,8 +37,7 @@ _ANSWERED_NS: Final = 1700 * MILLISECOND
 """CI reads within 500 ms, the application follows at once, TO sends the event within another 500 ms."""
 
 
-@dataclass(frozen=True, slots=True)
-class BadCommandKind:
+class BadCommandKind(NamedTuple):
     """A way in which a command can be wrong.
 
     Attributes:

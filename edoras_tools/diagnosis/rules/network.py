@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -349,8 +349,7 @@ _ANSWERED_NS: Final = 2 * SECOND
 _RESTARTS: Final = "; its receive task ended and started anew"
 
 
-@dataclass(frozen=True, slots=True)
-class BadMessageKind:
+class BadMessageKind(NamedTuple):
     """A way in which an SBN datagram can be wrong.
 
     Attributes:

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -80,8 +80,7 @@ _MANY: Final = 20
 """Messages of one way of which one was delayed hardly at all."""
 
 
-@dataclass(frozen=True, slots=True)
-class Side:
+class Side(NamedTuple):
     """One of the two captures: what it recorded, and the cFS in it."""
 
     recorder: Recorder
@@ -211,8 +210,7 @@ MISSION_TIME: Final = "the mission time of one cFS in both"
 _BOTH: Final = "packets that both captured"
 
 
-@dataclass(frozen=True, slots=True)
-class Alignment:
+class Alignment(NamedTuple):
     """How one capture's clock stands to another's.
 
     Attributes:

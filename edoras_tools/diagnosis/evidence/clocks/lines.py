@@ -37,8 +37,7 @@ _PLACES: Final = 512
 """Bounds from above, or from below, that are kept, each the tightest of its time."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClockLine:
+class ClockLine(NamedTuple):
     """A clock that drifts: ahead of another by ``offset_ns`` at one time, and by more later.
 
     Attributes:

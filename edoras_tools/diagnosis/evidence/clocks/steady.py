@@ -7,8 +7,8 @@ length, else that of the cFS.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -46,8 +46,7 @@ _NEXT: Final = 16
 _MOST_GO_ON: Final = 0.6
 
 
-@dataclass(frozen=True, slots=True)
-class Jump:
+class Jump(NamedTuple):
     """A clock that was set.
 
     Attributes:
