@@ -53,6 +53,17 @@ def app_pipe_limit(case: Case) -> Iterator[Verdict]:
             yield _over_app_limit(case, loss)
 
 
+def _by_another(case: Case, loss: Loss, least: str) -> Verdict:
+    """Tell what another application sent and a pipe did not take: its reader may have been stopped."""
+    over = (item for item in case.outages if item.start_ns < loss.end_ns + TAIL_NS)
+    apps = (item.app for item in over if loss.start_ns < (item.end_ns or case.end_ns))
+    app = next((item for item in apps if case.of_known(TICKS.get(item, NO_MSG_ID)) == loss.msg_id), "")
+    sent = f"{loss.sender} sent more than may wait, or nobody read the pipe"
+    remedy = f"start {app} again" if app else "see whether the application that reads this pipe runs"
+    reason = f"{least}{lost_at(case, loss)}: {f'{app} was stopped' if app else sent}"
+    return loss_verdict(case, loss, reason, link=None, remedy=remedy)
+
+
 def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     profile = case.profile
     over_network = loss.over_network
@@ -61,13 +72,7 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     clean = pipe.rate_hz(limit)
     least = "at least " if loss.instance not in case.tracks else ""
     if loss.sender and not loss.sender.startswith((*command_ingest.NAMES, "SBN")):
-        over = (item for item in case.outages if item.start_ns < loss.end_ns + TAIL_NS)
-        apps = (item.app for item in over if loss.start_ns < (item.end_ns or case.end_ns))
-        app = next((item for item in apps if case.of_known(TICKS.get(item, NO_MSG_ID)) == loss.msg_id), "")
-        sent = f"{loss.sender} sent more than may wait, or nobody read the pipe"
-        remedy = f"start {app} again" if app else "see whether the application that reads this pipe runs"
-        reason = f"{least}{lost_at(case, loss)}: {f'{app} was stopped' if app else sent}"
-        return loss_verdict(case, loss, reason, link=None, remedy=remedy)
+        return _by_another(case, loss, least)
     if loss.stream is not None and (hz := case.shown_hz(loss.stream, clean)):
         return loss_verdict(
             case,
