@@ -617,18 +617,6 @@ def not_configured(lab, tmp_path, msg_id):
 
 
 @case
-def stale_tail(lab, tmp_path, msg_id):
-    def state(seconds, frame):
-        cdr = messages.pose_stamped(0, frame, seconds, 0, 0)
-        packet = cfe.emit_command(0x1829, 1, envelope.DEFAULT.emit(cdr), sequence_flags=0)
-        return seconds, 2234, sbn.emit(sbn.MsgType.APP, Peer(0x42, 3), packet)
-
-    feeds = [state(5.0, "a_long_frame_id")] + [state(6.0 + index, "w") for index in range(5)]
-    sent, _ = lab.simulate("two-rovers", state_hz=0.0, feeds=tuple(feeds))
-    return lab.examine(sent, lab.missions("two-rovers"))
-
-
-@case
 def older_losses(lab, tmp_path, msg_id):
     sent, _ = lab.simulate(hz=10.0, seconds=30)
     return lab.examine([item for item in sent if item.time_ns > lab.start_ns + 12 * 10**9])

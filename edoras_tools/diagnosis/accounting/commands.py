@@ -565,8 +565,8 @@ class Commands:
             if part.kinds and id(stream) in out and part.span.last == len(stream) - 1 and len(times):
                 onward = queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe
                 next_ = onward(profile)
-                taken = int(np.ptp(times) // next_.round_ns) * next_.limit(stream.msg_id)
-                lost.append(len(times) - taken)
+                passed = int(np.ptp(times) // next_.round_ns) * next_.limit(stream.msg_id)
+                lost.append(len(times) - passed)
         return max([0, *lost])
 
     def _rest(self, fate: Fate, tails: Mapping[int, int]) -> None:

@@ -368,7 +368,7 @@ class _Counted:
         # What was sent by then had waited in its socket, where it came out later.
         read_ns = max([ended_ns, *(int(out[sent <= ended_ns].max(initial=0)) for sent, out in self._read)])
         read = self._most_read(self._own[last:first], read_ns)
-        most_read, counted = before + read, before + sooner.count
+        most_read, total = before + read, before + sooner.count
         before = int(self._sent_until(ended_ns)) - lost
         if before > most_read:
             # What waited in its socket is gone with it.
@@ -378,7 +378,7 @@ class _Counted:
             lost, before = lost + before - most_read, most_read
         commands = self._commanded_ns(sooner.seen_ns - SECOND, later.seen_ns)
         if commands and (self._arrived is None or not self._all_out):  # it may have ended at once
-            account.unsure += max(0, before - max(counted, int(self._sent_until(max(commands)[1])) - lost))
+            account.unsure += max(0, before - max(total, int(self._sent_until(max(commands)[1])) - lost))
         down = sooner.instance != later.instance or any(
             item.instance == later.instance
             and item.start_ns <= later.seen_ns
@@ -427,8 +427,8 @@ class _Counted:
         case, names = self._case, command_ingest.NAMES
         about = case.payloads.about_apps(*executive_services.ENDS_APP)
         times = [int(case.rows.time_ns[item.row]) for item in about if item.app in names]
-        said = {item.start_ns: item.ended_ns for item in case.outages if item.app in names}
-        until = ((min(when + _ENDS_NS, said.get(when, end_ns)), when) for when in times)
+        ends_ns = {item.start_ns: item.ended_ns for item in case.outages if item.app in names}
+        until = ((min(when + _ENDS_NS, ends_ns.get(when, end_ns)), when) for when in times)
         return [item for item in until if start_ns < item[0] < end_ns]
 
     def _sent_until(self, time_ns: Any) -> NDArray[np.intp]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -151,7 +151,8 @@ class EventRecord:
         return f"{self.app} {self.event_id}: {self.message}"
 
 
-class SubscriptionMessage(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class SubscriptionMessage:
     """What a SUB or UNSUB says.
 
     Attributes:
@@ -163,7 +164,8 @@ class SubscriptionMessage(NamedTuple):
     ident: str
 
 
-class CommandRecord(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class CommandRecord:
     """One command that changes what a cFS does.
 
     Attributes:

@@ -177,14 +177,14 @@ class _Left:
 
 def _find_astray(rows: Rows, astray: Sequence[tuple[int, int, bool]]) -> tuple[Mask, Mask]:
     """Tell which rows surely never came to the place of another capture, and which perhaps did not."""
-    sure = {(when, value): known for when, value, known in astray}
+    sure = {(when, value): proven for when, value, proven in astray}
     near = np.flatnonzero(np.isin(rows.time_ns, [when for when, _ in sure]))
     keys = zip(rows.time_ns[near].tolist(), rows.bytes_print[near].tolist(), strict=True)
-    known = np.zeros((2, len(rows)), bool)
+    astray_at = np.zeros((2, len(rows)), bool)
     for row, key in zip(near.tolist(), keys, strict=True):
         if key in sure:
-            known[int(not sure[key]), row] = True
-    return known[0], known[1]
+            astray_at[int(not sure[key]), row] = True
+    return astray_at[0], astray_at[1]
 
 
 def _doubled(

@@ -360,14 +360,14 @@ def _scored(
     goes, fit = party.usable(kinds)
     owner, values = out.prints(kinds[1], (fit != 0) & undecided)
     came_owner, came = into.prints(kinds[0], goes & bool(len(owner)))
-    there = perhaps_in(values, came, _kind(came_owner), fit[owner])
-    some = (np.bincount(owner[there], minlength=len(fit)) > 0)[owner]
+    meeting = perhaps_in(values, came, _kind(came_owner), fit[owner])
+    some = (np.bincount(owner[meeting], minlength=len(fit)) > 0)[owner]
     once = np.flatnonzero(some)[numbered(owner[some], values[some])[0]]
-    owner, values, there = owner[once], values[once], there[once]
+    owner, values, meeting = owner[once], values[once], meeting[once]
     different = np.bincount(owner, minlength=len(fit))
     # Where too few differ to tell, nothing is alike; a robot gets no equal value by chance.
-    enough = np.bincount(owner[there], minlength=len(fit)) >= _ALIKE * different
-    some = ((enough & (different >= _LEAST_DIFFERENT)) | out.last_hop)[owner] & there
+    enough = np.bincount(owner[meeting], minlength=len(fit)) >= _ALIKE * different
+    some = ((enough & (different >= _LEAST_DIFFERENT)) | out.last_hop)[owner] & meeting
     if not some.any():
         return
     seeker, sought = out.keys(owner[some], values[some], into=False)

@@ -91,7 +91,6 @@ RULES: Final[dict[str, Rule]] = {
         messages.wrong_type,
         messages.topic_never_seen,
         messages.not_configured,
-        messages.stale_tail,
         gaps.older_losses,
         flight_software.event_suppression,
         flight_software.event_squelch,

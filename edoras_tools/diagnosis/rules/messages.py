@@ -277,30 +277,6 @@ def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], witness:
     )
 
 
-def stale_tail(case: Case) -> Iterator[Verdict]:
-    """Bytes of an earlier, longer message stand behind the CDR: readers ignore them.
-
-    Name each MsgId that has them, as harmless.
-    """
-    rows = case.rows
-    stale = rows.has(Finding.STALE_TAIL) & (rows.space > rows.cdr_length)
-    for link in (CI, TO, SBN):
-        for _, members in groups(rows.msg_id, np.flatnonzero(stale & (rows.link == link))):
-            first = int(members[0])
-            tail = int(rows.space[first] - rows.cdr_length[first])
-            yield of_messages(
-                Severity.NOTE,
-                case,
-                members,
-                "carry bytes of an earlier, longer message behind their CDR: harmless, readers stop where "
-                "the envelope says",
-                f"packet {rows.number[first]}: {tail} bytes behind {rows.cdr_length[first]} bytes "
-                "of CDR, not all zero: the struct has a fixed size and is not cleared",
-                hop="flight application",
-                remedy="none needed; clear the struct before each message to keep old data off the link",
-            )
-
-
 _LEAST: Final = 20
 _OVER: Final = 1.05
 _ASKED: Final = 20
