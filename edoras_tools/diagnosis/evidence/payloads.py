@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -123,8 +123,7 @@ class Samples:
         return self._parts[0]
 
 
-@dataclass(frozen=True, slots=True)
-class EventRecord:
+class EventRecord(NamedTuple):
     """One 0x808: what an application said.
 
     Attributes:
@@ -151,8 +150,7 @@ class EventRecord:
         return f"{self.app} {self.event_id}: {self.message}"
 
 
-@dataclass(frozen=True, slots=True)
-class SubscriptionMessage:
+class SubscriptionMessage(NamedTuple):
     """What a SUB or UNSUB says.
 
     Attributes:
@@ -164,8 +162,7 @@ class SubscriptionMessage:
     ident: str
 
 
-@dataclass(frozen=True, slots=True)
-class CommandRecord:
+class CommandRecord(NamedTuple):
     """One command that changes what a cFS does.
 
     Attributes:
@@ -315,7 +312,7 @@ class Payloads:
         def moved(items: list[Any]) -> Any:
             pairs = ((int(place[item.row]), item) for item in items)
             ordered = sorted((pair for pair in pairs if pair[0] >= 0), key=lambda pair: pair[0])
-            return [replace(item, row=row) for row, item in ordered]
+            return [item._replace(row=row) for row, item in ordered]
 
         columns: dict[str, Any] = {name: getattr(self, name).over(place) for name in _SAMPLES}
         return replace(self, **columns, **{name: moved(getattr(self, name)) for name in _RECORDS})
@@ -331,7 +328,7 @@ class Payloads:
     def timed(self, time_ns: NDArray[np.int64]) -> Payloads:
         """Return them with other capture times, one a row of the table."""
         columns: dict[str, Any] = {name: getattr(self, name).timed(time_ns) for name in _SAMPLES}
-        events = [replace(item, time_ns=int(time_ns[item.row])) for item in self.events]
+        events = [item._replace(time_ns=int(time_ns[item.row])) for item in self.events]
         return replace(self, **columns, events=events)
 
     def _subscribe(self, batch: PacketBatch, rows: NDArray[np.intp], base: int) -> None:

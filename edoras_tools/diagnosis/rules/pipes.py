@@ -334,9 +334,10 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
         if loss.kind == "network":
             relay = loss.hop.startswith(RELAY_HOP)
             why = "they did not come out" if relay else "CI did not read them, and it can read so many"
-            uplink = "look at the uplink"
-            if not case.capture.shared:
-                uplink += ": a capture on the cFS host shows which of them arrive there"
+            more = (
+                "" if case.capture.shared else ": a capture on the cFS host shows which of them arrive there"
+            )
+            uplink = f"look at the uplink{more}"
             if any(line.startswith(QUOTED) for line in loss.evidence):
                 uplink = "look at the route to that host, and at firewalls on the way: ICMP errors came back"
             yield loss_verdict(
