@@ -367,15 +367,14 @@ def _listed(
 ) -> Iterator[list[str]]:
     """Yield a line for each packet, ``typed`` with the type of its message behind."""
     from edoras_tools.decode.lines import PacketLines
-    from edoras_tools.io.frames.linklayer import network_headers
-    from edoras_tools.io.frames.network import CHECKSUMS, wrong_checksums
+    from edoras_tools.io.frames.linklayer import checksum_faults
     from edoras_tools.render.severity import Level
     from edoras_tools.render.terminal.text import clean
 
     lines = PacketLines(context)
     for rows in blocks:
-        wrong = wrong_checksums(rows.batch, network_headers(rows.batch)[0])[rows.selection]
-        marks = [code and f"{Level.ERROR.mark} {CHECKSUMS[code]}  " for code in wrong.tolist()]
+        faults = checksum_faults(rows.batch, rows.selection)
+        marks = [fault and f"{Level.ERROR.mark} {fault}  " for fault in faults]
         yield [
             packet_list.line(
                 line._replace(text=mark + line.text) if mark else line,

@@ -140,13 +140,20 @@ def network_headers(batch: PacketBatch) -> tuple[NDArray[np.int64], NDArray[np.u
     )
 
 
+def checksum_faults(batch: PacketBatch, some: NDArray[np.intp] | slice = slice(0, None)) -> list[str]:
+    """Return which checksums of some datagrams are wrong, in words; nothing where they do not tell."""
+    codes = np.zeros(len(batch), np.uint8)
+    if batch.recorded is None:  # else they are messages without frames
+        codes = wrong_checksums(batch, network_headers(batch)[0])
+    return [CHECKSUMS[code] for code in codes[some].tolist()]
+
+
 def checksum_fault(datagram: Datagram) -> str:
-    """Return which checksums of a datagram are wrong, in words; nothing where they do not tell."""
+    """Return likewise of one datagram."""
     size = len(datagram.frame)
     about = datagram.number, datagram.time_ns, datagram.link_type, 0, size, datagram.original_length
     frame = FrameBatch(np.frombuffer(datagram.frame, np.uint8), *(np.array([item]) for item in about))
-    batch = demux(frame)
-    return CHECKSUMS[max(wrong_checksums(batch, network_headers(batch)[0]).tolist(), default=0)]
+    return max(checksum_faults(demux(frame)), default="")
 
 
 def demux(frames: FrameBatch) -> PacketBatch:
