@@ -532,7 +532,7 @@ def _lost_copies(case: Case, fate: Fate, doubled: int) -> tuple[int, int]:
     """
     stream, relayed = fate.stream, case.commands.relayed.get(id(fate.stream))
     copied = np.isin(stream.rows, case.prepared.duplicates) | find_echoes(case.rows, stream.rows)
-    for span in stream.spans:  # each at a rate of its own
+    for span in stream.spans if len(stream.spans) > 1 else ():  # each at a rate of its own
         own = slice(span.first, span.last + 1)
         copied[own] |= find_echoes(case.rows, stream.rows[own])
     number = relayed.figures["duplicated"] if relayed else int(copied.sum())

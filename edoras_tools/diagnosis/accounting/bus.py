@@ -325,12 +325,9 @@ class Telemetry:
             part.cause = self._cause(part)
         if part.owner in self._counts and part.stream.link.only_from_cfs:
             rank, kinds = Rank.OWN_PACKETS if part.cause is None else Rank.CLOSED, tuple(COUNTERS)
-            span, of, number = (
-                (int(gap.low_ns[0]), int(gap.high_ns[0])),
-                (part.owner,),
-                self._countable(part, gaps),
-            )
-            self.claims.append(Claim(len(self.parts), *span, number, kinds, of, rank, id(part.stream)))
+            span, number = (int(gap.low_ns[0]), int(gap.high_ns[0])), self._countable(part, gaps)
+            of = len(self.parts), *span, number, kinds, (part.owner,), rank, id(part.stream)
+            self.claims.append(Claim(*of))
         self.parts.append(part)
 
     def _countable(self, part: Part, gaps: _Gaps) -> int:

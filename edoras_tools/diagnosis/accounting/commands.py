@@ -50,7 +50,6 @@ from edoras_tools.diagnosis.matching.streams import counted_gaps, full_rounds
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.links.table import among
 from edoras_tools.model import Finding
-from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -71,8 +70,6 @@ if TYPE_CHECKING:
 _COUNTS: Final = 256
 _WRAPPED: Final = 128
 """A counter of 8 bits that falls by more began again from 0, by itself."""
-_BURST_NS: Final = 4 * SECOND
-"""What is missing within so long of the next that is missing is of one time."""
 _UNEXPLAINED: Final = frozenset({"after", "unknown"})
 _COUNTED: Final = frozenset({*COUNTERS, "unknown"})
 
@@ -683,13 +680,10 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
         if number and loss.stream is not None and not streamed[loss.stream.rows[0]]:
             gaps.setdefault(id(loss.stream), []).append((loss, number))
     unseen = [fate for fate in fates if fate.seen and fate.ends["unaccounted"]]
-    flat = [item for own in gaps.values() for item in own]
-    missing = sum(number for _, number in flat)
+    missing = sum(number for own in gaps.values() for _, number in own)
     sent = sum(map(len, case.streams)) + missing
     missing += sum(fate.ends["unaccounted"] for fate in unseen)
-    if not missing:
-        return
-    if quality.excludes(missing / sent):
+    if not missing or quality.excludes(missing / sent):
         return
     spare = _mistaken(case, [*telemetry.losses, *losses])
     for stream in case.streams:
