@@ -3,7 +3,7 @@
 Rules:
 
 1. Whoever writes batches never waits for a judgement: what comes meanwhile waits in a queue.
-2. After judging it pauses 99 times as long, however much was taken; 9 times where nothing comes any more, and
+2. After judging it pauses 149 times as long, however much was taken; 9 times where nothing comes any more, and
    not after the first time, which loads what it needs. It judges nothing while nobody asks, or nothing came.
 3. Where the queue grows beyond its limit, all is judged from there on, and ``since_ns`` says so.
 """
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, Link, PacketBatch, SourceStatistics
 
 _EVERY_S: Final = 1.0
-_PAUSE: Final = 99
+_PAUSE: Final = 149
 """Times as long as it judged, it pauses."""
 _QUIET_PAUSE: Final = 9
 """The same, where nothing came for ``_QUIET_S``."""
