@@ -75,7 +75,7 @@ DAMAGED: Final = "damaged"
 ON_PURPOSE: Final = "/edoras/faults: done on purpose"
 NOT_COUNTED: Final = "not observable: "
 """How the text begins that says what would have counted a figure."""
-_SEEN: Final = "datagrams in the capture"
+SEEN: Final = "datagrams in the capture"
 _COUNT: Final = "sequence count"
 _NOT_LOST: Final = "what the software bus did not lose"
 _NO_INGEST: Final = f"{NOT_COUNTED}no 0x884 of this CI, no kernel counter of its socket"
@@ -400,7 +400,7 @@ class LedgerWay:
     @property
     def counted_by(self) -> str:
         """What counted the arrivals that come out of the last hop."""
-        return str(self._hops[-1].about["counted"].get("out", _SEEN)) if self._hops else _SEEN
+        return str(self._hops[-1].about["counted"].get("out", SEEN)) if self._hops else SEEN
 
     @property
     def onward(self) -> tuple[tuple[str, int], ...]:
@@ -486,7 +486,7 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
             yield _of_no_stream(case, refused, count)
     if drops := case.capture.drops:
         way = LedgerWay(LedgerTraffic(), drops + len(case.rows))
-        way.hop(CAPTURE, {"in": "the capture's own counter", "out": _SEEN})
+        way.hop(CAPTURE, {"in": "the capture's own counter", "out": SEEN})
         way.end("not_captured", drops)
         yield way
 
@@ -554,7 +554,7 @@ def _lost_copies(case: Case, fate: Fate, doubled: int) -> tuple[int, int]:
 
 def _by_relay(way: LedgerWay, relayed: LostInRelay, losses: Sequence[Loss]) -> list[Loss]:
     """Go on through a relay with both its sides in the capture; return what else was lost."""
-    way.hop(relayed.hop, {"in": _SEEN, "out": _SEEN}, **relayed.figures)
+    way.hop(relayed.hop, {"in": SEEN, "out": SEEN}, **relayed.figures)
     own = [loss for loss in losses if loss.hop == relayed.hop]
     way.lose(own, frozenset({"network"}))
     way.end("uncertain", len(relayed.lost_ns) - sum(loss.lost for loss in own))
@@ -588,7 +588,7 @@ def _damaged(case: Case) -> Iterator[LedgerWay]:
     for key, own in groups(rows.link.astype(np.int64) << 32 | (rows.msg_id + 1), np.flatnonzero(to_cfs)):
         link, msg_id = table.link(key >> 32), (key & 0xFFFFFFFF) - 1
         way = LedgerWay(LedgerTraffic(link=link.label, msg_id=None if msg_id < 0 else msg_id), len(own))
-        way.hop(SBN_SOCKET if link.peers else CI_HOP, {"in": _SEEN, "lost": "checksums"})
+        way.hop(SBN_SOCKET if link.peers else CI_HOP, {"in": SEEN, "lost": "checksums"})
         _lose_damaged(way, rows.take(own))
         yield way
 
@@ -607,14 +607,14 @@ def _taken_in(
     if stream.link.only_to_cfs:
         accounts = case.ingests_at(stream.receiver)
         by = "the kernel's counter of its socket" if any(item.by_kernel for item in accounts) else "0x884"
-        way.hop(CI_HOP, {"in": _SEEN, **({"out": by} if accounts else all_out or {"lost": _NO_INGEST})})
+        way.hop(CI_HOP, {"in": SEEN, **({"out": by} if accounts else all_out or {"lost": _NO_INGEST})})
         way.lose(losses, _BEFORE_CI)
         _lose_damaged(way, case.damaged_of(stream))
         way.end("waiting", fate.ends["queued"])
         way.end("uncertain", fate.ends["crowded"])
         way.end("not_captured", min(fate.ends["late"], way.left))
     elif any(loss.kind in _NOT_READ for loss in losses) or len(case.damaged_of(stream)):
-        way.hop(SBN_SOCKET, {"in": _SEEN, "out": "not counted: what came out, and what the bus counts"})
+        way.hop(SBN_SOCKET, {"in": SEEN, "out": "not counted: what came out, and what the bus counts"})
         way.lose(losses, _NOT_READ)
         _lose_damaged(way, case.damaged_of(stream))
 
@@ -641,14 +641,14 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     owner, losses, telemetry = case.owner(stream), case.losses_of(stream), case.telemetry
     instance = case.label(owner) if owner != NOBODY else None
     way = LedgerWay(LedgerTraffic(stream.route, stream.link.label, stream.msg_id, instance))
-    by = _COUNT if stream.counted else f"{_SEEN}: it has no sequence count"
+    by = _COUNT if stream.counted else f"{SEEN}: it has no sequence count"
     lost = "0x803" if owner in case.tracks else "not counted: no 0x803 is here"
     way.hop(case.pipe_of(stream), {"in": by, "lost": lost})
     way.lose(losses, _AT_PIPE)
     way.end("not_captured", max(0, telemetry.ended(stream, "closed") - _told_before(case, stream)))
     silenced = [(number, among) for of, number, among in telemetry.silenced if of is stream and number]
     if silenced:
-        way.hop(telemetry_output.SOCKET, {"in": f"{_COUNT}, less what 0x803 counts", "out": _SEEN})
+        way.hop(telemetry_output.SOCKET, {"in": f"{_COUNT}, less what 0x803 counts", "out": SEEN})
         failed = case.socket_failed(stream)
         for number, among in silenced:
             about = _span_of(case, among) | {"text": f"{telemetry_output.SOCKET} failed"}
@@ -657,7 +657,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     doubled = min(faults.doubled, stream.duplicates if stream.counted else len(stream))
     if dropped or doubled:
         _by_proxy(way, faults.dropped, dropped, doubled)
-    sources = {"in": by, "out": _SEEN}
+    sources = {"in": by, "out": SEEN}
     way.hop(BEHIND, sources, duplicated=stream.duplicates - doubled if stream.counted else 0)
     way.lose(losses, _BEHIND_PIPE)
     _lose_damaged(way, case.damaged_of(stream).take(slice(telemetry.ended(stream, "damaged"))))
@@ -681,7 +681,7 @@ def _told_before(case: Case, stream: Stream) -> int:
 
 def _to_peer(case: Case, way: LedgerWay, stream: Stream, silent: Unheard) -> None:
     """Go on to an SBN peer that did not hear all that was sent to it."""
-    way.hop(f"{PEER} {silent.peer}", {"in": _SEEN, "out": "what it was sent while it was not silent"})
+    way.hop(f"{PEER} {silent.peer}", {"in": SEEN, "out": "what it was sent while it was not silent"})
     for cause, rows, when in (
         (UNHEARD, silent.lost, "while it was silent"),
         (PEER_RESTARTED, silent.restarted, "before it was started again"),
@@ -696,7 +696,7 @@ def _to_peer(case: Case, way: LedgerWay, stream: Stream, silent: Unheard) -> Non
 def _to_port(case: Case, way: LedgerWay, item: Unreached) -> None:
     """Go on to an endpoint that did not get all that was sent to it."""
     endpoint = case.endpoints[item.endpoint]
-    sources = {"in": _SEEN, "lost": "ICMP errors", "out": "datagrams without an ICMP error"}
+    sources = {"in": SEEN, "lost": "ICMP errors", "out": "datagrams without an ICMP error"}
     way.hop(f"{UDP_PORT} {endpoint}", sources, onward=way.onward)
     for cause, rows in item.lost.items():
         about = _span_of(case, Among(item.stream, rows))
@@ -706,7 +706,7 @@ def _to_port(case: Case, way: LedgerWay, item: Unreached) -> None:
 
 def _by_proxy(way: LedgerWay, dropped: Sequence[tuple[int, bytes]], number: int, doubled: int) -> None:
     """Go on through a proxy that dropped so many of some and doubled others; they are not in the capture."""
-    sources = dict.fromkeys(("in", "lost", "duplicated"), ON_PURPOSE) | {"out": _SEEN}
+    sources = dict.fromkeys(("in", "lost", "duplicated"), ON_PURPOSE) | {"out": SEEN}
     way.hop(PROXY_HOP, sources, duplicated=doubled)
     text = f"dropped on purpose by the {PROXY_HOP}"
     if number < len(dropped):
@@ -747,7 +747,7 @@ def _of_no_stream(case: Case, item: Verdict, number: int) -> LedgerWay:
     if item.msg_id is not None:
         mask &= rows.msg_id == item.msg_id
     way = LedgerWay(LedgerTraffic(link=item.link or "", msg_id=item.msg_id), max(number, item.of or 0))
-    way.hop(item.hop or "cFS", {"in": _SEEN, "lost": "each datagram by itself"})
+    way.hop(item.hop or "cFS", {"in": SEEN, "lost": "each datagram by itself"})
     _refuse(way, item, number, np.flatnonzero(mask))
     return way
 

@@ -3,8 +3,9 @@
 Rules:
 
 1. Whoever writes batches never waits for a judgement: what comes meanwhile waits in a queue.
-2. After judging it pauses 149 times as long, however much was taken; 9 times where nothing comes any more, and
-   not after the first time, which loads what it needs. It judges nothing while nobody asks, or nothing came.
+2. After judging it pauses 149 times as long, however much was taken; 9 times where nothing comes any more,
+   and not after the first time, which loads what it needs. It judges nothing while nobody asks, or nothing
+   came.
 3. Where the queue grows beyond its limit, all is judged from there on, and ``since_ns`` says so.
 """
 
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.case import Capture
+from edoras_tools.diagnosis.ledger import SEEN
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.links.table import link_of_label
@@ -194,7 +196,7 @@ def _routes(ways: Iterable[WaySum]) -> list[dict[str, Any]]:
         first, values = way.hops[0], way.as_json(None)
         figures = {name: value for name, value in values.items() if isinstance(value, int)}
         key = first.spacecraft or FIRST_SPACECRAFT, first.link, first.msg_id
-        routes.setdefault(key, Counter()).update(figures)
+        routes.setdefault(key, Counter()).update(figures, seen_going_in=first.counted.get("in") == SEEN)
     return [
         {
             **figures,

@@ -289,8 +289,7 @@ class LinkMonitor:
             item["sent_hz"] = item["passed_hz"] = None
             share = fate["out"] / fate["in"] if fate and fate["in"] else 1.0
             if fate and 0 < share <= _ALL and item["rate_hz"]:
-                seen_sent = abs(fate["in"] - item["count"]) < abs(fate["out"] - item["count"])
-                name, factor = ("passed_hz", share) if seen_sent else ("sent_hz", 1 / share)
+                name, factor = ("passed_hz", share) if fate["seen_going_in"] else ("sent_hz", 1 / share)
                 item[name] = item["rate_hz"] * factor
         return {**state, "doctor": doctor}
 

@@ -146,6 +146,8 @@ def test_what_is_watched_without_a_server_has_the_doctors_figures_at_its_routes(
     assert (row["rate_hz"], row["sent_hz"]) == (7.0, None)
     assert row["passed_hz"] == pytest.approx(7 * 508 / 600)
     assert rows["ES_HK"]["passed_hz"] is None
+    seen = {(item["link"], bool(item["seen_going_in"])) for item in state["doctor"]["routes"]}
+    assert seen == {("ci", True), ("to", False)}, "or a rate that comes would be taken for one that is sent"
     assert sum(item["lost"] for item in state["routes"]) == state["doctor"]["lost"]
 
 
