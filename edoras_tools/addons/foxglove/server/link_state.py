@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -74,6 +75,7 @@ class LinkState:
         self._lock = threading.Lock()
         self._routes: dict[tuple[int, int, int], dict[str, Any]] = {}
         self._last: dict[tuple[int, int, int], _LastPacket] = {}
+        self._came: Counter[tuple[int, int, int]] = Counter()
         self._events: dict[tuple[Any, ...], dict[str, Any]] = {}
         self._time_ns, self._heard = 0, -1.0
 
@@ -100,13 +102,14 @@ class LinkState:
             for entry in self._log_entries(own, len(batch))
         ]
         entries.sort(key=itemgetter("time_ns"))
-        last = self._last_packets(batch, columns)
+        last, came = self._last_packets(batch, columns)
         with self._lock:
             self._time_ns = int(batch.time_ns[-1])
             age_ns = self.wall() - self._time_ns
             # What is live gathers for a while; what is played, or of another clock, has come just now.
             self._heard = self.clock() - (age_ns / SECOND if 0 < age_ns < _GATHERS_NS else 0)
             self._last.update(last)
+            self._came.update(came)
             for entry in entries:
                 self._add_event(entry)
             if len(counts):
@@ -120,16 +123,20 @@ class LinkState:
     def summary(self) -> dict[str, Any]:
         """Return routes by topic, events by their last time, newest first, and sums.
 
-        Rates are those of the last second. ``age_s`` is the time since the last packet of a route.
+        Rates are those of the last second, counts those of all that came. ``age_s`` is the time since the
+        last packet of a route.
         """
         with self._lock:
             silent = None if self._heard < 0 else self.clock() - self._heard
             since_ns = self._time_ns - _STALE_NS
             if silent is not None and silent * SECOND > _STALE_NS:
                 since_ns = self._time_ns
-            keyed = [(dict(item), self._last.get(key)) for key, item in self._routes.items()]
+            keyed = [
+                ({**item, "count": self._came[key] or item["count"]}, self._last.get(key))
+                for key, item in self._routes.items()
+            ]
             events = [dict(item) for item in reversed(self._events.values())]
-            now_ns = self._time_ns + int(SECOND * (silent or 0))
+            now_ns, came = self._time_ns + int(SECOND * (silent or 0)), self._came.total()
         for item, last in keyed:
             if item["time_ns"] <= since_ns:
                 item["rate_hz"] = 0.0
@@ -143,7 +150,7 @@ class LinkState:
         return {
             "time_ns": self._time_ns,
             "silent_s": silent,
-            "datagrams": sums["count"],
+            "datagrams": came,
             "bytes": sums["bytes"],
             "gaps": sums["gaps"],
             "rate_hz": sum(item["rate_hz"] for item in moving),
@@ -163,10 +170,13 @@ class LinkState:
             return None
 
     @staticmethod
-    def _last_packets(batch: PacketBatch, columns: Columns) -> dict[tuple[int, int, int], _LastPacket]:
-        """Return the last packet of each route in a batch."""
+    def _last_packets(
+        batch: PacketBatch, columns: Columns
+    ) -> tuple[dict[tuple[int, int, int], _LastPacket], dict[tuple[int, int, int], int]]:
+        """Return the last packet of each route in a batch, and how many there are."""
         keys = route_keys(columns)
-        _, behind = np.unique(keys[::-1], return_index=True)
+        own, behind, counts = np.unique(keys[::-1], return_index=True, return_counts=True)
+        came = dict(zip(map(route_from_key, own.tolist()), counts.tolist(), strict=True))
         packets = {}
         for row in (len(keys) - 1 - behind[:_MOST_ROUTES]).tolist():
             start, route = int(columns.cdr_offset[row]), int(columns.route[row])
@@ -174,7 +184,7 @@ class LinkState:
             if route >= 0 and columns.cdr_length[row] > 0:
                 cdr = batch.data[start : start + int(columns.cdr_length[row])].tobytes()
             packets[route_from_key(int(keys[row]))] = _LastPacket(int(batch.time_ns[row]), cdr, route)
-        return packets
+        return packets, came
 
     def _log_entries(self, events: Sequence[Messages], rows: int) -> list[dict[str, Any]]:
         records = lay_out(events, rows)
