@@ -24,8 +24,12 @@ _TIME: Final = 11
 _WIDEST: Final = 22
 _NARROWEST: Final = 8
 """Cells from one lifeline to the next."""
-_TOLD: Final = 46
-"""Minimum cells for the label."""
+_TOLD: Final = 54
+"""Cells for the whole label,"""
+_NAMED: Final = 18
+"""and for its name: where there are fewer, lifelines come closer,"""
+_CLOSEST: Final = 6
+"""to so many cells."""
 
 
 class SequenceView(Lines):
@@ -84,8 +88,9 @@ class SequenceView(Lines):
 
     @property
     def _step(self) -> int:
-        room = (self.room - _TIME - _TOLD) // max(1, len(self._parties))
-        return max(_NARROWEST, min(_WIDEST, room))
+        count, room = max(1, len(self._parties)), self.room - _TIME
+        narrowest = max(_CLOSEST, min(_NARROWEST, (room - _NAMED) // count))
+        return max(narrowest, min(_WIDEST, (room - _TOLD) // count))
 
     def _arrow(self, item: SequenceMessage) -> Text:
         step, count = self._step, len(self._parties)
