@@ -226,7 +226,7 @@ def open_packets(batches: Iterable[PacketBatch], row: int, settings: Settings) -
     """
     path = find_program("wireshark")
     if sys.platform not in {"darwin", "win32"} and not any(map(os.environ.get, _DISPLAYS)):
-        raise CaptureError("Wireshark needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set")
+        raise CaptureError("Wireshark needs a display: set DISPLAY or WAYLAND_DISPLAY")
     text, _ = dissector(settings)
     folder = Path(tempfile.mkdtemp(prefix="edoras-"))
     try:
