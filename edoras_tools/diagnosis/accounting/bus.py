@@ -44,7 +44,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 )
 from edoras_tools.diagnosis.accounting.pipes import pressed
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
+from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reasons_for
 from edoras_tools.diagnosis.matching.streams import Span, full_rounds
 from edoras_tools.links.table import among
 from edoras_tools.model import Finding
@@ -367,10 +367,10 @@ class Telemetry:
         """Return that SBN was stopped when a peer was to get messages that nothing else here follows."""
         case, span = self._case, part.span
         if case.upstream(part.stream) is None and not any(hop.out is part.stream for hop in case.hops):
-            system = case.system(part.stream)
-            for stop in case.timeline.spans(StateOwner("app", sbn.NAME), "stopped", system):
-                if stop.overlaps(span.start_ns, span.end_ns):
-                    return "stopped", sbn.NAME, stop.change.witness
+            way = Way(part.stream.msg_id, part.stream.link, case.system(part.stream))
+            for stop, text in reasons_for(case.timeline, way, span.start_ns, span.end_ns, case.at):
+                if stop.change.subject == StateOwner("app", sbn.NAME):
+                    return "stopped", sbn.NAME, text
         return None
 
     def _tell_closed(self, part: Part) -> None:
