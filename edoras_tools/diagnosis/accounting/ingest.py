@@ -340,6 +340,8 @@ class _Counted:
             high = high - before if first else np.minimum(high - before, sent[part])
             run = _Run(self._seen[part], low - before, high, drained, busy, 2 * most, unread)
             lost = _follow(account, run, lost, begin, room)
+            if begin[0] in _OUTAGES:
+                self._end_with_outage(account, begin)
             if not first and before and unread is None and account.losses and not busy[1:2].any():
                 account.unsure += max(0, before - self._surely_sent(int(emptied_ns[0])) + own[0].count)
             account.waiting = max(0, int(run.high[-1]) - lost)
@@ -394,6 +396,14 @@ class _Counted:
             before += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
             ended_ns = until_ns
         return ("down" if down else "restart", ended_ns), lost, before
+
+    def _end_with_outage(self, account: Ingest, begin: tuple[Cause, int]) -> None:
+        """End what was lost while it did not run with the last of these: what it read since came behind."""
+        for at, item in enumerate(account.losses):
+            if (item.cause, item.start_ns) == begin:
+                last = int(self._sent_until(item.start_ns)) + item.lost + item.more - 1
+                end_ns = int(self._sent_ns[last]) + self._case.unsteady_ns
+                account.losses[at] = replace(item, end_ns=min(item.end_ns, end_ns))
 
     def _restarts_ns(self, start_ns: int, end_ns: int) -> list[int]:
         """Return when its cFS was told to restart, of the commands to it between two times."""
