@@ -325,6 +325,8 @@ def _total(result: Diagnosis, problems: Sequence[Problem]) -> str:
         doubt = f" Up to {more:,} more may be lost." if more else ""
         return f"{_nothing_sent(result)}{_lost(result, proven)}{_copies(result, proven)}{doubt}"
     text = "No loss found with what is shown" if result.choice else "No loss found"
+    if any(item.rule == "cut_frames" for item in result.verdicts):
+        text += " in what was not cut off"
     if result.without_evidence:
         noun = f"{sent(result.balance):,} {_names(result, result.balance)}"
         text = f"No evidence: nothing here counts what arrived of {noun}"

@@ -474,7 +474,10 @@ class Commands:
         return max(0, len(fate.stream) - lost - others)
 
     def _number(self, fates: Sequence[Fate]) -> None:
-        """Hold the one stream of commands whose values are cut off against the number that the robot got."""
+        """Hold the stream of commands whose values are cut off against the number that the robot got.
+
+        Where several are, all the others together are fewer than that.
+        """
         rows = self._case.rows
         robot = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
         unseen = [
@@ -482,9 +485,11 @@ class Commands:
             for fate in fates
             if fate.stream.link.only_to_cfs and not (fate.seen or fate.stream.is_housekeeping)
         ]
-        if not len(robot) or len(unseen) != 1 or any(hop.out.link.last_hop for hop in self._case.hops):
+        total = sum(len(fate.stream) for fate in unseen)
+        own = [fate for fate in unseen if total - len(fate.stream) < len(robot)]
+        if len(own) != 1 or any(hop.out.link.last_hop for hop in self._case.hops):
             return
-        (fate,) = unseen
+        (fate,) = own
         cut = rows.has(Finding.CAPTURE_CUT)
         if cut[robot].any() or cut[fate.stream.rows].any():
             rest = self._untold(fate) + fate.ends["queued"] + fate.ends["late"]
