@@ -84,12 +84,14 @@ class Copies(NamedTuple):
         duplicate: bool (n,), captured before as well, at one place.
         at_once: bool (n,), at the same time as the one before it that is equal.
         alone: bool (n,), captured at one of two places that are in one file, and not at the other.
+        behind_ns: i64 (n,), of these by how much the clock of the second place is ahead of the first's.
     """
 
     copy: Mask
     duplicate: Mask
     at_once: Mask
     alone: Mask
+    behind_ns: Integers
 
 
 def find_copies(
@@ -109,7 +111,8 @@ def find_copies(
         prints: fingerprints of the datagrams.
     """
     count = len(time_ns)
-    out = Copies(*(np.zeros(count, bool) for _ in range(4)))
+    copy, duplicate, at_once, alone = np.zeros((4, count), bool)
+    out = Copies(copy, duplicate, at_once, alone, np.zeros(count, np.int64))
     if count < 2:
         return out
     key = (prints ^ conversation.astype(np.uint64) * MIX) * MIX ^ identification
@@ -143,6 +146,13 @@ def find_copies(
         inside = (time_ns > time_ns[0] + edge_ns) & (time_ns < time_ns[-1] - edge_ns)
         both = np.isin(conversation, np.unique(conversation[order[same]]))
         out.alone[:] = (group_size == 1) & (identification != 0) & both & inside
+        if (at := np.flatnonzero(far[1:])).size:
+            apart_ns = int(np.median((when[1:] - when[:-1])[at]))
+            # What was sent before and behind it has an identification near its own: then it was sent, too.
+            place = conversation.astype(np.int64) << 16 | identification
+            known = order[at[np.argsort(place[order[at]])]]
+            off_ns = time_ns - np.interp(place, place[known], time_ns[known].astype(np.float64))
+            out.behind_ns[out.alone & (np.abs(off_ns - apart_ns) < np.abs(off_ns))] = apart_ns
     first = np.zeros(count, bool)
     first[order[np.concatenate(([True], ~near))]] = True
     for _, rows in by_value(conversation.astype(np.int64)):

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.relays import LostInRelay, Proxied, RouteWay
-    from edoras_tools.wire.arrays.order import Mask, Places
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _MOST_SET: Final = 16
 """A clock is set back now and then; records that go back more often are out of order."""
@@ -132,12 +132,20 @@ def prepare(
     relayed = before_proxy(rest.rows, proxied)
     rest.keep(~relayed)
     sources = names[rows.source[payloads.ingest["row"]]]
-    copy, duplicate, perhaps, alone = _doubled(rest.rows, payloads, sources, endpoints, proxied)
+    copy, duplicate, perhaps, alone, behind_ns = _doubled(rest.rows, payloads, sources, endpoints, proxied)
     doubled = rest.rows.take(np.flatnonzero(perhaps))
-    rest.keep(~copy)
+    left = np.flatnonzero(~copy)
+    if behind_ns.any():
+        rest.rows = replace(rest.rows, time_ns=rest.rows.time_ns - behind_ns)
+        left = left[np.argsort(rest.rows.time_ns[left], kind="stable")]
+        rest.rows, rest.places = followed(rest.rows.take(left)), rest.places[left]
+    else:
+        rest.keep(~copy)
     stranger = kind[rest.places] == _PLACE[ConversationKind.STRANGER]
     if len(rest.places) < len(rows) or stranger.any():
         payloads = payloads.over(np.where(stranger, -1, rest.places), len(rows))
+    if behind_ns.any():
+        payloads = payloads.timed(rest.rows.time_ns)
     surely, perhaps_astray = _find_astray(rest.rows, astray)
     rest.rows = replace(rest.rows, undelivered=surely)
     return Prepared(
@@ -148,10 +156,10 @@ def prepare(
         copies=int(copy.sum()) - len(doubled),
         relayed=int(relayed.sum()),
         passed=lost_there,
-        duplicates=np.flatnonzero(duplicate[~copy]),
+        duplicates=np.flatnonzero(duplicate[left]),
         damaged=damaged,
         doubled=doubled,
-        perhaps_astray=perhaps_astray | alone[~copy],
+        perhaps_astray=perhaps_astray | alone[left],
         disordered=disordered,
         unsteady_ns=unsteady_ns,
         translated={
@@ -193,20 +201,22 @@ def _doubled(
     sources: NDArray[np.int32],
     endpoints: Sequence[Endpoint],
     proxied: Mapping[RouteWay, Proxied],
-) -> tuple[Mask, Mask, Mask, Mask]:
+) -> tuple[Mask, Mask, Mask, Mask, Integers]:
     """Tell which rows not to count, which the network doubled, of which nothing tells, which one place lacks.
+
+    With by how much these are behind (ns).
 
     Args:
         sources: who sent each count of CI, as an index of ``endpoints``.
     """
     copies = find_copies(rows.time_ns, rows.identification, rows.way(), rows.tap, rows.bytes_print)
     if not copies.duplicate.any():
-        return copies.copy, copies.duplicate, copies.duplicate, copies.alone
+        return copies.copy, copies.duplicate, copies.duplicate, *copies[3:]
     who = who_doubled(rows, copies, payloads.ingest, sources, endpoints)
     if any(item.doubled for item in proxied.values()):
         who[copies.duplicate & (who == 0)] = BY_NETWORK  # a proxy says that it sent some again
     perhaps = copies.duplicate & (who == 0)
-    return copies.copy | perhaps | (who == BY_CAPTURE), who == BY_NETWORK, perhaps, copies.alone
+    return copies.copy | perhaps | (who == BY_CAPTURE), who == BY_NETWORK, perhaps, *copies[3:]
 
 
 def in_time_order(recorder: Recorder) -> tuple[Rows, Payloads, int]:
