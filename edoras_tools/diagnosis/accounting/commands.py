@@ -437,7 +437,11 @@ class Commands:
                 continue
             into, out = _in_order(hop)
             behind = np.searchsorted(into, open_)
-            passed = np.concatenate(([0], np.cumsum(self.telemetry.passed(hop.out))))[out]
+            counts = self.telemetry.passed(hop.out)
+            for other in self._case.hops:  # what came in by another way is none of these
+                if other.out is hop.out and other is not hop:
+                    counts[other.out_rows - 1] -= 1
+            passed = np.concatenate(([0], np.cumsum(counts)))[out]
             room = np.concatenate(([0], np.diff(passed) - 1, [0]))
             # Of those in one place the first may be it, as far as there is room.
             nth = np.arange(len(behind)) - np.searchsorted(behind, behind)

@@ -157,7 +157,7 @@ class Crossing(Protocol):
 def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list[Hop]:
     """Find every pair of streams of which one is the other, further on.
 
-    Each way out has one way in, but for a robot's: several MsgIds may command it.
+    Each way out has one MsgId that goes in, by CI or by SBN, but for a robot's: several may command it.
     """
     goes_in = [item for item in streams if item.link.to_cfs and item.link.packets]
     ways_in = _Ends(goes_in, rows, crossing.arrival, [item.receiver for item in goes_in])
@@ -169,7 +169,15 @@ def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list
         for at, (place, (came_by, went_by)) in sorted(_ways_in(ways_in, ways_out, crossing.follows).items()):
             into, out = ways_in.streams[place], ways_out.streams[at]
             came, went = ways_in.of(place, came_by), ways_out.of(at, went_by)
-            hops.append(_match(into, out, came, went, max(_EARLY_NS, crossing.unsteady_ns)))
+            early_ns = max(_EARLY_NS, crossing.unsteady_ns)
+            hops.append(_match(into, out, came, went, early_ns))
+            for also, item in enumerate(
+                ways_in.streams if hops[-1].rewritten and not out.link.last_hop else ()
+            ):
+                if item.msg_id == into.msg_id and item is not into and crossing.follows(item, out):
+                    went = np.where(np.isin(went, came), 0, went)
+                    came = ways_in.of(also, came_by)
+                    hops.append(_match(item, out, came, went, early_ns))
             if out.link.last_hop and (other := ~np.isin(went, came)).any():
                 comes_out.append(replace(out, rows=out.rows[other], time_ns=out.time_ns[other]))
     return [hop for hop in hops if hop.matched]
