@@ -106,13 +106,14 @@ def _published_nothing(
     for stream in streams:
         times = stream.time_ns
         at = int(np.searchsorted(times, start_ns, "right")) - 1
-        if at < 1 or at + 2 > len(times) - 1:
+        if at < 0 or at + 2 > len(times) - 1:
             continue
         made_ns = instances.made_ns[stream.rows[at : at + _BEHIND]]
         if ((made_ns > first_ns) & (made_ns < last_ns)).any():
             return False
-        first = max(0, at - 20)
-        if (times[at] - times[first]) * _DUE < pause_ns * (at - first):
+        # Where the capture begins just before the pause, what came behind it tells how often.
+        first, last = (max(0, at - 20), at) if at else (1, min(21, len(times) - 1))
+        if (times[last] - times[first]) * _DUE < pause_ns * (last - first):
             due += 1
             # What it makes up for at once when it goes on may be more than a pipe takes.
             lacking += bool(stream.missing[at])
