@@ -78,6 +78,8 @@ FLIGHTS = {
     "commands_at_output": (101, {"limit": 101}),
     "delay_comes_and_goes": (8, {"network": 8}),
     "stood_still_three_times": (57, {"limit": 35, "down": 22}),
+    "sbn_restarted_in_overload": (713, {"stopped": 457, "limit": 256}),
+    "two_ways_in": (0, {}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -143,7 +145,7 @@ def first_screen(found):
         "port_for_*",
         "doubled_both_*",
     ),
-    *("commands_*", "delay_*"),
+    *("commands_*", "delay_*", "sbn_restarted_in_*", "two_ways_*"),
 )
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_the_doctor_says_how_many_were_lost_and_why(name):
@@ -195,6 +197,24 @@ def test_a_queue_on_the_way_is_no_clock_that_was_set(name):
 def test_commands_that_output_sends_as_well_are_lost_there_apart_from_the_application():
     rows = {(row.link, row.hop): row.all_lost for row in examined("commands_at_output").balance if row.lost}
     assert rows == {("to", "TO_LAB_TLM_PIPE"): 95, ("ci", "software bus"): 6}
+
+
+def test_messages_of_one_msg_id_over_ci_and_sbn_give_way_to_each_other():
+    rows = {row.link: row for row in examined("two_ways_in").balance if row.superseded}
+    assert {link: (row.out, row.superseded) for link, row in rows.items()} == {
+        "ci": (46, 82),
+        "sbn": (46, 14),
+    }
+
+
+def test_a_cfs_that_stood_still_just_after_the_capture_began_did_so(tmp_path):
+    items = mutations.part(0.5, 1)(
+        mutations.frames(FOLDER / "stood_still_three_times.pcap.zst"), random.Random(0)
+    )
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert [item.rule for item in found.verdicts if item.rule in {"cfs_stalled", "old_values"}] == [
+        "cfs_stalled"
+    ]
 
 
 def test_a_pause_of_its_reader_shows_no_limit():
@@ -386,6 +406,17 @@ def test_commands_that_perhaps_nobody_takes_did_not_arrive_surely(tmp_path):
     assert "Up to 49 messages may be lost" in summarize(found).headline
 
 
+@pytest.mark.parametrize("most", [64, 80, 90])
+def test_what_a_robot_did_not_get_is_lost_also_where_frames_are_cut(tmp_path, most):
+    """A command to the generator is in the capture too, and the values that would tell them apart are cut."""
+    items = mutations.cut_off(most)(mutations.frames(FOLDER / "never_started.pcap.zst"), random.Random(0))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert found.lost + found.unaccounted == 57
+    items = [item for item in items if not mutations.is_to(item.data, 8080, 8585)]
+    found = truth.examined(mutations.write(tmp_path / "without_robot.pcap", items))
+    assert summarize(found).headline.startswith("No loss found in what was not cut off, but")
+
+
 @pytest.mark.parametrize("change", ["5 % removed", "30 % removed", "without the middle", "5 % doubled"])
 def test_what_the_capture_may_have_missed_of_a_sender_that_counts_is_not_proven(tmp_path, change):
     items = mutations.changed(mutations.frames(FOLDER / "sender_that_counts.pcap.zst"), change, 0)
@@ -432,11 +463,10 @@ def two_places(tmp_path, apart_ms, gone=range(0)):
     return truth.examined(mutations.write(tmp_path / f"{apart_ms}.pcap", items))
 
 
-@pytest.mark.parametrize("apart_ms", [-2300, 5, 137])
+@pytest.mark.parametrize("apart_ms", [-2300, 5, 137, 5000])
 def test_two_places_in_one_file_are_one_capture_whatever_their_clocks(tmp_path, apart_ms):
     found = two_places(tmp_path, apart_ms, range(50, 90))
-    assert found.lost + found.unaccounted == (0 if apart_ms < -1000 else 17)
-    assert found.lost + found.uncertain == 57
+    assert (found.lost + found.unaccounted, found.uncertain) == (17, 40)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3])
