@@ -82,7 +82,7 @@ _NO_INGEST: Final = f"{NOT_COUNTED}no 0x884 of this CI, no kernel counter of its
 _NO_BUS: Final = f"{NOT_COUNTED}no 0x803 of its cFS"
 _BY_BUS: Final[Mapping[str, str]] = {"in": "0x803: it counts only what is lost", "lost": "0x803"}
 _BEFORE_CI: Final = frozenset({"network", "socket", "down", "restart", "ci_stopped", PORT_CLOSED})
-_NOT_READ: Final = frozenset({"down", PORT_CLOSED})
+_NOT_READ: Final = frozenset({"down", "network", PORT_CLOSED})
 _ON_BUS: Final = frozenset({*COUNTERS, "unknown"})
 _BEHIND_BUS: Final = frozenset(
     {"stopped", "restart_failed", "away", "unsubscribed", "disabled", "route", DAMAGED}

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.cfs import sbn
 from edoras_tools.diagnosis.accounting.closed import UDP_PORT
-from edoras_tools.diagnosis.accounting.losses import APP
+from edoras_tools.diagnosis.accounting.losses import APP, SBN_SOCKET
 from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
 from edoras_tools.diagnosis.ledger import CAUSES, Row, cause_text
@@ -270,6 +270,7 @@ def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
     return (
         cause_text(cause)
         .replace("the application", hop)
+        .replace("before CI", f"before {sbn.NAME if hop == SBN_SOCKET else 'CI'}")
         .replace("a silent SBN peer", f"{hop} while it was silent")
     )
 

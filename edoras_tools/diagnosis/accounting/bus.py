@@ -383,7 +383,13 @@ class Telemetry:
         if part.cause is not None:
             kind_, hop, text = part.cause
             part.evidence = [text, *texts.values()]
-            self._lose(part, kind_, part.missing, part.missing, "high").hop = hop
+            rest = part.missing
+            if kind_ == "route":  # what a pipe counted had come to it
+                rest -= part.taken.total()
+                for kind, number in part.taken.items():
+                    self._lose(part, kind, number, part.missing, "high")
+            if rest:
+                self._lose(part, kind_, rest, part.missing, "high").hop = hop
             return
         for kind, number in part.taken.items():
             part.evidence = [

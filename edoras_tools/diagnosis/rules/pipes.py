@@ -12,7 +12,7 @@ from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.executive_services import STARTS
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.ingest import QUOTED
-from edoras_tools.diagnosis.accounting.losses import CI_SOCKET, TAIL_NS
+from edoras_tools.diagnosis.accounting.losses import CI_SOCKET, SBN_SOCKET, TAIL_NS
 from edoras_tools.diagnosis.accounting.pipes import TICKS, measured_depth
 from edoras_tools.diagnosis.advice import (
     advise,
@@ -332,18 +332,19 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
     """
     for loss in case.losses:
         if loss.kind == "network":
-            relay = loss.hop.startswith(RELAY_HOP)
+            relay, peers = loss.hop.startswith(RELAY_HOP), loss.hop == SBN_SOCKET
             why = "they did not come out" if relay else "CI did not read them, and it can read so many"
+            why = "they did not come to cFS" if peers else why
             more = (
                 "" if case.capture.shared else ": a capture on the cFS host shows which of them arrive there"
             )
-            uplink = f"look at the uplink{more}"
+            uplink = f"look at the {'network' if peers else 'uplink'}{more}"
             if any(line.startswith(QUOTED) for line in loss.evidence):
                 uplink = "look at the route to that host, and at firewalls on the way: ICMP errors came back"
             yield loss_verdict(
                 case,
                 loss,
-                f"{lost_at(case, loss, 'commands')}: {why}",
+                f"{lost_at(case, loss, 'messages' if peers else 'commands')}: {why}",
                 link=loss.stream.link.label if loss.stream else "ci",
                 remedy="look at its log and its queue" if relay else uplink,
             )
