@@ -34,6 +34,10 @@ _LEAST_ROWS: Final = 3
 _ALREADY_NS: Final = SECOND
 _BEGINS: Final = frozenset({sbn.MsgType.SUB, sbn.MsgType.PROTO, sbn.MsgType.ANNOUNCE})
 """What a peer says first: one whose first datagram here is another was connected before the capture began."""
+_ARRIVED: Final = "its {} arrived"
+_WENT_ON: Final = frozenset(
+    _ARRIVED.format(name) for kind, name in sbn.MSG_TYPE_NAMES.items() if kind not in _BEGINS
+)
 _NEVER: Final = np.iinfo(np.int64).max // 2
 _STILL_NS: Final = 3 * SECOND
 """After a time-out, nobody sends to a peer for longer than this."""
@@ -65,13 +69,15 @@ class PeerSilence(NamedTuple):
     """A time in which a peer said nothing: from its last datagram to its next, or to the end.
 
     ``given_up`` tells whether it lasted until its observer timed it out; ``change`` is the place of its
-    beginning in the connection's changes.
+    beginning in the connection's changes. ``stood_still`` tells whether it then went on as one that was not
+    started again: it did not subscribe first.
     """
 
     start_ns: int
     until_ns: int
     given_up: bool
     change: int
+    stood_still: bool
 
 
 class PeerRestart(NamedTuple):
@@ -131,8 +137,9 @@ class Connection:
             if change.state != "silent" or change.why == UNSEEN:
                 continue
             later = self.changes[at + 1 :]
-            back = next((item.time_ns for item in later if item.state == "connected"), end_ns)
-            yield PeerSilence(change.time_ns, back, bool(later) and later[0].state == "timed_out", at)
+            back = next((item for item in later if item.state == "connected"), PeerChange(end_ns, "silent", ""))
+            given_up = bool(later) and later[0].state == "timed_out"
+            yield PeerSilence(change.time_ns, back.time_ns, given_up, at, back.why in _WENT_ON)
 
     def sent_in(self, silence: PeerSilence) -> Integers:
         """Return when application messages were sent to it in a silence."""
@@ -272,7 +279,8 @@ class Network:
             elif not up:
                 began = kind in _BEGINS
                 first = not changes and now - begin_ns < (_ALREADY_NS if began else timeout)
-                why = ALREADY if first else f"its {sbn.MSG_TYPE_NAMES.get(kind, f'type {kind:#04x}')} arrived"
+                name = sbn.MSG_TYPE_NAMES.get(kind, f"type {kind:#04x}")
+                why = ALREADY if first else _ARRIVED.format(name)
                 changes.append(PeerChange(now, "connected", why))
                 up = True
         last = int(times[-1]) if up else 0

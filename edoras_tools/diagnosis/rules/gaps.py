@@ -221,7 +221,7 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
         basis = "nothing here tells what the capture missed"
     yield warning(
         f"{plural(total, 'message')} may be lost, or the capture missed "
-        f"{'it' if total == 1 else 'them'}: it may lack up to {most:.2g} % of what passed",
+        f"{'it' if total == 1 else 'them'}: it may lack up to {min(most, 99):.2g} % of what passed",
         basis,
         *(
             f"nothing at all was captured from {case.at(start_ns)} to {case.at(end_ns)}"

@@ -63,11 +63,10 @@ def sbn_timeout(case: Case) -> Iterator[Verdict]:
     """
     for connection in case.network.connections.values():
         for silence in connection.silences(case.end_ns):
-            yield (
-                _timed_out(case, connection, silence)
-                if silence.given_up
-                else _still(case, connection, silence)
-            )
+            if silence.given_up:
+                yield _timed_out(case, connection, silence)
+            elif len(connection.sent_ns):  # else it never was a peer
+                yield _still(case, connection, silence)
         for change in connection.changes:
             if change.why == UNSEEN:
                 yield _unseen(case, connection, change)
@@ -128,19 +127,25 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
     returned = (
         f"back after {(back_ns - silent.start_ns) / SECOND:.1f} s" if back_ns else "not back in this capture"
     )
+    why, remedy = (
+        "It was killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent",
+        "restart the peer; it is connected again with its first SUB or PROTO. Send DISCONNECT before a "
+        "planned stop",
+    )
+    if silent.stood_still:
+        why = "It did not subscribe anew: it stood still, or was cut off, and may read late what it was sent"
+        remedy = "look at the load of its host, at who may stop its process, and at the network"
     return verdict(
         Severity.ERROR if len(sent) else Severity.WARNING,
         f"SBN peer {connection.peer} fell silent at {case.at(silent.start_ns)} and timed out at "
-        f"{connection.observer} {(out_ns - silent.start_ns) // SECOND} s later; {returned}. It was "
-        "killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent",
+        f"{connection.observer} {(out_ns - silent.start_ns) // SECOND} s later; {returned}. {why}",
         *evidence,
         place=("sbn", f"SBN peer {connection.peer}"),
-        lost=len(sent) or None,
+        lost=None if silent.stood_still else len(sent) or None,
         of=len(sent) or None,
         # It is lost until the peer is given up, however long it stays away.
         span=(silent.start_ns, min(max(out_ns, int(sent[-1]) if len(sent) else 0), until)),
-        remedy="restart the peer; it is connected again with its first SUB or PROTO. Send DISCONNECT "
-        "before a planned stop",
+        remedy=remedy,
     )
 
 
@@ -572,7 +577,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         refused = _refused(
             case,
             members,
-            f"{plural(len(members), 'SBN datagram')} from {peer}, which is not the peer known at "
+            f"{peer} sent {plural(len(members), 'SBN datagram')}, and is not the peer known at "
             f"{case.endpoints[rows.source[members[0]]]}: "
             + ("cFS refuses them" if lines else "a cFS whose table does not name it refuses them"),
             "make spacecraft_id and processor_id of the bridge agree with cFS's SBN table (sbn_conf_tbl)"
