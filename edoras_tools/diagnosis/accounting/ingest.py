@@ -311,7 +311,7 @@ class _Counted:
             high = sent[part] - count[part]
             emptied_ns, busy = self._emptied(part)
             emptied_ns -= under_way_ns + unsteady_ns
-            low = np.where(busy, -_MODULUS, self._sent_until(emptied_ns) - count[part])
+            low = np.where(emptied_ns <= 0, -_MODULUS, self._sent_until(emptied_ns) - count[part])
             if first and self._reset(own[first - 1], own[first]):
                 # It ran on, and set its count to 0: it read no more until then than it can.
                 begin: tuple[Cause, int] = ("socket" if crowded else "network", idle_ns)
@@ -464,8 +464,11 @@ class _Counted:
         oldest = np.minimum(seen_ns - self._profile.to_wake_ns, self._made[part]) - wake_ns - _SLACK_NS
         oldest -= np.where(read < self._most, 0, steps)
         out_ns, sent_ns = self._read_ns
-        last = np.searchsorted(out_ns, self._made[part] - _SLACK_NS) - 1
-        return np.maximum(oldest, sent_ns[last]), busy
+        # One that reads all it can has read what came out, and perhaps no more; a count may be made a round
+        # of Telemetry Output sooner than its clock says.
+        late_ns = _SLACK_NS + self._profile.to_wake_ns * busy
+        last = np.searchsorted(out_ns, self._made[part] - late_ns) - 1
+        return np.maximum(np.where(busy, 0, oldest), sent_ns[np.maximum(last, 0)]), busy
 
     def _reset(self, before: _Sample, after: _Sample) -> bool:
         """Tell whether it was told to set its counters to 0 between two samples of one boot."""
