@@ -250,7 +250,8 @@ def _promising(result: Diagnosis, problems: Sequence[tuple[Problem, Sequence[Row
         cured = sum(other.lost or 0 for other in alike)
         keys = {_route(row) for row in rows}
         lost = sum(row.all_lost + row.unaccounted for row in result.balance if _route(row) in keys)
-        yield replace(item, of=sent_of(result, rows) if lost <= cured else cured)
+        left = item.left if (item.left or 0) < (item.lost or 0) else None  # a promise of more is none
+        yield replace(item, left=left, of=sent_of(result, rows) if lost <= cured else cured)
 
 
 def _more(reason: str, own: Sequence[Verdict]) -> str:
@@ -267,12 +268,9 @@ def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
         return f"at {rows[0].hop}"
     if cause in {"limit", "overflow"}:
         return f"{cause_text(cause)}, {hop}"
-    return (
-        cause_text(cause)
-        .replace("the application", hop)
-        .replace("before CI", f"before {sbn.NAME if hop == SBN_SOCKET else 'CI'}")
-        .replace("a silent SBN peer", f"{hop} while it was silent")
-    )
+    text = cause_text(cause).replace("the application", hop)
+    text = text.replace("before CI", f"before {sbn.NAME}") if hop == SBN_SOCKET else text
+    return text.replace("a silent SBN peer", f"{hop} while it was silent")
 
 
 def _when(result: Diagnosis, own: Sequence[Verdict]) -> str:

@@ -80,6 +80,7 @@ FLIGHTS = {
     "stood_still_three_times": (57, {"limit": 35, "down": 22}),
     "sbn_restarted_in_overload": (713, {"stopped": 457, "limit": 256}),
     "two_ways_in": (0, {}),
+    "thousand_a_second": (8766, {"limit": 6065, "socket": 2701}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -93,6 +94,7 @@ RANGES = {
     "peer_off_three_times": 76,
     "route_to_peer_disabled": 40,
     "counters_reset_in_overload": 172,
+    "route_disabled_at_a_full_pipe": 172,
 }
 
 
@@ -522,3 +524,36 @@ def test_of_what_is_lost_behind_a_network_that_doubles_some_may_be_copies():
 def test_of_a_flood_that_nobody_takes_ci_lost_what_was_not_counted():
     rows = {(row.msg_id, row.hop): row.all_lost for row in examined("flood_of_four_kinds").balance}
     assert (rows[0x18EE, "CI"], rows[0x18EE, "software bus"]) == (92, 108)
+
+
+def test_what_a_pipe_counted_is_no_loss_of_a_route_that_was_disabled_behind_it():
+    (row,) = (
+        row for row in examined("route_disabled_at_a_full_pipe").balance if row.lost.get("route", 0) > 12
+    )
+    assert row.lost["limit"] == 78
+    assert row.lost["route"] <= 77
+
+
+def test_a_full_socket_is_proven_by_what_came_out_since_though_ci_goes_on_reading_all_it_can(tmp_path):
+    items = mutations.part(0.2, 0.6)(
+        mutations.frames(FOLDER / "thousand_a_second.pcap.zst"), random.Random(0)
+    )
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert 1800 < found.lost + found.unaccounted <= 2794 <= found.lost + found.uncertain
+
+
+def test_what_sbn_was_sent_and_the_flight_side_never_saw_was_lost_on_the_network():
+    found = together("losing_network_of_peers_ground", "losing_network_of_peers_flight")
+    assert by_cause(found) == {"network": 19, "after": 24}
+    assert "on the network before SBN" in first_screen(found)
+
+
+def test_a_peer_that_goes_on_without_subscribing_anew_stood_still(tmp_path):
+    """Without ICMP errors and subscriptions the bridge that was off for 13 s is one that stood still."""
+    items = mutations.frames(FOLDER / "peer_off_three_times.pcap.zst")
+    said = [item for item in items if item.data[23] == 17 and item.data[34:36] == b"\x08\xbc"]
+    begins = {id(item) for item in said if item.data[44] in {1, 4} and item.time_ns > said[9].time_ns}
+    kept = [item for item in items if item.data[23] == 17 and id(item) not in begins]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", kept))
+    assert "sbn_timeout" not in by_cause(found)
+    assert found.uncertain > 20

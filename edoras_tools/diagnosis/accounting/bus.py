@@ -383,19 +383,15 @@ class Telemetry:
         if part.cause is not None:
             kind_, hop, text = part.cause
             part.evidence = [text, *texts.values()]
-            rest = part.missing
-            if kind_ == "route":  # what a pipe counted had come to it
-                rest -= part.taken.total()
-                for kind, number in part.taken.items():
-                    self._lose(part, kind, number, part.missing, "high")
-            if rest:
+            counted = part.taken if kind_ == "route" else Counter()  # that came to its pipe
+            for kind, number in counted.items():
+                self._lose(part, kind, number, part.missing, "high")
+            if rest := part.missing - counted.total():
                 self._lose(part, kind_, rest, part.missing, "high").hop = hop
             return
+        idle = "Telemetry Output was not sending then: it would not have sent them either"
         for kind, number in part.taken.items():
-            part.evidence = [
-                texts[kind],
-                "Telemetry Output was not sending then: it would not have sent them either",
-            ]
+            part.evidence = [texts[kind], idle]
             self._lose(part, kind, number, part.missing, "medium")
         rest = part.missing - part.taken.total()
         if part.silenced:

@@ -237,9 +237,9 @@ def unheard(case: Case) -> dict[int, Unheard]:
                 inside = np.flatnonzero((times > silence.start_ns) & (times < silence.until_ns)).tolist()
                 if silence.given_up:
                     # Until its port was closed, as an error says, it may have heard them.
-                    first = next((row for row in inside if closed[stream.rows[row]]), None)
-                    if first is None:  # one that stood still reads later what its socket held
-                        first = len(times) if silence.stood_still else 0
+                    # One that stood still reads later what its socket held.
+                    shut = (row for row in inside if closed[stream.rows[row]])
+                    first = next(shut, len(times) if silence.stood_still else 0)
                     item.lost += [row for row in inside if row >= first]
                     item.uncertain += sum(row < first for row in inside)
                 else:

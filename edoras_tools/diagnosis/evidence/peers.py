@@ -34,10 +34,7 @@ _LEAST_ROWS: Final = 3
 _ALREADY_NS: Final = SECOND
 _BEGINS: Final = frozenset({sbn.MsgType.SUB, sbn.MsgType.PROTO, sbn.MsgType.ANNOUNCE})
 """What a peer says first: one whose first datagram here is another was connected before the capture began."""
-_ARRIVED: Final = "its {} arrived"
-_WENT_ON: Final = frozenset(
-    _ARRIVED.format(name) for kind, name in sbn.MSG_TYPE_NAMES.items() if kind not in _BEGINS
-)
+_BEGAN: Final = frozenset(f"its {kind.name} arrived" for kind in _BEGINS)
 _NEVER: Final = np.iinfo(np.int64).max // 2
 _STILL_NS: Final = 3 * SECOND
 """After a time-out, nobody sends to a peer for longer than this."""
@@ -137,9 +134,11 @@ class Connection:
             if change.state != "silent" or change.why == UNSEEN:
                 continue
             later = self.changes[at + 1 :]
-            back = next((item for item in later if item.state == "connected"), PeerChange(end_ns, "silent", ""))
+            backs = (item for item in later if item.state == "connected")
+            back = next(backs, PeerChange(end_ns, "silent", ""))
             given_up = bool(later) and later[0].state == "timed_out"
-            yield PeerSilence(change.time_ns, back.time_ns, given_up, at, back.why in _WENT_ON)
+            still = back.why.startswith("its ") and back.why not in _BEGAN
+            yield PeerSilence(change.time_ns, back.time_ns, given_up, at, still)
 
     def sent_in(self, silence: PeerSilence) -> Integers:
         """Return when application messages were sent to it in a silence."""
@@ -279,8 +278,7 @@ class Network:
             elif not up:
                 began = kind in _BEGINS
                 first = not changes and now - begin_ns < (_ALREADY_NS if began else timeout)
-                name = sbn.MSG_TYPE_NAMES.get(kind, f"type {kind:#04x}")
-                why = ALREADY if first else _ARRIVED.format(name)
+                why = ALREADY if first else f"its {sbn.MSG_TYPE_NAMES.get(kind, f'type {kind:#04x}')} arrived"
                 changes.append(PeerChange(now, "connected", why))
                 up = True
         last = int(times[-1]) if up else 0

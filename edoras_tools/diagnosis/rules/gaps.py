@@ -167,24 +167,17 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
         alike = [line for line in first.evidence[1:] if all(line in loss.evidence for loss in members)]
         evidence = [*(f"{case.name(loss.msg_id)}: {loss.lost:,}" for loss in members), *alike]
     if first.kind == "fragments":
-        where = (
-            "never became whole: their first fragments came and the later ones did not. A firewall or a "
-            "router drops those"
-        )
+        where = "never became whole: a firewall or a router drops their later fragments"
         remedy = "let fragments through on the way, or raise its MTU above the longest of these"
     else:
-        where = (
-            "are missing, and the software bus lost none of them: they were lost between cFS and the "
-            "capture, or by the capture"
-        )
+        where = "are missing, and the bus lost none of them: they were lost behind cFS, or by the capture"
         remedy = (
             "capture on the cFS host too: packets seen there but not here were lost by the network, those "
             "missing there as well by that host's own queue (tc -s qdisc)"
         )
         if case.capture.shared:
             remedy = (
-                "look at the network between the captures: what one of them lacks was lost there, the rest "
-                "by the queue of the cFS host (tc -s qdisc)"
+                "look at the network between the captures, and at the queue of the cFS host (tc -s qdisc)"
             )
     return error(
         f"{lost:,} of {of:,} messages on {names[0] if one else f'{len(names)} MsgIds'} {where}",
@@ -251,23 +244,19 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
             continue
         clean, pipe, why = limit(loss.stream.link, loss.msg_id, case.profile, to_cfs=False)
         offered = loss.offered_hz
-        evidence = list(loss.evidence)
-        if offered > clean:
-            evidence.append(
-                f"published at {offered:.0f}/s; {why}: {clean:g}/s, so {pipe} is the likely place"
-            )
+        likely = f"published at {offered:.0f}/s; {why}: {clean:g}/s, so {pipe} is the likely place"
         yield error(
             f"{loss.lost:,} of {loss.of:,} messages on {case.name(loss.msg_id)} are missing behind the "
             "point where they were counted; the capture cannot show where",
-            *evidence,
+            *loss.evidence,
+            *([likely] if offered > clean else ()),
             *case.drops_text(),
             msg_id=loss.msg_id,
             place=(loss.stream.link.label, pipe if offered > clean else None),
             lost=loss.lost,
             of=loss.of,
             span=(loss.start_ns, loss.end_ns),
-            remedy="capture Telemetry Output's link with 0x803 and 0x808 in TO's table: its counters and "
-            "events tell",
+            remedy="capture TO's link with 0x803 and 0x808 in its table: its counters and events tell",
             confidence="low",
         )
     for stream in case.streams:

@@ -294,8 +294,9 @@ def rate_over_limit(case: Case) -> Iterator[Verdict]:
         times = stream.time_ns
         usual = float(np.median(np.diff(times)))
         rate = SECOND / usual if usual > 0 else 0.0
+        lost = sum(loss.lost for loss in case.losses_of(stream))
         is_lost = any(loss.msg_id == stream.msg_id and loss.kind == "limit" for loss in case.losses)
-        if rate <= clean * _OVER or is_lost or _watched(case, stream):
+        if rate <= clean * _OVER or is_lost or lost == len(stream) or _watched(case, stream):
             continue
         yield warning(
             f"{case.name(stream.msg_id)} is sent at {rate:.1f} Hz, above the {clean:g} Hz that are clean: "

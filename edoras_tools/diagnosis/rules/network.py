@@ -103,7 +103,6 @@ def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
 
 
 def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdict:
-    back_ns = silent.until_ns if silent.until_ns < case.end_ns else None
     until = silent.until_ns
     out_ns = connection.changes[silent.change + 1].time_ns
     sent = connection.sent_in(silent)
@@ -124,14 +123,10 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
         if connection.peer in record.message
         and any(event.phrase in record.message for event in (facts.TIMED_OUT, facts.DISCONNECTED))
     ]
-    returned = (
-        f"back after {(back_ns - silent.start_ns) / SECOND:.1f} s" if back_ns else "not back in this capture"
-    )
-    why, remedy = (
-        "It was killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent",
-        "restart the peer; it is connected again with its first SUB or PROTO. Send DISCONNECT before a "
-        "planned stop",
-    )
+    back = f"back after {(until - silent.start_ns) / SECOND:.1f} s"
+    returned = back if until < case.end_ns else "not back in this capture"
+    why = "It was killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent"
+    remedy = "restart the peer: its first SUB or PROTO connects it. Send DISCONNECT before a planned stop"
     if silent.stood_still:
         why = "It did not subscribe anew: it stood still, or was cut off, and may read late what it was sent"
         remedy = "look at the load of its host, at who may stop its process, and at the network"

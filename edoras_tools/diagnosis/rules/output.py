@@ -189,8 +189,9 @@ def _commanded(case: Case, explain: Callable[..., tuple[int | None, list[str]]])
         whose = "every MsgId" if item.entry < 0 else case.name(item.entry)
         lost, facts = explain(when, item.entry)
         again = _added_again(case, item, when)
+        sends = item.entry < 0 or any(item.entry == stream.msg_id for stream in case.streams)
         yield verdict(
-            Severity.NOTE if again and not facts else Severity.WARNING,
+            Severity.WARNING if facts or (sends and not again) else Severity.NOTE,
             f"Telemetry Output was told to stop sending {whose} at {case.at(when)}{again}",
             f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
             f"{item.function_code}, from {case.endpoints[rows.source[item.row]].address}",

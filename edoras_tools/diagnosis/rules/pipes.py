@@ -228,8 +228,8 @@ def _output_overflow(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
             text = f"rounds of {measured} came often, and none was larger (is fs.mqueue.msg_max {measured}?)"
     room = depth * 1e9 / profile.to_wake_ns
     reason = (
-        f"{lost_at(case, loss)}: {published(loss)}and TO's pipe of {depth} is "
-        f"emptied every {profile.to_wake_ns // 1_000_000} ms: {room:.0f}/s of all telemetry together"
+        f"{lost_at(case, loss)}: TO's pipe of {depth} is emptied every "
+        f"{profile.to_wake_ns // 1_000_000} ms: {room:.0f}/s of all telemetry together"
     )
     evidence = [*loss.evidence, *([text] if text else ())]
     if beside:
@@ -333,8 +333,8 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
     for loss in case.losses:
         if loss.kind == "network":
             relay, peers = loss.hop.startswith(RELAY_HOP), loss.hop == SBN_SOCKET
-            why = "they did not come out" if relay else "CI did not read them, and it can read so many"
-            why = "they did not come to cFS" if peers else why
+            why = "they did not come " + ("out" if relay else "to cFS")
+            why = why if relay or peers else "CI did not read them, and it can read so many"
             more = (
                 "" if case.capture.shared else ": a capture on the cFS host shows which of them arrive there"
             )
