@@ -22,10 +22,10 @@ import numpy as np
 from edoras_tools.diagnosis.evidence.preparation import handed_on
 from edoras_tools.diagnosis.evidence.table import number_hosts, peer_of
 from edoras_tools.links.table import among
-from edoras_tools.sessions.sequence import BOOT_APART_NS
+from edoras_tools.sessions.sequence import BOOT_APART_NS, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
-    from edoras_tools.wire.arrays.order import Integers, Places
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _LEAST_ROWS: Final = 3
 _BASELINE_NS: Final = 5 * SECOND
@@ -300,7 +300,9 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     senders = []
     for source in rows.source[output[first]].tolist():
         near = {name for host, name in peers if host == hosts[source]}
-        name = owner.get(source) or (near.pop() if len(near) == 1 else f"from {source}")
+        # Where two are in what it sends, it hands on what the one on SBN made.
+        alone = len(near) == 1 and not _conflict(rows, output[rows.source[output] == source])
+        name = owner.get(source) or (near.pop() if alone else f"from {source}")
         senders.append((int(hosts[source]), name))
     times = [rows.time_ns[output[port == at]] for at in range(len(first))]
     turns = _in_turn(senders, [(int(item.min()), int(item.max())) for item in times])
@@ -309,10 +311,40 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     ]
     label = np.concatenate((who, len(peers) + port))
     label[len(who) :][from_ >= 0] = who[from_[from_ >= 0]]
+    _hand_on_unseen(rows, output, label[len(who) :], from_ >= 0)
     rows_of = np.concatenate((network, output))
     order = {name: at for at, name in enumerate(sorted(set(names)))}
     of_name = np.array([order[name] for name in names])[label]
     return [np.sort(rows_of[of_name == index]) for index in np.unique(of_name).tolist()]
+
+
+def _hand_on_unseen(rows: Rows, output: Places, label: Places, seen: Mask) -> None:
+    """Give what the capture lacks on SBN to the peer whose counts leave room for it, and not its sender's.
+
+    Args:
+        output: rows that a Telemetry Output sent.
+        label: who made each; those of a peer that were not seen before become its own.
+        seen: which were seen on SBN before.
+    """
+    made_ns, count = rows.mission_time_ns[output], rows.sequence_count[output].astype(np.int64)
+    _, kind = numbered(rows.source[output], rows.msg_id[output])
+
+    def astray(some: Places, of: Places) -> NDArray[np.float64]:
+        """Return how far the counts of some are from those around them in time; without end where beyond."""
+        own = of[np.argsort(made_ns[of], kind="stable")]
+        first, last = (np.searchsorted(made_ns[own], made_ns[some], side) for side in ("left", "right"))
+        before, behind = own[np.maximum(first - 1, 0)], own[np.minimum(last, len(own) - 1)]
+        ahead, step = ((count[at] - count[before]) % MODULUS for at in (some, behind))
+        share = (made_ns[some] - made_ns[before]) / np.maximum(1, made_ns[behind] - made_ns[before])
+        fits = (first > 0) & (last < len(own)) & (ahead > 0) & (ahead < step) & (step < MODULUS // 2)
+        return np.where(fits, np.abs(ahead - share * step), np.inf)
+
+    for _, pair in groups(kind * (int(label.max()) + 1) + label, np.flatnonzero(seen)):
+        for most in (1, np.inf):  # those first of which it is sure: they stand among its sender's
+            other = np.flatnonzero(~seen & (kind == kind[pair[0]]) & (label != label[pair[0]]))
+            far = astray(other, pair)
+            own = np.isfinite(far) & (far <= most) & (far <= astray(other, other) + 1)
+            label[other[own]] = label[pair[0]]
 
 
 def _conflict(rows: Rows, members: Places) -> bool:
