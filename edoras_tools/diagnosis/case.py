@@ -321,10 +321,8 @@ class Case:
     @cached_property
     def quality(self) -> Quality:
         """What bounds the datagrams that the capture missed."""
-        holes, drops = sorted([*self.away, *self.quiet]), self.capture.drops
-        quality = assess_quality(
-            self.rows, self.payloads, self.instances, self.streams, self.hops, self.tracks, holes, drops
-        )
+        known = self.rows, self.payloads, self.instances, self.streams, self.hops, self.tracks
+        quality = assess_quality(*known, self.blind, self.capture.drops)
         # Where frames are cut, no answer tells what was missed; what CI counts more does.
         cut = self.rows.has(Finding.CAPTURE_CUT).any() and not quality.lacks_answered
         own = [item for item in self.ingests if item.not_captured and cut]
@@ -368,7 +366,7 @@ class Case:
     @cached_property
     def network(self) -> Network:
         """The Software Bus Network."""
-        return Network(self.rows, self.payloads, self.instances, self.assumed, self.away)
+        return Network(self.rows, self.payloads, self.instances, self.assumed, self.blind)
 
     @cached_property
     def timeline(self) -> Timeline:
@@ -489,6 +487,11 @@ class Case:
     def quiet(self) -> list[tuple[int, int]]:
         """From when to when nothing at all was captured, and nothing tells why."""
         return self._holes[1]
+
+    @property
+    def blind(self) -> list[tuple[int, int]]:
+        """From when to when nothing was captured, for whatever reason."""
+        return sorted([*self.away, *self.quiet])
 
     def is_away(self, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Tell which spans of time hold some of an outage of the capturing interface."""

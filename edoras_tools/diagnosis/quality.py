@@ -512,8 +512,9 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
     for start_ns, end_ns in zip(rows.time_ns[long].tolist(), rows.time_ns[long + 1].tolist(), strict=True):
         others = _steady(commands, start_ns, end_ns)
         others |= sum(_steady(times, start_ns, end_ns) for times in peers) > 1
-        if _went_on(rows, streams, start_ns):
-            holes[not others].append((start_ns, end_ns))
+        missing, number = _missing_at(rows, streams, start_ns)
+        if missing >= _LEAST_STREAMS:
+            holes[not (others and 2 * missing > number)].append((start_ns, end_ns))
     return holes[0], holes[1]
 
 
@@ -537,15 +538,15 @@ def _steady(times: Integers, start_ns: int, end_ns: int) -> bool:
     return bool(1.5 * usual < end_ns - start_ns and idle <= max(3 * usual, _IDLE_NS))
 
 
-def _went_on(rows: Rows, streams: Sequence[Places], start_ns: int) -> bool:
-    """Tell whether most streams that are there before and after a time miss counts in it."""
+def _missing_at(rows: Rows, streams: Sequence[Places], start_ns: int) -> tuple[int, int]:
+    """Return how many streams miss counts at a time, and how many are there before and after it."""
     missing = number = 0
     for own in streams:
         at = int(np.searchsorted(rows.time_ns[own], start_ns, "right"))
         if _LEAST_ROWS <= at <= len(own) - _LEAST_ROWS:
             number += 1
             missing += bool(rows.missing[own[at]] > 0)
-    return missing >= _LEAST_STREAMS and 2 * missing > number
+    return missing, number
 
 
 class HostDrops(NamedTuple):

@@ -472,7 +472,7 @@ class Telemetry:
         rest = part.missing - total
         likeliest = max(part.taken, key=lambda kind: part.taken[kind], default=None)
         more = max(0, min(rest, part.outside))
-        if total and likeliest is not None:
+        if part.kinds and likeliest is not None:
             # Where no count was seen, a pipe that was full before and after was full.
             part.taken[likeliest] += more
             rest -= more

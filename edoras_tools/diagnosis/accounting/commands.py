@@ -30,7 +30,7 @@ from edoras_tools.diagnosis.accounting.claims import (
     shares,
 )
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, UDP_PORT, Stops
-from edoras_tools.diagnosis.accounting.ingest import BeforeCi
+from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS, BeforeCi
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
     BEFORE_CI,
@@ -189,7 +189,7 @@ class Commands:
             return
         missing = counted_gaps(case.rows, stream)
         times = np.append(stream.time_ns, stream.time_ns[-1])
-        missing[overlapping(times[:-1], times[1:], [*case.away, *case.quiet])] = 0
+        missing[overlapping(times[:-1], times[1:], case.blind)] = 0
         if not (number := int(missing.sum())):
             return
         at, accounts = np.flatnonzero(missing), case.ingests_at(stream.receiver)
@@ -386,15 +386,25 @@ class Commands:
                 fate.arrived[other] = fate.open[row] = True
 
     def _spare_refused(self) -> None:
-        """Take refusals back of what a full pipe lost before the application that would have refused it."""
+        """Take refusals back of what a full pipe lost, or may have, before the application would refuse it."""
+        unknown = [loss for loss in self.losses if loss.stream is None and loss.kind == "unknown"]
         for key, placed in self.refused_of.items():
-            fate, over = self.fates[key], 0
+            fate = self.fates[key]
+            first_ns, last_ns = int(fate.stream.time_ns[0]) - DRAINS_NS, int(fate.stream.time_ns[-1])
+            over = sum(
+                loss.lost
+                for loss in unknown
+                if self._case.goes_to(fate.stream, loss.instance)
+                and loss.end_ns > first_ns
+                and loss.start_ns < last_ns + DRAINS_NS
+            )
+            fate.ends["shared"] += min(over, sum(number for _, number, _ in placed))
             own = [loss for loss in self.losses if id(loss.stream) == key and loss.kind in COUNTERS]
             if own:
                 times = fate.stream.time_ns
                 inside = times >= min(loss.start_ns for loss in own)
                 inside &= times <= max(loss.end_ns for loss in own)
-                over = sum(loss.lost for loss in own) - int(inside.sum())
+                over += sum(loss.lost for loss in own) - int(inside.sum())
                 over += sum(min(number, int(inside[ones.rows].sum())) for _, number, ones in placed)
             for at, (item, number, ones) in enumerate(placed):
                 part = max(0, min(over, number))
@@ -728,7 +738,7 @@ def _leave_quiet(case: Case, telemetry: Telemetry) -> None:
     """Take back what is missing where nothing at all was captured, and nobody shows whether it was there."""
     for loss in telemetry.losses if case.quiet else ():
         among = loss.among
-        if loss.kind in _UNEXPLAINED and among is not None and among.missing is not None:
+        if loss.kind not in COUNTERS and among is not None and among.missing is not None:
             times = among.stream.time_ns
             inside = np.zeros(len(among.rows), bool)
             for start_ns, end_ns in case.quiet:
