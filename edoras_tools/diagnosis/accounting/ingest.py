@@ -659,6 +659,8 @@ def _spread_evenly(rows: NDArray[np.intp], number: int) -> NDArray[np.intp]:
     return rows[np.linspace(0, len(rows) - 1, number).round().astype(np.intp)]
 
 
+_LONG: Final = 3
+"""For so many times as long as usual no ICMP error comes where somebody listens."""
 _OUTAGES: Final = frozenset({"down", "restart"})
 
 
@@ -700,17 +702,19 @@ class BeforeCi:
         # Of those of which a counter has what was read, or all comes out, the others were not.
         seen = [fate for fate in fates if fate.refused or (fate.seen and not fate.keeps_newest)]
         evidence = _evidence(account, before)
+        bounded = before.said or before.cause in _OUTAGES
         if before.cause in _OUTAGES:
             closed, may = self._case.unreachable.closed, self._open(fates, before, before.since_ns)
             rest = max(rest, sum(int((own & closed[fate.stream.rows]).sum()) for fate, own in may))
+            rest -= self._answered(may)
         if before.said:
             for fate in fates:  # nor will it come
                 never = fate.waits & (fate.stream.time_ns > before.since_ns)
                 fate.open |= never
                 fate.waits &= ~never
         # What did not come out is the likelier; what is lost first may have been before the first count.
-        spans = [(seen, before.since_ns), (fates, before.since_ns), (fates, 0)][: 2 if before.said else None]
-        if before is account.losses[0] and not before.said:
+        spans = [(seen, before.since_ns), (fates, before.since_ns), (fates, 0)][: 2 if bounded else None]
+        if before is account.losses[0] and not bounded:
             spans.insert(1, (seen, 0))
         # What an ICMP error quotes is that one.
         errors = self._case.unreachable.closed | self._case.unreachable.refused
@@ -722,10 +726,30 @@ class BeforeCi:
             evidence.append(f"{QUOTED}{quoted:,} of them came back")
         for those, since_ns in spans:
             rest -= self._spread(self._open(those, before, since_ns), before, rest, evidence)
-        if rest:  # of no stream, as those without a MsgId
+        # Of no stream, as those without a MsgId; what else is left came out: a cFS without telemetry read it.
+        others = np.setdiff1d(account.rows, np.concatenate([fate.stream.rows for fate in fates]))
+        if rest := min(rest, int((self._case.rows.time_ns[others] <= before.end_ns).sum())):
             span = before.start_ns, before.end_ns
             hop = LOST_AT[before.cause]
             self.losses.append(Loss(before.cause, hop, rest, *span, "medium", evidence=evidence))
+
+    def _answered(self, may: Sequence[_May]) -> int:
+        """Leave open what was sent between ICMP errors when none came for long; return how many."""
+        closed = self._case.unreachable.closed
+        quoted = [fate.stream.time_ns[closed[fate.stream.rows]] for fate, _ in may]
+        errors_ns, number = np.sort(np.concatenate([np.zeros(0, np.int64), *quoted])), 0
+        long_ns = _LONG * int(np.median(np.diff(errors_ns))) if len(errors_ns) > 1 else 0
+        for fate, own in may if len(errors_ns) > 1 else ():
+            if fate.seen:  # what did not come out was not read
+                continue
+            times = fate.stream.time_ns
+            at = np.searchsorted(errors_ns, times)
+            inside = own & (at > 0) & (at < len(errors_ns))
+            near = errors_ns[np.maximum(at - 1, 0)], errors_ns[np.minimum(at, len(errors_ns) - 1)]
+            inside &= (times > near[0] + long_ns) & (times < near[1] - long_ns)
+            number += (claimed := fate.claim(np.flatnonzero(inside)))
+            fate.ends["crowded"] += claimed
+        return number
 
     def _open(self, fates: Sequence[Fate], before: Before, since_ns: int) -> list[_May]:
         """Return which messages nothing has told of were sent since a time, until all was lost."""
