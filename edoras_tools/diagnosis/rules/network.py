@@ -569,6 +569,8 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         peer, start_ns = peer_of(who), case.span(members)[0]
         carried = np.unique(rows.msg_id[members]).tolist()
         lines = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
+        if not lines and case.network.identity_of.get(int(rows.source[members[0]])) == str(peer):
+            continue  # most there are its own: one that spoke before it is the other
         refused = _refused(
             case,
             members,
