@@ -68,6 +68,9 @@ CONFIDENCE: Final = 0.999
 _ANSWERED: Final = frozenset({"inputs", "ci_counts"})
 _ALONE: Final = _ANSWERED | {"sequence_counts"}
 """Kinds that check a datagram also where others that were sent beside it are missing."""
+_HIDING: Final = frozenset({"identifications", "ci_counts"})
+"""Kinds that show too few: by bursts, or by what was lost behind the tap, which hides as many."""
+_CHANCE: Final = 0.001
 _TICK_NS: Final = MILLISECOND
 """The shortest clock tick of a Linux kernel."""
 _ALIKE: Final = 0.5
@@ -131,15 +134,20 @@ class Quality:
         """The numbers of datagrams checked and missing, in each group of evidence that bounds by itself.
 
         Frames that are dropped in bursts take their neighbours with them, which then check nothing: where
-        answers show that datagrams were missed, only what is checked alone bounds.
+        answers show that datagrams were missed, only what is checked alone bounds. And what was lost behind
+        the tap hides as many from counts of CI: neither bounds where periods of that sender show more.
         """
         sums: dict[tuple[int, str], tuple[int, int]] = {}
         for item in self.evidence:
-            if self.lacks_answered and item.kind not in _ALONE:
-                continue
             checked, missing = sums.get((item.sender, item.kind), (0, 0))
             sums[item.sender, item.kind] = checked + item.checked, missing + item.missing
-        return sorted({group for group in sums.values() if group[0]})
+
+        def is_fair(sender: int, kind: str, checked: int, missing: int) -> bool:
+            others, more = sums.get((sender, "periods"), (0, 0))
+            hides = kind in _HIDING and hypergeometric_tail(missing, checked, others, missing + more) < _CHANCE
+            return bool(checked) and not hides and (not self.lacks_answered or kind in _ALONE)
+
+        return sorted({group for key, group in sums.items() if is_fair(*key, *group)})
 
     @cached_property
     def _best(self) -> tuple[int, int]:
