@@ -196,7 +196,9 @@ def _unwanted(case: Case, track: Track) -> Iterator[tuple[int, Places, int]]:
     if spread:
         counts = np.array(track.totals["no_subscribers"])
     published = (_published(item) - SECOND for item in case.streams if item.link.only_from_cfs)
-    if counts[-1] <= 0 or any(_may_be(sent_ns, seen_ns, counts, _COUNTED_NS, 0) for sent_ns in published):
+    steps = np.trim_zeros(np.diff(counts))
+    as_woken = len(steps) >= _FEW and (steps == 1).all()  # as a scheduler does, of which nothing is here
+    if counts[-1] <= 0 or as_woken or any(_may_be(at, seen_ns, counts, _COUNTED_NS, 0) for at in published):
         return  # what cFS does as often it may do for nobody: a scheduler wakes those that are not there
     inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
     own = {msg_id: inside[at] for msg_id, at in by_value(case.rows.msg_id[inside])}
