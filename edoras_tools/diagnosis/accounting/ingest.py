@@ -142,6 +142,19 @@ class Ingest:
             self.losses.pop()
         self.losses.append(loss)
 
+    def spare(self, again_ns: NDArray[np.int64]) -> None:
+        """Leave open as many losses on the network as there are copies then: the capture may have made them.
+
+        Args:
+            again_ns: when copies were sent.
+        """
+        for at, loss in enumerate(self.losses):
+            copies = int(((again_ns > loss.since_ns) & (again_ns <= loss.end_ns)).sum())
+            if number := min(loss.lost, copies) * (loss.cause == "network"):
+                self.losses[at] = replace(loss, lost=loss.lost - number)
+                self.unsure += number
+        self.losses = [loss for loss in self.losses if loss.lost]
+
     def steadied(self) -> Ingest:
         """Return it where times are wrong: what was lost too early is what CI counted too much later."""
         rest, losses = min(self.not_captured, self.lost), list[Before]()
@@ -182,6 +195,7 @@ def ingests(case: Case) -> list[Ingest]:
                 # What a slow network explains is no loss, and no copy: rule 8.
                 if not late.lost_on_network or late.not_captured < account.not_captured:
                     account = replace(late, unsure=account.unsure)
+            account.spare(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
             accounts.append(account.steadied() if case.unsteady_ns else account)
     return [*accounts, *_by_kernel(case, to_ci, {item.endpoint for item in accounts})]
 
