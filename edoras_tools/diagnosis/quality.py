@@ -143,9 +143,11 @@ class Quality:
             sums[item.sender, item.kind] = checked + item.checked, missing + item.missing
 
         def is_fair(sender: int, kind: str, checked: int, missing: int) -> bool:
+            if not checked or (self.lacks_answered and kind not in _ALONE):
+                return False
             others, more = sums.get((sender, "periods"), (0, 0))
-            hides = kind in _HIDING and hypergeometric_tail(missing, checked, others, missing + more) < _CHANCE
-            return bool(checked) and not hides and (not self.lacks_answered or kind in _ALONE)
+            chance = hypergeometric_tail(missing, checked, others, missing + more)
+            return kind not in _HIDING or chance >= _CHANCE
 
         return sorted({group for key, group in sums.items() if is_fair(*key, *group)})
 

@@ -386,7 +386,7 @@ class Commands:
                 fate.arrived[other] = fate.open[row] = True
 
     def _spare_refused(self) -> None:
-        """Take refusals back of what a full pipe lost, or may have, before the application would refuse it."""
+        """Take refusals back of what a full pipe lost, or may have, before the application refused it."""
         unknown = [loss for loss in self.losses if loss.stream is None and loss.kind == "unknown"]
         for key, placed in self.refused_of.items():
             fate = self.fates[key]
