@@ -385,7 +385,13 @@ class _Counted:
         ended_ns = max([ended_ns, *blind])  # it may have read on while nothing was captured
         # What was sent by then had waited in its socket, where it came out later.
         read_ns = max([ended_ns, *(int(out[sent <= ended_ns].max(initial=0)) for sent, out in self._read)])
+        commands = self._commanded_ns(sooner.seen_ns - SECOND, later.seen_ns)
         read = self._most_read(self._own[last:first], read_ns)
+        if not commands and self._arrived is None and sooner.instance == later.instance:
+            # Nothing tells when it ended: it may have read on until it began again.
+            surely = before + read
+            read = self._most_read(self._own[last:first], later.made_ns)
+            account.unsure += max(0, min(int(self._sent_until(ended_ns)) - lost, before + read) - surely)
         most_read, total = before + read, before + sooner.count
         before = int(self._sent_until(ended_ns)) - lost
         if before > most_read:
@@ -394,7 +400,6 @@ class _Counted:
             span = self._own[last].seen_ns, ended_ns
             account.losses.append(Before(cause, before - most_read, *span, more=read - sooner.count))
             lost, before = lost + before - most_read, most_read
-        commands = self._commanded_ns(sooner.seen_ns - SECOND, later.seen_ns)
         if commands and (self._arrived is None or not self._all_out):  # it may have ended at once
             account.unsure += max(0, before - max(total, int(self._sent_until(max(commands)[1])) - lost))
         down = sooner.instance != later.instance or any(
