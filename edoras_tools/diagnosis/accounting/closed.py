@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.streams import Stream
 
 
-_SLACK_NS: Final = 50 * MILLISECOND
+_SLACK_NS: Final = 100 * MILLISECOND
 _SILENT_WAKES: Final = 5
 _STOPS_NS: Final = 3 * SECOND
 """After a command that stops them, packets come for so long, also over a slow network."""
@@ -496,7 +496,8 @@ class Stops:
             return  # it may wait in CI's socket for longer than a round
         pipe = queues.application_pipe(case.profile, over_network=not stream.link.only_to_cfs)
         times = stream.time_ns
-        never = fate.waits & ~fate.unseen & (times > item.ended_ns) & (times < case.end_ns - pipe.round_ns - 2 * _SLACK_NS - case.unsteady_ns)
+        last_ns = case.end_ns - pipe.round_ns - _SLACK_NS - case.unsteady_ns
+        never = fate.waits & ~fate.unseen & (times > item.ended_ns) & (times < last_ns)
         fate.open |= never
         fate.waits &= ~never
 

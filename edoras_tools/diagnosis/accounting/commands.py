@@ -30,7 +30,7 @@ from edoras_tools.diagnosis.accounting.claims import (
     shares,
 )
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, UDP_PORT, Stops
-from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS, BeforeCi
+from edoras_tools.diagnosis.accounting.ingest import BeforeCi
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
     BEFORE_CI,
@@ -390,14 +390,7 @@ class Commands:
         unknown = [loss for loss in self.losses if loss.stream is None and loss.kind == "unknown"]
         for key, placed in self.refused_of.items():
             fate = self.fates[key]
-            first_ns, last_ns = int(fate.stream.time_ns[0]) - DRAINS_NS, int(fate.stream.time_ns[-1])
-            over = sum(
-                loss.lost
-                for loss in unknown
-                if self._case.goes_to(fate.stream, loss.instance)
-                and loss.end_ns > first_ns
-                and loss.start_ns < last_ns + DRAINS_NS
-            )
+            over = sum(loss.lost for loss in unknown if self._case.goes_to(fate.stream, loss.instance))
             fate.ends["shared"] += min(over, sum(number for _, number, _ in placed))
             own = [loss for loss in self.losses if id(loss.stream) == key and loss.kind in COUNTERS]
             if own:

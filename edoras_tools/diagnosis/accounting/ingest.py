@@ -34,6 +34,7 @@ from edoras_tools.cfs import command_ingest, executive_services
 from edoras_tools.diagnosis.accounting.claims import shares
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, Fate, Loss
 from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
 
@@ -754,20 +755,18 @@ class BeforeCi:
 
     def _answered(self, may: Sequence[_May]) -> int:
         """Leave open what was sent between ICMP errors when none came for long; return how many."""
-        closed = self._case.unreachable.closed
+        closed, number = self._case.unreachable.closed, 0
         quoted = [fate.stream.time_ns[closed[fate.stream.rows]] for fate, _ in may]
-        errors_ns, number = np.sort(np.concatenate([np.zeros(0, np.int64), *quoted])), 0
+        errors_ns = np.sort(np.concatenate([np.zeros(0, np.int64), *quoted]))
         long_ns = _LONG * int(np.median(np.diff(errors_ns))) if len(errors_ns) > 1 else 0
-        for fate, own in may if len(errors_ns) > 1 else ():
-            if fate.seen:  # what did not come out was not read
-                continue
-            times = fate.stream.time_ns
-            at = np.searchsorted(errors_ns, times)
-            inside = own & (at > 0) & (at < len(errors_ns))
-            near = errors_ns[np.maximum(at - 1, 0)], errors_ns[np.minimum(at, len(errors_ns) - 1)]
-            inside &= (times > near[0] + long_ns) & (times < near[1] - long_ns)
-            number += (claimed := fate.claim(np.flatnonzero(inside)))
-            fate.ends["crowded"] += claimed
+        both = (item for item in pairwise(errors_ns.tolist()) if item[1] - item[0] > 2 * long_ns)
+        spans = [(start + long_ns, end - long_ns) for start, end in both]
+        for fate, own in (
+            item for item in may if not item[0].seen
+        ):  # else what did not come out was not read
+            inside = own & overlapping(fate.stream.time_ns, fate.stream.time_ns, spans)
+            number += (part := fate.claim(np.flatnonzero(inside)))
+            fate.ends["crowded"] += part
         return number
 
     def _open(self, fates: Sequence[Fate], before: Before, since_ns: int) -> list[_May]:
