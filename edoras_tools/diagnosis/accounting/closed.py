@@ -46,7 +46,7 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, Way, reasons_for
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID
-from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
@@ -61,7 +61,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.streams import Stream
 
 
-_SLACK_NS: Final = 100 * MILLISECOND
 _SILENT_WAKES: Final = 5
 _STOPS_NS: Final = 3 * SECOND
 """After a command that stops them, packets come for so long, also over a slow network."""
@@ -496,8 +495,7 @@ class Stops:
             return  # it may wait in CI's socket for longer than a round
         pipe = queues.application_pipe(case.profile, over_network=not stream.link.only_to_cfs)
         times = stream.time_ns
-        last_ns = case.end_ns - pipe.round_ns - _SLACK_NS - case.unsteady_ns
-        never = fate.waits & ~fate.unseen & (times > item.ended_ns) & (times < last_ns)
+        never = fate.waits & ~fate.unseen & (times > item.ended_ns) & (times < case.end_ns - pipe.round_ns)
         fate.open |= never
         fate.waits &= ~never
 
