@@ -9,6 +9,7 @@ import struct
 import time
 
 import growth
+import many
 import pytest
 from effort import LONG
 from streams import SYN, Segment, sbn_messages, write_segments
@@ -71,6 +72,12 @@ def pairs(path, count):
     return info
 
 
+def senders(path, count):
+    """Telemetry that all comes from another address: each may be a spacecraft."""
+    many.senders(path, count)
+    return info
+
+
 def msg_ids(path, count):
     """Packets of 2,047 MsgIds, none of them known."""
     write_packets(path, ((0x0A000002, command(0x1800 + n % 2047, n)) for n in range(count)))
@@ -88,7 +95,7 @@ def files(path, count):
     return read
 
 
-SIZES = {segments_behind_holes: 2000, pairs: 1500, msg_ids: 1500, files: 1000}
+SIZES = {segments_behind_holes: 2000, pairs: 1500, senders: 1000, msg_ids: 1500, files: 1000}
 
 
 @pytest.mark.each(2)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ipaddress
 import re
+from collections import Counter, defaultdict
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from zlib import crc32
 
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 FIRST_SPACECRAFT: Final = 1
 _MOST: Final = 255
+_COMPARED: Final = 256
+"""So many addresses of a file are compared with each other; those after them are as the last of them."""
 _RECEIVER, _SENDER, _PEER = 1, 2, 3
 """Which end of a link cFS is; of peers the ports decide."""
 _HEAD: Final = 24
@@ -75,8 +78,10 @@ class Spacecraft:
         }
         self.numbers = dict(self._by_mission)
         self.settled = False
-        self._roles: set[tuple[int, int]] = set()
-        """Of a stream: each address at which cFS was seen, with its role there; see ``_follow``."""
+        self._roles: dict[int, set[int]] = {}
+        """Of a stream: the roles of cFS at each address where it was seen; see ``_follow``."""
+        self._rivals: defaultdict[int, Counter[int]] = defaultdict(Counter)
+        """Of a stream: for each role how many addresses have which number."""
         self._recent: list[tuple[int, NDArray[np.uint64], NDArray[np.uint64]]] = []
         """Of a stream: the last times, prints and addresses of its batches."""
 
@@ -178,24 +183,28 @@ class Spacecraft:
         """
         self._recent = [item for item in self._recent if item[0] >= int(batch.time_ns[0]) - _COPIED_NS]
         self._recent.append((int(batch.time_ns[-1]), prints, address))
-        moves = []
+        moves, highest = [], max(self.numbers.values(), default=0)
         # Without a packet nothing tells whether it is a copy.
         roles = roles << np.uint64(1) | (prints != 0)
         for at in np.sort(np.unique(address << np.uint64(11) | roles, return_index=True)[1]).tolist():
             end, role = int(address[at]), int(roles[at])
-            before = self.numbers.get(end)
-            if (end, role) in self._roles:
+            before, own = self.numbers.get(end), self._roles.setdefault(end, set())
+            if role in own:
                 continue
-            others = {self.numbers[other] for other, own in self._roles if own == role}
+            others = self._rivals[role]
             number = before or FIRST_SPACECRAFT
             if (sender := self._sender_of(int(prints[at]), end, at)) is not None:
                 # Equal commands may be meant for two; telemetry has a count and a time.
                 sends = role >> 9 == _SENDER
                 number = self.numbers[sender] if sends else before or self.numbers[sender]
-            elif number in others and end not in self._by_mission and (role & 1 or before is None):
-                number = min(max(self.numbers.values()) + 1, _MOST)
-            self._roles.add((end, role))
-            self.numbers[end] = number
+            elif others[number] and end not in self._by_mission and (role & 1 or before is None):
+                number = min(highest + 1, _MOST)
+            for item in own:
+                self._rivals[item][before or 0] -= 1
+            own.add(role)
+            for item in own:
+                self._rivals[item][number] += 1
+            self.numbers[end], highest = number, max(highest, number)
             if before not in {None, number}:
                 moves.append((int(rows[at]), end, before or FIRST_SPACECRAFT))
         self._count()
@@ -260,31 +269,34 @@ class Survey:
     def numbers(self) -> dict[int, int]:
         """Return the number of each address."""
         numbers = dict(self._spacecraft.numbers)
-        if not self._parts:
+        if not (self._parts and self._met):
             return numbers
         sent, address, msg_id, prints = map(np.concatenate, zip(*self._parts, strict=True))
         telemetry = sent if sent.any() else ~sent
-        packets = {end: telemetry & (address == end) for end in self._met}
+        compared = [*self._met][:_COMPARED]
+        packets = {end: np.flatnonzero(telemetry & (address == end)) for end in compared}
 
         def same(end: int, other: int) -> bool | None:
             """Tell whether two addresses are of one cFS; None where nothing decides it."""
             mine, theirs = packets[end], packets[other]
-            shared = mine & np.isin(msg_id, msg_id[theirs])
-            if not shared.any():
+            shared = mine[np.isin(msg_id[mine], msg_id[theirs])]
+            if not len(shared):
                 return None
-            if 2 * np.count_nonzero(np.isin(prints[shared], prints[theirs])) >= np.count_nonzero(shared):
+            if 2 * np.count_nonzero(np.isin(prints[shared], prints[theirs])) >= len(shared):
                 return True
             crafts = [{craft for craft, _ in self._met[item]} for item in (end, other)]
             return bool(crafts[0] & crafts[1]) and self._met[end].isdisjoint(self._met[other])
 
-        for end in self._met:
+        for end in compared:
             if end in numbers:
                 continue
-            answers = {numbers[other]: same(end, other) for other in self._met if other in numbers}
+            # Of several addresses with one number the last one answers.
+            rivals = {numbers[other]: other for other in compared if other in numbers}
+            answers = {number: same(end, other) for number, other in rivals.items()}
             one = [number for number, answer in answers.items() if answer]
             one += [number for number, answer in answers.items() if answer is None]
             numbers[end] = one[0] if one else min(max(numbers.values(), default=0) + 1, _MOST)
-        return numbers
+        return dict.fromkeys(self._met, numbers[compared[-1]]) | numbers
 
 
 def split_topic(topic: str) -> tuple[str, str]:

@@ -61,7 +61,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "sent": len(stream) if behind else len(stream) + lost,
         "seen": len(stream),
         "lost": lost + refused + unreached + (len(silent.lost) + len(silent.restarted) if silent else 0),
-        "rate_hz": round(rate_hz(len(stream), int(times[-1] - times[0])), 3),
+        "rate_hz": round(rate_hz(len(stream), int(times[-1]) - int(times[0])), 3),
         "limit_hz": clean_hz,
         "limit_from": told_by,
         "counted": stream.counted,

@@ -48,6 +48,7 @@ COMMANDS = {
         "compare FILE",
         "archive index --index OUT.duckdb",
     ],
+    many.senders: ["info", "doctor"],
     many.gaps: ["doctor", "export --format csv -o OUT/"],
     many.times: ["info", "doctor", "plot -o OUT.svg -c ROVER"],
     many.strangers: ["info"],

@@ -76,6 +76,11 @@ def telemetry_pairs(path, count):
     write(path, (udp(telemetry(0x801 + n % 2000, n), 1235, source=0x0A010000 + n // 9) for n in range(count)))
 
 
+def senders(path, count):
+    """Telemetry that all comes from another address."""
+    write(path, (udp(telemetry(0x801 + n % 2000, n), 1235, source=0x0A010000 + n) for n in range(count)))
+
+
 def gaps(path, count):
     """Telemetry of one MsgId of which every second is missing."""
     write(path, (udp(telemetry(0x827, 2 * n), 1235) for n in range(count)))

@@ -421,8 +421,8 @@ def _changes(times: NDArray[np.int64], counts: NDArray[np.int64]) -> list[int]:
     """Return the rows at which another rate begins, by whole seconds; each stands for so many messages."""
     if len(times) < _FEW:
         return []
-    # A clock that jumps may leave centuries between two rows.
-    second = np.cumsum(np.minimum(np.diff((times - times[0]) // SECOND, prepend=0), _SILENT))
+    # A clock that jumps may leave centuries between two rows, or lead back.
+    second = np.cumsum(np.clip(np.diff((times - times[0]) // SECOND, prepend=0), 0, _SILENT))
     offered = np.bincount(second, weights=counts)
     if len(offered) < _FEW:
         return []

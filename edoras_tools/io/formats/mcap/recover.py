@@ -57,7 +57,7 @@ from edoras_tools.io.outputs import NewFile
 from edoras_tools.io.topics.rows import MAGIC
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Container, Mapping, Sequence
 
     from edoras_tools.io.formats.mcap.recovery.walk import Walked
 
@@ -412,13 +412,11 @@ class _Assembly:
             and all(numbers.get(key) == key for key in ids)
             and self._stand(part, definitions)
         )
-        inside = {(type(item), item.id) for item in walked.others} if stands else set()
+        inside = _before_use(walked, channels) if stands else set()
         for record in walked.others:
-            self._define(part, record, inside=stands)
+            self._define(part, record, inside)
         for channel, schema in channels.values():
-            if schema is not None:
-                self._numbering.schema(schema, inside=(Schema, schema.id) in inside)
-            self._numbering.channel(channel, schema, inside=(Channel, channel.id) in inside)
+            self._numbering.channel(channel, schema, inside=inside)
         if not stands:
             walked = walked.take(np.isin(walked.channel, list(channels))).rebuilt(numbers)
         if not stands and not len(walked):
@@ -482,7 +480,7 @@ class _Assembly:
         elif isinstance(record, Schema | Channel):
             if not part.ended:  # records of a damaged summary prove nothing
                 part.definitions.learn(record)
-                self._define(part, record, inside=False)
+                self._define(part, record)
         elif isinstance(record, DataEnd):
             part.ended = True
             crc = record.data_section_crc
@@ -506,8 +504,10 @@ class _Assembly:
                 MAGIC + record_bytes(header or Header(profile, f"edoras-tools {__version__}"))
             )
 
-    def _define(self, part: FilePart, record: Schema | Channel, *, inside: bool) -> None:
-        """Write a schema or channel where it is read, if it is new; with ``inside`` the chunk contains it."""
+    def _define(
+        self, part: FilePart, record: Schema | Channel, inside: Container[tuple[type, int]] = ()
+    ) -> None:
+        """Write a schema or channel where it is read, if it is new; the chunk contains those ``inside``."""
         self._begin()
         if isinstance(record, Schema):
             schema = part.definitions.schema(record.id)
@@ -600,6 +600,24 @@ class _Assembly:
             why[f"its record {name} is lost"] = True
         self._reasons |= {reason: None for reason, holds in why.items() if holds}
         return not self._reasons and not self._losses
+
+
+def _before_use(
+    walked: Walked, channels: Mapping[int, tuple[Channel, Schema | None]]
+) -> set[tuple[type, int]]:
+    """Return the schemas and channels that a chunk has before the messages that need them.
+
+    Who reads a file from its beginning needs the others before the chunk.
+    """
+    places: dict[tuple[type, int], int] = {}
+    for item, place in zip(walked.others, walked.places, strict=True):
+        places.setdefault((type(item), item.id), place)
+    inside = {*places}
+    for key, (_, schema) in channels.items() if inside else ():
+        needed = {(Channel, key), *([(Schema, schema.id)] if schema else [])}
+        if max(places.get(item, len(walked.data)) for item in needed) > walked.first(key):
+            inside -= needed
+    return inside
 
 
 def _span(walked: Walked) -> tuple[int, int] | tuple[None, None]:

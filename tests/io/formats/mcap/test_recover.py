@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 import struct
+from zlib import crc32
 
 import damage
 import pytest
@@ -9,15 +10,18 @@ from damage import damaged, messages
 from effort import LONG, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.reader import make_reader
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Channel, Chunk, Header, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap import chunks as mcap_chunks
+from edoras_tools.io.formats.mcap.file import record_bytes
 from edoras_tools.io.formats.mcap.recover import recover, verify
 from edoras_tools.io.formats.mcap.recovery.numbering import KnownTopics
 from edoras_tools.io.formats.mcap.writer import McapSink
+from edoras_tools.io.topics.rows import MAGIC
 from edoras_tools.io.topics.streams import OWN_TOPICS
 from edoras_tools.model import SourceStatistics
 
@@ -430,6 +434,28 @@ def test_messages_beside_chunks_are_put_into_one(tmp_path, foreign):
     assert "messages stand beside its chunks, where no index leads" in report.reasons
     assert len(everything(made)[0]) == 300
     assert sum(index.chunk_length > 0 for index in everything(made)[1].chunk_indexes) == report.chunks
+
+
+def test_a_channel_that_stands_behind_its_messages_is_written_before_them(tmp_path):
+    """A chunk that is kept byte for byte may have it there; a reader from the beginning needs it before."""
+    schema = Schema(id=1, name="std_msgs/msg/String", encoding="ros2msg", data=b"string data")
+    channel = Channel(id=1, topic="/late", message_encoding="cdr", metadata={}, schema_id=1)
+    said = [Message(1, number, b"\0\1\0\0", number, number) for number in range(2)]
+    for inside in (
+        [schema, said[0], channel, said[1]],
+        [channel, said[0], schema, said[1]],
+        [*said, channel],
+    ):
+        raw = record_bytes(*inside)
+        chunk = record_bytes(Chunk("", raw, 1, 0, crc32(raw), len(raw)))
+        source, made = tmp_path / "late.mcap", tmp_path / "made.mcap"
+        before = record_bytes(*(item for item in [schema] if item not in inside))
+        source.write_bytes(MAGIC + record_bytes(Header("ros2", "x")) + before + chunk)
+        report = recover(source, made)
+        assert chunk in made.read_bytes()
+        with made.open("rb") as file:
+            found = [channel.topic for _, channel, _ in NonSeekingReader(file).iter_messages()]
+        assert (found, report.messages) == (["/late"] * 2, {"/late": 2})
 
 
 @pytest.mark.parametrize("crc", [True, False])

@@ -19,7 +19,7 @@ from edoras_tools.mission import Mission
 from edoras_tools.ros import TypeStore
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Mapping
+    from collections.abc import Container, Hashable, Mapping
 
     from edoras_tools.io.formats.mcap.recovery.walk import Walked
 
@@ -174,7 +174,7 @@ class Numbering:
         """Numbers already assigned, by the identity of the objects, which are kept alive here."""
         self.topics: dict[int, str] = {}
 
-    def schema(self, schema: Schema, *, write: bool = True, inside: bool = False) -> int:
+    def schema(self, schema: Schema, *, write: bool = True, inside: Container[tuple[type, int]] = ()) -> int:
         """Number a schema, and write it if it is new; see ``channel``."""
         key = (schema.id, schema.name, schema.encoding, bytes(schema.data))
         return self._put(key, schema, write=write, inside=inside)
@@ -191,13 +191,18 @@ class Numbering:
         return self.channel(channel, schema, write=False)
 
     def channel(
-        self, channel: Channel, schema: Schema | None, *, write: bool = True, inside: bool = False
+        self,
+        channel: Channel,
+        schema: Schema | None,
+        *,
+        write: bool = True,
+        inside: Container[tuple[type, int]] = (),
     ) -> int:
         """Number a channel, and write it and its schema if they are new.
 
         Args:
             schema: its schema, or None.
-            inside: a chunk contains it, so it is not written again.
+            inside: kinds and numbers of what a chunk contains, so that it is not written again.
         """
         last = self._last.get((id(channel), id(schema)))
         if last is not None:
@@ -218,7 +223,12 @@ class Numbering:
         return number
 
     def _put(
-        self, key: Hashable, record: Schema | Channel, *, write: bool = True, inside: bool = False
+        self,
+        key: Hashable,
+        record: Schema | Channel,
+        *,
+        write: bool = True,
+        inside: Container[tuple[type, int]] = (),
     ) -> int:
         kind = type(record)
         if key not in self._numbers:
@@ -230,7 +240,7 @@ class Numbering:
         number = self._numbers[key]
         if write and (kind, number) not in self._written:
             self._written.add((kind, number))
-            self._write(self._records[kind, number], inside=inside)
+            self._write(self._records[kind, number], inside=(kind, number) in inside)
         return number
 
     def _write(self, record: Schema | Channel, *, inside: bool) -> None:

@@ -8,6 +8,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, NamedTuple
 
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
+from edoras_tools.mission.report import printable
 from edoras_tools.older import UTC
 
 if TYPE_CHECKING:
@@ -86,6 +87,8 @@ class FilePart:
         self.names += start.names
 
 
+_LONGEST = 10_000
+"""Characters of a line, at most: a topic may have any number."""
 _MOST = 12
 """Maximum losses that are listed."""
 
@@ -180,7 +183,7 @@ class Recovery:
             lines.append(f"  and {len(self.losses) - _MOST} more places")
         if not self.whole and self.unit == "messages":
             lines += [f"  {count:>9}  {topic}" for topic, count in sorted(self.messages.items())]
-        return "\n".join(lines)
+        return "\n".join(printable(line, _LONGEST) for line in lines)
 
     def _lost(self) -> str:
         if not self.lost:

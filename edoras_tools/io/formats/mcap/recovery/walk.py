@@ -44,6 +44,7 @@ class Walked:
         start: i64, start of its record.
         end: i64, end of its record.
         others: the other records, parsed: schemas and channels.
+        places: where each of these begins.
         used: bytes that contain complete records; the rest, if any, is not a record.
     """
 
@@ -53,6 +54,7 @@ class Walked:
     start: NDArray[np.int64]
     end: NDArray[np.int64]
     others: list[Any]
+    places: list[int]
     used: int
 
     def __len__(self) -> int:
@@ -66,7 +68,11 @@ class Walked:
     def take(self, rows: NDArray[np.bool_]) -> Walked:
         """Return only some of its messages, without the other records."""
         fields = (self.channel[rows], self.log_time[rows], self.start[rows], self.end[rows])
-        return Walked(self.data, *fields, [], self.used)
+        return Walked(self.data, *fields, [], [], self.used)
+
+    def first(self, channel: int) -> int:
+        """Return where the first message of one of its channels begins."""
+        return int(self.start[np.argmax(self.channel == channel)])
 
     def agree(self, entries: Entries) -> NDArray[np.bool_]:
         """Return for each message whether an index contains it, with channel, log time and position."""
@@ -101,7 +107,7 @@ class Walked:
             channel[self.channel == old] = new
         for shift in (0, 8):
             data[starts + _CHANNEL_AT + shift // 8] = (channel >> shift).astype(np.uint8)
-        return Walked(data, channel, self.log_time, starts, ends, [], len(data))
+        return Walked(data, channel, self.log_time, starts, ends, [], [], len(data))
 
 
 _ENTRY: Final = np.dtype([("channel", "<u2"), *INDEX_ENTRY.descr])
@@ -142,19 +148,22 @@ def _at(data: NDArray[np.uint8], starts: NDArray[np.int64]) -> Walked | None:
     if (befores > afters).any():
         return None
     others: list[Any] = []
+    places: list[int] = []
     for gap in np.flatnonzero(befores != afters).tolist():
         part = _one_by_one(data[befores[gap] : afters[gap]])
         if len(part) or not part.whole:
             return None
         others += part.others
+        places += [int(befores[gap]) + place for place in part.places]
     fields = (heads["channel_id"].copy(), heads["log_time"].copy(), starts, ends)
-    return Walked(data, *fields, others, len(data))
+    return Walked(data, *fields, others, places, len(data))
 
 
 def _one_by_one(data: NDArray[np.uint8]) -> Walked:
     view = data.data
     rows = array("Q")  # four numbers a message: as objects, those of a chunk may take a gigabyte
     others: list[Any] = []
+    places: list[int] = []
     place = 0
     while place + RECORD_HEAD.size <= len(data):
         opcode, length = RECORD_HEAD.unpack_from(view, place)
@@ -169,6 +178,7 @@ def _one_by_one(data: NDArray[np.uint8]) -> Walked:
             if record is None:
                 break
             others.append(record)
+            places.append(place)
         place = end
     columns = np.frombuffer(rows, np.uint64).reshape(-1, 4).T
     return Walked(
@@ -178,5 +188,6 @@ def _one_by_one(data: NDArray[np.uint8]) -> Walked:
         columns[2].astype(np.int64),
         columns[3].astype(np.int64),
         others,
+        places,
         place,
     )
