@@ -389,8 +389,10 @@ class Commands:
         """Take refusals back of what a full pipe lost, or may have, before the application refused it."""
         unknown = [loss for loss in self.losses if loss.stream is None and loss.kind == "unknown"]
         for key, placed in self.refused_of.items():
-            fate = self.fates[key]
-            over = sum(loss.lost for loss in unknown if self._case.goes_to(fate.stream, loss.instance))
+            fate, at = self.fates[key], np.concatenate([ones.rows for *_, ones in placed])
+            when = fate.stream.time_ns[at]
+            near = (loss for loss in unknown if ((when >= loss.start_ns) & (when <= loss.end_ns)).any())
+            over = sum(loss.lost for loss in near if self._case.goes_to(fate.stream, loss.instance))
             fate.ends["shared"] += min(over, sum(number for _, number, _ in placed))
             own = [loss for loss in self.losses if id(loss.stream) == key and loss.kind in COUNTERS]
             if own:
@@ -399,10 +401,10 @@ class Commands:
                 inside &= times <= max(loss.end_ns for loss in own)
                 over += sum(loss.lost for loss in own) - int(inside.sum())
                 over += sum(min(number, int(inside[ones.rows].sum())) for _, number, ones in placed)
-            for at, (item, number, ones) in enumerate(placed):
+            for place, (item, number, ones) in enumerate(placed):
                 part = max(0, min(over, number))
                 over -= part
-                placed[at] = item, number - part, ones
+                placed[place] = item, number - part, ones
                 self.placed[id(item)] = number - part, ones
                 fate.refused[item.rule] -= part
 
