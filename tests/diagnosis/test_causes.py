@@ -93,7 +93,7 @@ def test_later_fragments_that_a_firewall_dropped(lab):
     assert lost_by(found) == {"fragments": 80}
     (verdict,) = told(found, "lost_after_cfs")
     assert (verdict.lost, verdict.confidence) == (80, "high")
-    assert "their first fragments came and the later ones did not" in verdict.reason
+    assert "a firewall or a router drops their later fragments" in verdict.reason
 
 
 @pytest.mark.each(3)

@@ -2,12 +2,12 @@
 
 from collections import Counter
 from contextlib import closing
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 import truth
+from msgspec.structs import replace
 from places import ROOT
 from rewriting import datagrams, write
 
@@ -233,7 +233,7 @@ def test_what_ci_read_before_a_command_that_came_out_does_not_wait_in_its_socket
 
 def test_a_sender_that_is_named_by_his_processor_too_is_no_other():
     (verdict,) = found(examined("network_bad"), "unknown_peer")
-    assert (verdict.lost, verdict.reason[:32]) == (1, "1 SBN datagram from 153:3, which")
+    assert (verdict.lost, verdict.reason[:27]) == (1, "153:3 sent 1 SBN datagram, ")
 
 
 def test_a_command_that_leaves_to_the_robot_and_on_sbn_is_not_put_behind_the_robot():
@@ -339,4 +339,4 @@ def test_commands_without_values_are_those_that_the_counter_has():
     (other,) = found(diagnosis, "unattributed_loss")  # in the first second more seem refused than there were
     assert (pipe.lost + other.lost, pipe.of, sum(item.lost for item in refused)) == (70, 160, 41)
     (row,) = [row for row in diagnosis.balance if (row.msg_id, row.hop) == (0x1827, "application")]
-    assert (row.out, row.not_captured - other.lost) == (92, 49)
+    assert (row.out, row.not_captured) == (92, 49)
