@@ -22,11 +22,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import duckdb
 import numpy as np
+from msgspec.structs import replace
 from paths import EDORAS, MISSION, ROVER
 
 from edoras_tools.addons.archive.tables import TABLES

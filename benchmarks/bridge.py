@@ -19,11 +19,11 @@ import tempfile
 import threading
 import time
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 from paths import MISSION, MISSIONS
 
 from edoras_tools.addons.lab.emulator import Served, Simulation, WireDatagram

@@ -6,9 +6,10 @@ What the layouts do not say (findings, ports, routes, message types) is a :class
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import msgspec
 
 from edoras_tools.cfs import limits, names
 from edoras_tools.cfs.arguments import ARGUMENTS, BARE_TOO, DEFAULTS, SERVICES, TAILS
@@ -65,8 +66,7 @@ GUARD: Final = "EDORAS_LUA"
 """The environment variable that names the one digest that may load, where several copies are installed."""
 
 
-@dataclass(frozen=True, slots=True)
-class FindingText:
+class FindingText(msgspec.Struct, frozen=True):
     """A finding for the expert information.
 
     Attributes:
@@ -86,8 +86,7 @@ class FindingText:
     unknowable: bool
 
 
-@dataclass(frozen=True, slots=True)
-class RouteText:
+class RouteText(msgspec.Struct, frozen=True):
     """A route: its topic, its type and the envelope's format; None where the bytes shall tell."""
 
     topic: str
@@ -95,8 +94,7 @@ class RouteText:
     envelope: EnvelopeFormat | None
 
 
-@dataclass(frozen=True, slots=True)
-class Knowledge:
+class Knowledge(msgspec.Struct, frozen=True):
     """What the dissector knows besides the layouts.
 
     Attributes:
@@ -130,18 +128,18 @@ class Knowledge:
     cfs_addresses: Sequence[str] = ()
     identities: Sequence[tuple[int, int]] = ()
     routes: Sequence[RouteText] = ()
-    exact: Mapping[str, Mapping[int, Sequence[int]]] = field(default_factory=dict)
-    any_link: Mapping[int, Sequence[int]] = field(default_factory=dict)
-    types: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    exact: Mapping[str, Mapping[int, Sequence[int]]] = msgspec.field(default_factory=dict)
+    any_link: Mapping[int, Sequence[int]] = msgspec.field(default_factory=dict)
+    types: Mapping[str, Mapping[str, Any]] = msgspec.field(default_factory=dict)
     extended_header: bool = False
     telemetry_header: int = cfe.TELEMETRY_HEADER_BYTES
     msg_id_version: int = 1
-    time: cfe.MissionTime = cfe.MissionTime()  # noqa: RUF009  frozen
-    stream_ports: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    time: cfe.MissionTime = cfe.MissionTime()
+    stream_ports: Mapping[str, Sequence[int]] = msgspec.field(default_factory=dict)
     pdu_msg_ids: Sequence[int] = ()
-    frames: Mapping[int, tuple[FrameFormat, str]] = field(default_factory=dict)
-    dictionary: Mapping[str, Any] = field(default_factory=dict)
-    structs: Mapping[str, Mapping[Any, Any]] = field(default_factory=dict)
+    frames: Mapping[int, tuple[FrameFormat, str]] = msgspec.field(default_factory=dict)
+    dictionary: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    structs: Mapping[str, Mapping[Any, Any]] = msgspec.field(default_factory=dict)
     note: str = ""
 
 

@@ -14,10 +14,10 @@ an envelope is told from the bytes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+import msgspec
 from scapy.fields import PacketListField, StrLenField
 from scapy.layers.inet import TCP, UDP
 from scapy.packet import Packet, Raw, bind_bottom_up, bind_top_down
@@ -55,11 +55,10 @@ class Types(Protocol):
         """Return a message from plain values, encapsulation included."""
 
 
-@dataclass(slots=True)
-class Knowledge:
+class Knowledge(msgspec.Struct):
     """What the layers cannot tell from the bytes; see :func:`use`."""
 
-    routes: Mapping[int, str] = field(default_factory=dict)
+    routes: Mapping[int, str] = msgspec.field(default_factory=dict)
     types: Types | None = None
     extended_header: bool = False
     telemetry_header: int = cfe.TELEMETRY_HEADER_BYTES

@@ -10,9 +10,10 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
+
+from msgspec.structs import replace
 
 from edoras_tools.addons.foxglove.player import PlaybackOptions, RecordingPlayer, open_recording
 from edoras_tools.addons.foxglove.serving import attach

@@ -7,10 +7,10 @@ an array that was handed over.
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple
 from zlib import crc32
 
+import msgspec
 import numpy as np
 
 from edoras_tools.older import Flags
@@ -219,8 +219,7 @@ OTHER: Final = Link()
 """No link: the datagram is kept, and not dissected."""
 
 
-@dataclass(frozen=True, slots=True)
-class Endpoint:
+class Endpoint(msgspec.Struct, frozen=True):
     """An IP address in text form and a UDP or TCP port."""
 
     address: str
@@ -277,8 +276,7 @@ RECORDED: Final = np.dtype([("topic", "<u2"), ("sequence", "<u4"), ("publish_ns"
 recording has beside its time; ns since 1970."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PacketBatch:
+class PacketBatch(msgspec.Struct, frozen=True, eq=False):
     """Datagrams, and messages of TCP streams, in columns over one contiguous byte buffer.
 
     All arrays have the batch's length. Offsets point into ``data``. A batch of one, or none, is a batch.
@@ -390,15 +388,14 @@ class PacketBatch:
         """Return the rows that an index array, a mask or a slice chooses, over the same buffer."""
         return type(self)(
             **{
-                item.name: value if value is None or item.name in {"data", "ipv6"} else value[rows]
-                for item in fields(self)
-                for value in (getattr(self, item.name),)
+                name: value if value is None or name in {"data", "ipv6"} else value[rows]
+                for name in self.__struct_fields__
+                for value in (getattr(self, name),)
             }
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Columns:
+class Columns(msgspec.Struct, frozen=True, eq=False):
     """What ``decode.columns`` reads from a batch, one element a datagram.
 
     Offsets point into the batch's ``data``. Where a layer is absent its columns hold the stated "none".
@@ -448,7 +445,7 @@ class Columns:
 
     def take(self, rows: NDArray[Any] | slice) -> Self:
         """Return the rows that an index array, a mask or a slice chooses."""
-        return type(self)(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
+        return type(self)(**{name: getattr(self, name)[rows] for name in self.__struct_fields__})
 
 
 class LayerField(NamedTuple):
@@ -511,8 +508,7 @@ class RosMessage(NamedTuple):
     shipped: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Decoded:
+class Decoded(msgspec.Struct, frozen=True):
     """Everything read from one datagram; what stopped the decode, if anything did, loses nothing before it.
 
     Attributes:
@@ -566,8 +562,7 @@ class CutDatagram(NamedTuple):
     head: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class InterfaceOutage:
+class InterfaceOutage(msgspec.Struct, frozen=True):
     """A time in which an interface gave nothing because it was not there.
 
     Attributes:
@@ -605,8 +600,7 @@ class InterfaceOutage:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class SocketCounters:
+class SocketCounters(msgspec.Struct, frozen=True):
     """A UDP socket as the kernel counts it.
 
     Attributes:
@@ -624,8 +618,7 @@ class SocketCounters:
     drops: int
 
 
-@dataclass(frozen=True, slots=True)
-class HostCounters:
+class HostCounters(msgspec.Struct, frozen=True):
     """What the kernel of a host counts; None where it cannot be read.
 
     Attributes:
@@ -653,8 +646,7 @@ class HostCounters:
     rmem_max: int | None = None
 
 
-@dataclass(slots=True)
-class SourceStatistics:
+class SourceStatistics(msgspec.Struct):
     """What a source counts as it goes; read at any time.
 
     Attributes:
@@ -683,11 +675,11 @@ class SourceStatistics:
     kernel_drops: int | None = None
     total_bytes: int = 0
     position: int = 0
-    warnings: list[str] = field(default_factory=list)
-    outages: list[InterfaceOutage] = field(default_factory=list)
-    cut: list[CutDatagram] = field(default_factory=list)
+    warnings: list[str] = msgspec.field(default_factory=list)
+    outages: list[InterfaceOutage] = msgspec.field(default_factory=list)
+    cut: list[CutDatagram] = msgspec.field(default_factory=list)
     shared: int = 0
-    astray: list[tuple[int, int, bool]] = field(default_factory=list)
+    astray: list[tuple[int, int, bool]] = msgspec.field(default_factory=list)
 
     @property
     def ended(self) -> bool:
@@ -695,8 +687,7 @@ class SourceStatistics:
         return 0 < self.total_bytes <= self.position
 
 
-@dataclass(frozen=True, slots=True)
-class SourceInfo:
+class SourceInfo(msgspec.Struct, frozen=True):
     """What a source is.
 
     Attributes:
@@ -717,9 +708,9 @@ class SourceInfo:
     kind: str
     time_resolution_ns: int = 1
     snap_length: int = 262144
-    attachments: Mapping[str, bytes] = field(default_factory=dict)
-    definitions: Mapping[str, str] = field(default_factory=dict)
-    read_with: Mapping[str, str] = field(default_factory=dict)
+    attachments: Mapping[str, bytes] = msgspec.field(default_factory=dict)
+    definitions: Mapping[str, str] = msgspec.field(default_factory=dict)
+    read_with: Mapping[str, str] = msgspec.field(default_factory=dict)
     damage: str = ""
     links: frozenset[str] | None = None
     apart: bool = False
@@ -737,23 +728,23 @@ def concatenate(batches: Sequence[PacketBatch]) -> PacketBatch:
     starts = np.cumsum([0, *(len(batch.data) for batch in batches[:-1])])
     tables = np.cumsum([0, *(len(batch.ipv6) for batch in batches[:-1])])
     columns: dict[str, Any] = {}
-    for item in fields(PacketBatch):
-        values = [getattr(batch, item.name) for batch in batches]
-        if item.name in {"frame_offset", "offset"}:
+    for name in PacketBatch.__struct_fields__:
+        values = [getattr(batch, name) for batch in batches]
+        if name in {"frame_offset", "offset"}:
             values = [value + start for value, start in zip(values, starts, strict=True)]
-        elif item.name in {"source_address", "destination_address"}:
+        elif name in {"source_address", "destination_address"}:
             values = [
                 np.where(batch.ip_version == 6, value + np.uint32(table), value)
                 for batch, value, table in zip(batches, values, tables, strict=True)
             ]
-        elif item.name == "streams":
+        elif name == "streams":
             if all(value is None for value in values):
                 continue
             values = [
                 np.zeros(len(batch), bool) if value is None else value
                 for batch, value in zip(batches, values, strict=True)
             ]
-        elif item.name == "recorded" and values[0] is None:  # messages are never merged with datagrams
+        elif name == "recorded" and values[0] is None:  # messages are never merged with datagrams
             continue
-        columns[item.name] = sum(values, ()) if item.name == "ipv6" else np.concatenate(values)
+        columns[name] = sum(values, ()) if name == "ipv6" else np.concatenate(values)
     return PacketBatch(**columns)

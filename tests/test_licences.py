@@ -28,9 +28,9 @@ LICENCES = {
     ),
     "MIT, in its file LICENSE": "resvg-py",
     "BSD": (
-        "click colorama grimp import-linter lz4 numpy pandas pygments python-dateutil websockets zstandard "
-        "babel idna jinja2 markdown markupsafe mkdocs cloudpickle dask distributed fsspec locket lxml partd "
-        "psutil pycparser space-packet-parser tblib toolz zict "
+        "click colorama grimp import-linter lz4 msgspec numpy pandas pygments python-dateutil websockets "
+        "zstandard babel idna jinja2 markdown markupsafe mkdocs cloudpickle dask distributed fsspec locket "
+        "lxml partd psutil pycparser space-packet-parser tblib toolz zict "
         "flask itsdangerous s3fs werkzeug wrapt"
     ),
     "Apache-2.0": (

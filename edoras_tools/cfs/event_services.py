@@ -6,10 +6,11 @@ The emulator writes events by their texts; the doctor and the sweep read them.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 from typing import Final
+
+import msgspec
 
 NAME: Final = "CFE_EVS"
 
@@ -23,8 +24,7 @@ class EventType(IntEnum):
     CRITICAL = 4
 
 
-@dataclass(frozen=True)
-class EventText:
+class EventText(msgspec.Struct, frozen=True, dict=True):
     """An event that an application reports, word for word.
 
     Attributes:

@@ -6,8 +6,10 @@ over UDP). Times are integer nanoseconds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.errors import ConfigError
@@ -30,8 +32,7 @@ TO_TABLE: Final = {
 """Telemetry Output's table: MsgId to how many of it may wait. An application's own MIDs are added."""
 
 
-@dataclass(frozen=True, slots=True)
-class SbnPeerConfig:
+class SbnPeerConfig(msgspec.Struct, frozen=True):
     """A peer as SBN's configuration table names it.
 
     Attributes:
@@ -65,8 +66,7 @@ GENERATOR_MSG_ID: Final = 0x18F0
 """Usual MsgId of the commands of the telemetry generator."""
 
 
-@dataclass(frozen=True, slots=True)
-class SimProfile:
+class SimProfile(msgspec.Struct, frozen=True):
     """What a cFS instance is made of.
 
     Attributes:
@@ -137,7 +137,7 @@ class SimProfile:
     generator_msg_id: int = GENERATOR_MSG_ID
     big_endian: int = 0
     headers: Headers = STANDARD
-    time: MissionTime = MissionTime()  # noqa: RUF009  frozen
+    time: MissionTime = MissionTime()
 
     ci_port: int = 1234
     ci_buffer: int = 768
@@ -150,7 +150,7 @@ class SimProfile:
     to_source_port: int = 0
     to_wake_ns: int = 500 * MILLISECOND
     to_pipe_depth: int = 50
-    to_limits: Mapping[int, int] = field(default_factory=lambda: dict(TO_TABLE))
+    to_limits: Mapping[int, int] = msgspec.field(default_factory=lambda: dict(TO_TABLE))
     to_default_limit: int = telemetry_output.USUAL_LIMIT
 
     msg_max: int = 0
@@ -235,4 +235,5 @@ class SimProfile:
 
 def constant_names() -> tuple[str, ...]:
     """Return the names of the constants that are whole numbers, which users can say."""
-    return tuple(item.name for item in fields(SimProfile) if type(item.default) is int)
+    values = zip(SimProfile.__struct_fields__, SimProfile.__struct_defaults__, strict=True)
+    return tuple(name for name, value in values if type(value) is int)

@@ -11,11 +11,12 @@ What leaves one queue arrives at the next: ``pass_queue`` is called again with t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import in_16_bits, numbered
@@ -57,8 +58,7 @@ def admission(waiting: int, limit: int, length: int, depth: int) -> QueueEnd:
     return QueueEnd.PIPE_OVERFLOW if length >= depth else QueueEnd.WAITING
 
 
-@dataclass(frozen=True, slots=True)
-class Queue:
+class Queue(msgspec.Struct, frozen=True):
     """The constants of one queue.
 
     Attributes:
@@ -75,7 +75,7 @@ class Queue:
     round_ns: int
     depth: int
     usual_limit: int = NO_LIMIT
-    limits: Mapping[int, int] = field(default_factory=dict)
+    limits: Mapping[int, int] = msgspec.field(default_factory=dict)
     reads: int = NO_LIMIT
     phase_ns: int = 0
     is_socket: bool = False

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
+from msgspec.structs import replace
 from typer import Argument, BadParameter, Option
 
 from edoras_tools import doors

@@ -99,7 +99,7 @@ def _export(
     decoding: options.DecodingOptions,
     jobs: int,
 ) -> None:
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     from edoras_tools.io.formats.open import is_cfe_file
     from edoras_tools.pipelines.export.run import ExportTarget

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import asdict
 
+import msgspec
 import typer
 
 from edoras_tools.cli import options
@@ -35,7 +35,7 @@ def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> No
     counters = read_host(links, time.time_ns())
     hints, share = list(advice(counters)), steal(counters)
     if json:
-        print_json({**asdict(counters), "steal": share, "advice": hints})
+        print_json({**msgspec.to_builtins(counters), "steal": share, "advice": hints})
     else:
         sys.stdout.writelines(f"{line}\n" for line in host_lines(counters, links, share, hints))
     if any(item.drops for item in counters.sockets):

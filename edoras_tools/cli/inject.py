@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+from msgspec.structs import replace
 from typer import Argument, BadParameter, Context, Option, echo
 
 from edoras_tools.cli import options, sending

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import replace
 from pathlib import Path
 from time import strftime
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+from msgspec.structs import replace
 from typer import BadParameter, Option, echo
 
 from edoras_tools import doors

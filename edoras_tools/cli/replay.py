@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+from msgspec.structs import replace
 from typer import Argument, BadParameter, Option
 
 from edoras_tools.cli import options, sending

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
+import msgspec
+from msgspec.structs import replace
 from typer import Option
 
 from edoras_tools import doors
@@ -207,8 +208,7 @@ def print_sequence(blocks: Iterable[ColumnRows], bench: Workbench, diagram: Diag
     return count
 
 
-@dataclass(slots=True)
-class _UntilFailure:
+class _UntilFailure(msgspec.Struct):
     """Blocks of a source, whose failure waits until what was read before it is shown."""
 
     blocks: Iterable[ColumnRows]

@@ -5,7 +5,6 @@ Offsets and verdicts are the same as :mod:`edoras_tools.decode.stack` gives one 
 
 from __future__ import annotations
 
-from dataclasses import fields
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -153,8 +152,8 @@ class ColumnDecoder:
             return _Pass(self.context, batch, out).finish(start)
         columns = _Pass(self.context, part or batch.take(rows), out).finish(start)
         whole = _blank(len(batch))
-        for item in fields(Columns):
-            whole[item.name][rows] = getattr(columns, item.name)
+        for name in Columns.__struct_fields__:
+            whole[name][rows] = getattr(columns, name)
         outside = link == OTHER
         whole["findings"][outside] = batch.capture_findings[outside]
         return Columns(**whole)

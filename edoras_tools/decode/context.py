@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import names
 from edoras_tools.decode.builds import Builds, CommandTable
@@ -36,8 +37,7 @@ _KEPT: Final = ("envelope", "time")
 """Options whose words a recording keeps as they are."""
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
+class Options(msgspec.Struct, frozen=True):
     """How to read what the bytes do not say themselves.
 
     Attributes:

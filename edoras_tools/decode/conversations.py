@@ -18,10 +18,10 @@ programs use 1234 too, and a CI may use another port. The rules, in this order:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.links import table
@@ -61,8 +61,7 @@ LEFT_OUT: Final = frozenset({ConversationKind.FOREIGN, ConversationKind.STRANGER
 """What is not cFS's, though the ports say so."""
 
 
-@dataclass(slots=True, eq=False)
-class Flow:
+class Flow(msgspec.Struct, eq=False):
     """All datagrams from one endpoint to another.
 
     Attributes:
@@ -116,8 +115,7 @@ class Flow:
 _SUMS: Final = ("begins", "sound", "commands", "telemetry", "network")
 
 
-@dataclass(slots=True, eq=False)
-class Conversations:
+class Conversations(msgspec.Struct, eq=False):
     """All conversations of a source.
 
     Attributes:
@@ -126,8 +124,8 @@ class Conversations:
     """
 
     context: Context
-    flows: dict[tuple[Endpoint, Endpoint], Flow] = field(default_factory=dict)
-    _last: tuple[NDArray[np.intp], NDArray[np.intp], list[Flow | None]] = field(
+    flows: dict[tuple[Endpoint, Endpoint], Flow] = msgspec.field(default_factory=dict)
+    _last: tuple[NDArray[np.intp], NDArray[np.intp], list[Flow | None]] = msgspec.field(
         default_factory=lambda: (np.zeros(0, np.intp), np.zeros(0, np.intp), [])
     )
 

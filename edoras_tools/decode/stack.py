@@ -7,8 +7,9 @@ are the same as :mod:`edoras_tools.decode.columns` gives for a batch.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import replace
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.links import link_of

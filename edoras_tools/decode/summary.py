@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import names
 from edoras_tools.cfs.arguments import ARGUMENTS, command_line
@@ -127,8 +128,7 @@ def message_texts(messages: MessageColumns, plan: CdrPlan, *, leave_out: str = "
     return _words(columns_shown, len(messages))
 
 
-@dataclass(frozen=True, slots=True)
-class Group:
+class Group(msgspec.Struct, frozen=True):
     """A list of messages: the columns of all elements, and where those of each row are.
 
     Attributes:

@@ -20,12 +20,12 @@ Nothing in a packet names them, so each sound packet is a vote for every kind th
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.decode.builds import LOOKED_AT, PLACES, Fitting, conversations
 from edoras_tools.links.table import accepted

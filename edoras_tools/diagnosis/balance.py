@@ -13,8 +13,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.cfs import sbn
 from edoras_tools.diagnosis.accounting.closed import UDP_PORT
@@ -45,8 +47,7 @@ BEHIND_LINKS: Final = (PEER, UDP_PORT)
 """How hops are called that are behind what the capture shows of a message."""
 
 
-@dataclass(frozen=True, slots=True)
-class Headline:
+class Headline(msgspec.Struct, frozen=True):
     """What became of the messages of one route, in one line.
 
     Attributes:
@@ -230,8 +231,7 @@ class BridgeCount(NamedTuple):
     missed: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class ChainHop:
+class ChainHop(msgspec.Struct, frozen=True):
     """One hop of a chain; the figures are None where nothing counts them.
 
     Attributes:
@@ -253,7 +253,7 @@ class ChainHop:
     doubled: int = 0
     entered: int = 0
     elsewhere: int = 0
-    rest: Mapping[str, int] = field(default_factory=dict)
+    rest: Mapping[str, int] = msgspec.field(default_factory=dict)
     counted: str = ""
 
     @property

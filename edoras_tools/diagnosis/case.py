@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import command_ingest, sbn, telemetry_output
 from edoras_tools.cfs.commands import inject_line
@@ -103,8 +104,7 @@ _TIME: Final = attrgetter("time_ns")
 OfLink = TypeVar("OfLink")
 
 
-@dataclass(frozen=True, slots=True)
-class Capture:
+class Capture(msgspec.Struct, frozen=True):
     """What is known of the capture itself.
 
     Attributes:
@@ -129,8 +129,8 @@ class Capture:
     cut: int = 0
     outages: tuple[InterfaceOutage, ...] = ()
     host: tuple[HostCounters, ...] = ()
-    evidence: Mapping[Link, LinkEvidence] = field(default_factory=dict)
-    unwrappers: Mapping[Link, Unwrapper] = field(default_factory=dict)
+    evidence: Mapping[Link, LinkEvidence] = msgspec.field(default_factory=dict)
+    unwrappers: Mapping[Link, Unwrapper] = msgspec.field(default_factory=dict)
     lacking: tuple[CutDatagram, ...] = ()
     shared: int = 0
     astray: tuple[tuple[int, int, bool], ...] = ()
@@ -321,8 +321,8 @@ class Case:
     @cached_property
     def quality(self) -> Quality:
         """What bounds the datagrams that the capture missed."""
-        known = self.rows, self.payloads, self.instances, self.streams, self.hops, self.tracks
-        quality = assess_quality(*known, self.blind, self.capture.drops)
+        evidence = self.rows, self.payloads, self.instances, self.streams, self.hops, self.tracks
+        quality = assess_quality(*evidence, self.blind, self.capture.drops)
         # Where frames are cut, no answer tells what was missed; what CI counts more does.
         cut = self.rows.has(Finding.CAPTURE_CUT).any() and not quality.lacks_answered
         own = [item for item in self.ingests if item.not_captured and cut]

@@ -10,10 +10,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.matching.streams import bursts, full_where_lacking
@@ -108,7 +108,7 @@ def learn_constants(
     profile = assumed
     for name, item in rounds.items():
         if _usual(assumed, name) and abs(item / getattr(assumed, name) - 1) > _ALIKE:
-            profile = replace(profile, **{name: item})  # type: ignore[arg-type]
+            profile = replace(profile, **{name: item})
     limits = _limits(assumed, streams, losses) if "to_wake_ns" in rounds else {}
     names: set[str | int] = {*rounds, *limits, *assumed.stated}
     profile = replace(profile, to_limits={**assumed.to_limits, **limits})

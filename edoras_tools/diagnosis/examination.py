@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gc
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.accounts import accounts
@@ -42,8 +44,7 @@ MOST_SCATTERED: Final = 4
 """Chapters that are judged together where records of any time stand anywhere in the capture."""
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(msgspec.Struct, frozen=True, dict=True):
     """What is wrong, where and why.
 
     Attributes:
@@ -75,17 +76,17 @@ class Diagnosis:
     datagrams: int
     start_ns: int
     end_ns: int
-    capture: Capture = field(default_factory=Capture)
+    capture: Capture = msgspec.field(default_factory=Capture)
     case: Case | None = None
     balance: tuple[Row, ...] = ()
     left_out: int = 0
     unnamed: tuple[Unnamed, ...] = ()
-    topics: Mapping[int, str] = field(default_factory=dict)
+    topics: Mapping[int, str] = msgspec.field(default_factory=dict)
     choice: Choice | None = None
     whole: Diagnosis | None = None
     missing: tuple[Missing, ...] = ()
-    parts: Mapping[int, Diagnosis] = field(default_factory=dict)
-    mission: Mission = field(default_factory=Mission)
+    parts: Mapping[int, Diagnosis] = msgspec.field(default_factory=dict)
+    mission: Mission = msgspec.field(default_factory=Mission)
 
     @property
     def zero_ns(self) -> int:

@@ -18,11 +18,12 @@ Rules:
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, get_args
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT
@@ -166,8 +167,7 @@ _UNREACHED: Final = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class LedgerTraffic:
+class LedgerTraffic(msgspec.Struct, frozen=True):
     """Messages that are followed together.
 
     Attributes:
@@ -210,8 +210,7 @@ class LedgerEntry(NamedTuple):
     among: Among | Places | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Row(LedgerTraffic):
+class Row(LedgerTraffic, frozen=True):
     """What became of the messages of one traffic at one hop: a sum of entries.
 
     Attributes:
@@ -241,7 +240,7 @@ class Row(LedgerTraffic):
     came: int = 0
     out: int = 0
     duplicated: int = 0
-    lost: Mapping[str, int] = field(default_factory=dict)
+    lost: Mapping[str, int] = msgspec.field(default_factory=dict)
     superseded: int = 0
     waiting: int = 0
     not_captured: int = 0
@@ -249,7 +248,7 @@ class Row(LedgerTraffic):
     uncertain: int = 0
     shared: int = 0
     among: tuple[tuple[str, int, str], ...] = ()
-    counted: Mapping[str, str] = field(default_factory=dict)
+    counted: Mapping[str, str] = msgspec.field(default_factory=dict)
     name: str = ""
     onward: tuple[tuple[str, int], ...] = ()
     late: int = 0
@@ -306,8 +305,7 @@ class Row(LedgerTraffic):
         }
 
 
-@dataclass(slots=True)
-class _Hop:
+class _Hop(msgspec.Struct):
     """A hop of a way.
 
     Attributes:
@@ -322,7 +320,7 @@ class _Hop:
     came: int
     duplicated: int
     about: dict[str, Any]
-    entries: list[LedgerEntry] = field(default_factory=list)
+    entries: list[LedgerEntry] = msgspec.field(default_factory=list)
 
     @property
     def ended(self) -> int:
@@ -344,7 +342,7 @@ class _Hop:
             else:
                 sums[entry.ending] += entry.number
         return Row(
-            **{item.name: getattr(traffic, item.name) for item in fields(traffic)},
+            **{name: getattr(traffic, name) for name in traffic.__struct_fields__},
             hop=self.name,
             came=self.out + self.ended - self.duplicated,
             out=self.out,

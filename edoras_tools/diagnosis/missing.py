@@ -11,10 +11,11 @@ Rules:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.diagnosis.accounting.losses import Among
 from edoras_tools.diagnosis.ledger import LedgerEntry
@@ -37,8 +38,7 @@ ALL: Final = 1 << 62
 """More messages than any loss has."""
 
 
-@dataclass(frozen=True, slots=True)
-class Missing:
+class Missing(msgspec.Struct, frozen=True):
     """One message that was lost.
 
     Attributes:
@@ -80,7 +80,7 @@ class Missing:
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --list-lost json``."""
-        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        values = {name: getattr(self, name) for name in self.__struct_fields__}
         return {**values, "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}"}
 
 

@@ -35,11 +35,11 @@ The capture has a hole if nothing was captured although everybody went on sendin
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from functools import cache, cached_property
 from math import exp, lgamma, log, log1p, sqrt
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.instances import NOBODY
@@ -108,8 +108,7 @@ class Evidence(NamedTuple):
     missing: int
 
 
-@dataclass(frozen=True)
-class Quality:
+class Quality(msgspec.Struct, frozen=True, dict=True):
     """A bound of what a capture missed at random.
 
     Attributes:

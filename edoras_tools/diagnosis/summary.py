@@ -11,9 +11,11 @@ Rules:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.cfs import sbn
 from edoras_tools.diagnosis.accounting.closed import UDP_PORT
@@ -53,8 +55,7 @@ _OF_ONE_HOP: Final = "SBN", UDP_PORT, RELAY_HOP
 """How the hops begin of which a verdict names one peer's or one port's."""
 
 
-@dataclass(frozen=True, slots=True)
-class Problem:
+class Problem(msgspec.Struct, frozen=True):
     """One thing that is wrong.
 
     Attributes:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable  # noqa: TC003  for readers of the signature
-from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypedDict
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 
@@ -37,8 +39,7 @@ class Severity(IntEnum):
         return self.name.lower()
 
 
-@dataclass(frozen=True, slots=True)
-class Advice:
+class Advice(msgspec.Struct, frozen=True):
     """What to change at one queue.
 
     Attributes:
@@ -60,8 +61,7 @@ _SHOWN: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(msgspec.Struct, frozen=True):
     """One thing that is so, and why that is believed.
 
     Attributes:
@@ -225,8 +225,7 @@ class Takes(Protocol):
         """See the class."""
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
+class Choice(msgspec.Struct, frozen=True):
     """Which links, MsgIds and topics of DDS are shown.
 
     Attributes:

@@ -6,8 +6,9 @@ which type it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
+
+import msgspec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -81,8 +82,7 @@ class Unwrapper(Protocol):
         """Return what came, a line each, for users."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class KnownSamples:
+class KnownSamples(msgspec.Struct, frozen=True, eq=False):
     """Samples of one topic whose type is known, in the order of the rows; of one length.
 
     Attributes:
@@ -135,8 +135,7 @@ class SampleReader(Protocol):
         """Return what the topic of a writer is called, also where it was not announced."""
 
 
-@dataclass(frozen=True, slots=True)
-class SampleStream:
+class SampleStream(msgspec.Struct, frozen=True):
     """The samples of one writer.
 
     Attributes:

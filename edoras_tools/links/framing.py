@@ -15,9 +15,9 @@ Rules that every framing keeps:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 
+import msgspec
 import numpy as np
 
 if TYPE_CHECKING:
@@ -29,8 +29,7 @@ NOT_A_MESSAGE: Final = -1
 """The length where no message starts."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MessageContents:
+class MessageContents(msgspec.Struct, frozen=True, eq=False):
     """What the messages of one connection hold, where that is not their bytes as they are.
 
     Attributes:

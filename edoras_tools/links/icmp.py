@@ -5,10 +5,10 @@ No port carries them, so their port is 0, as that of stored packets. They are to
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Seen
 from edoras_tools.model import Datagram, Decoded, Endpoint, Finding, PacketBatch, Transport

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+
+import msgspec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -11,8 +12,7 @@ if TYPE_CHECKING:
 _AUTOMATIC: Final = "automatic"
 
 
-@dataclass(frozen=True, slots=True)
-class Qos:
+class Qos(msgspec.Struct, frozen=True):
     """Quality of service of one topic, by ROS's names (https://design.ros2.org/articles/qos.html).
 
     Attributes:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import time
 from collections import defaultdict, deque
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from threading import Lock, Thread, current_thread
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.graph import TopicState

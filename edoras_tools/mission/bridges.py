@@ -8,8 +8,9 @@ so they ignore these.
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Literal
+
+from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.table import carrying

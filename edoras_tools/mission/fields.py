@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import ipaddress
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from edoras_tools.mission.report import Mistakes, printable
 from edoras_tools.mission.scalars import read_scalar
@@ -24,8 +25,7 @@ def suggestion(word: str, choices: Iterable[str]) -> str:
     return f"{near} " if near else ""
 
 
-@dataclass(frozen=True, slots=True)
-class Fields:
+class Fields(msgspec.Struct, frozen=True):
     """The parameters of one node and the report of its file."""
 
     node: NodeParameters

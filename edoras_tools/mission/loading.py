@@ -6,10 +6,11 @@ import ipaddress
 import os
 import re
 import shlex
-from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from edoras_tools import doors
 from edoras_tools.cfs.profile import constant_names

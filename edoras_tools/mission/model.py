@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.errors import RouteError
 from edoras_tools.mission.scalars import read_scalar
@@ -17,8 +19,7 @@ if TYPE_CHECKING:
     from edoras_tools.wire.transfer_frames import FrameFormat
 
 
-@dataclass(frozen=True, slots=True)
-class Handling:
+class Handling(msgspec.Struct, frozen=True):
     """How ``edoras bridge`` treats a topic; the public bridges ignore it. None: not in the file.
 
     Attributes:
@@ -38,8 +39,7 @@ class Handling:
     to_limit: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Route:
+class Route(msgspec.Struct, frozen=True):
     """One ROS topic and the MsgId that carries it.
 
     Attributes:
@@ -72,8 +72,7 @@ class Route:
         return self.direction == "command"
 
 
-@dataclass(frozen=True, slots=True)
-class GroundLink:
+class GroundLink(msgspec.Struct, frozen=True):
     """``communication`` of a ground bridge: CI and TO of one cFS.
 
     Attributes:
@@ -102,8 +101,7 @@ class GroundLink:
         return Endpoint(self.fsw_ip, self.fsw_port)
 
 
-@dataclass(frozen=True, slots=True)
-class FlightLink:
+class FlightLink(msgspec.Struct, frozen=True):
     """``communication`` of a flight bridge: a Software Bus Network peer of one cFS.
 
     Attributes:
@@ -143,8 +141,7 @@ class FlightLink:
         return Endpoint(self.udp_receive_ip, self.udp_receive_port)
 
 
-@dataclass(frozen=True, slots=True)
-class TransferLink:
+class TransferLink(msgspec.Struct, frozen=True):
     """``cfdp`` of EDORAS's ``data_transfer``: two CFDP entities.
 
     Attributes:
@@ -176,8 +173,7 @@ class StoredTopic(NamedTuple):
     file_name: str
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedTopic:
+class RecordedTopic(msgspec.Struct, frozen=True):
     """A topic of a recording that has no datagrams, as it was recorded.
 
     Attributes:
@@ -195,7 +191,7 @@ class RecordedTopic:
     encoding: str = "cdr"
     schema_encoding: str = ""
     schema: bytes = b""
-    metadata: Mapping[str, str] = field(default_factory=dict)
+    metadata: Mapping[str, str] = msgspec.field(default_factory=dict)
     unread: str = ""
 
 
@@ -219,8 +215,7 @@ class FramedPort(NamedTuple):
     line: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Bridge:
+class Bridge(msgspec.Struct, frozen=True):
     """One bridge: link, routes and limits, all that is needed to run in its place.
 
     Attributes:
@@ -238,8 +233,7 @@ class Bridge:
     max_size: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class FlightSoftware:
+class FlightSoftware(msgspec.Struct, frozen=True):
     """One cFS, as files and the command line have it; what nobody says is not here.
 
     Attributes:
@@ -249,9 +243,9 @@ class FlightSoftware:
             no bridge has, ``LINK:PORT`` each.
     """
 
-    constants: Mapping[str, Any] = field(default_factory=dict)
-    limits: Mapping[int, int] = field(default_factory=dict)
-    headers: Mapping[str, Any] = field(default_factory=dict)
+    constants: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    limits: Mapping[int, int] = msgspec.field(default_factory=dict)
+    headers: Mapping[str, Any] = msgspec.field(default_factory=dict)
 
     def stating(self, constants: Mapping[str, Any]) -> FlightSoftware:
         """Return the same with other constants in place of those that it has."""
@@ -275,8 +269,7 @@ class FlightSoftware:
         return SimProfile().stating(self.constants, self.limits)
 
 
-@dataclass(frozen=True, slots=True)
-class Mission:
+class Mission(msgspec.Struct, frozen=True):
     """The content of all mission files; ``Mission()`` is valid and empty.
 
     Attributes:
@@ -298,7 +291,7 @@ class Mission:
 
     routes: tuple[Route, ...] = ()
     links: tuple[GroundLink | FlightLink | TransferLink, ...] = ()
-    files: Mapping[str, bytes] = field(default_factory=dict)
+    files: Mapping[str, bytes] = msgspec.field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     bridges: tuple[Bridge, ...] = ()
     msg_ids: MsgIds = VERSION_1
@@ -306,7 +299,7 @@ class Mission:
     pdu_msg_ids: tuple[int, ...] = ()
     stored_topics: tuple[StoredTopic, ...] = ()
     recorded: tuple[RecordedTopic, ...] = ()
-    software: FlightSoftware = field(default_factory=FlightSoftware)
+    software: FlightSoftware = msgspec.field(default_factory=FlightSoftware)
     spacecraft: tuple[tuple[str, str], ...] = ()
     number: int = 1
 

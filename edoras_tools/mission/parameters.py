@@ -8,8 +8,9 @@ Figure 19 of the EDORAS paper has no node name on top: it is read too, with a wa
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from edoras_tools.mission.tree import (
     BRIDGE_FILE_FORM,
@@ -30,8 +31,7 @@ PARAMETERS_KEY = "ros__parameters"
 _NODE_NAME = re.compile(r"(/(\*\*?|[A-Za-z_][A-Za-z0-9_]*))+")
 
 
-@dataclass(frozen=True, slots=True)
-class NodeParameters:
+class NodeParameters(msgspec.Struct, frozen=True):
     """The parameters of one node.
 
     Attributes:
@@ -45,9 +45,9 @@ class NodeParameters:
 
     name: str
     line: int
-    values: dict[str, ScalarNode | tuple[ScalarNode, ...] | None] = field(default_factory=dict)
-    groups: set[str] = field(default_factory=set)
-    lines: dict[str, int] = field(default_factory=dict)
+    values: dict[str, ScalarNode | tuple[ScalarNode, ...] | None] = msgspec.field(default_factory=dict)
+    groups: set[str] = msgspec.field(default_factory=set)
+    lines: dict[str, int] = msgspec.field(default_factory=dict)
     remap: Callable[[str], str] = str
 
     def children(self, group: str) -> list[str]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from operator import itemgetter
+
+import msgspec
 
 from edoras_tools.errors import ConfigError
 
@@ -14,8 +15,7 @@ def printable(text: str, limit: int = 60) -> str:
     return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
-@dataclass(slots=True, eq=False)
-class Mistakes:
+class Mistakes(msgspec.Struct, eq=False):
     """What is wrong with one file.
 
     Attributes:
@@ -25,8 +25,8 @@ class Mistakes:
     """
 
     file: str
-    mistakes: list[tuple[int, str]] = field(default_factory=list)
-    warnings: list[tuple[int, str]] = field(default_factory=list)
+    mistakes: list[tuple[int, str]] = msgspec.field(default_factory=list)
+    warnings: list[tuple[int, str]] = msgspec.field(default_factory=list)
 
     def mistake(self, line: int, key: str, message: str) -> None:
         """Add a mistake. ``line`` counts from 1; 0 is the whole file."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
+
+import msgspec
 
 from edoras_tools.mission.report import Mistakes, printable
 from edoras_tools.mission.scalars import read_scalar
@@ -24,8 +25,7 @@ _QUOTES = {"'", '"'}
 _STRING_TAG = "tag:yaml.org,2002:str"
 
 
-@dataclass(frozen=True, slots=True)
-class ScalarNode:
+class ScalarNode(msgspec.Struct, frozen=True):
     """A plain value: as rcl reads it, as written, and its line, from 1. An empty one counts as missing."""
 
     value: bool | int | float | str
@@ -47,24 +47,21 @@ class ScalarNode:
         return f'"{text}" is a string'
 
 
-@dataclass(frozen=True, slots=True)
-class SequenceNode:
+class SequenceNode(msgspec.Struct, frozen=True):
     """A list."""
 
     items: tuple[Tree, ...]
     line: int
 
 
-@dataclass(frozen=True, slots=True)
-class MappingNode:
+class MappingNode(msgspec.Struct, frozen=True):
     """Keys and values in the order of the file, repeated keys included."""
 
     entries: tuple[tuple[Tree, Tree], ...]
     line: int
 
 
-@dataclass(frozen=True, slots=True)
-class AliasNode:
+class AliasNode(msgspec.Struct, frozen=True):
     """``*name``, which rcl refuses."""
 
     line: int

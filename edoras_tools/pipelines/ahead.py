@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import pickle
 from contextlib import closing
-from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.decode.columns import Begun
@@ -171,7 +170,7 @@ class _Reader:
         """Return what is known so far; pickled, because it is kept longer than the batch."""
         context, statistics = self._decoder.context, self._source.statistics
         notes = context.notes[self._notes :]  # all: what comes later may change one
-        counts = {item.name: getattr(statistics, item.name) for item in fields(SourceStatistics)}
+        counts = {name: getattr(statistics, name) for name in SourceStatistics.__struct_fields__}
         detected = context.detected
         change = None if detected == self._detected else detected
         self._detected = detected

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs.time_services import START_S
 from edoras_tools.diagnosis.evidence.clocks.alignment import (

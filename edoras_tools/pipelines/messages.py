@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 from contextlib import ExitStack
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.decode.recorded import JSON_ENCODING

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT, split_topic
@@ -29,8 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
 
 
-@dataclass(frozen=True, slots=True)
-class SampleTopics:
+class SampleTopics(msgspec.Struct, frozen=True):
     """The samples on some topics that are announced, whether their types are known or not.
 
     Attributes:
@@ -69,8 +69,7 @@ class SampleTopics:
         return rows_on
 
 
-@dataclass(frozen=True, slots=True)
-class PacketKinds:
+class PacketKinds(msgspec.Struct, frozen=True):
     """Some kinds of packets.
 
     Attributes:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.render.plot.figure import PlotLine
@@ -21,8 +21,7 @@ _MOST_PARTS: Final = 1_000_000
 """Places that messages are spread over."""
 
 
-@dataclass(slots=True)
-class RateCounts:
+class RateCounts(msgspec.Struct):
     """How many messages there were, by time.
 
     Attributes:
@@ -30,8 +29,8 @@ class RateCounts:
     """
 
     spread: int = 0
-    _parts: list[NDArray[np.int64]] = field(default_factory=list)
-    _numbers: list[NDArray[np.float64]] = field(default_factory=list)
+    _parts: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
+    _numbers: list[NDArray[np.float64]] = msgspec.field(default_factory=list)
 
     def add(self, seconds: NDArray[np.float64], numbers: NDArray[Any] | None = None) -> None:
         """Add messages.

@@ -13,6 +13,7 @@ from functools import partial
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools import __version__
@@ -51,8 +52,7 @@ _NO_CLOCK_NS: Final = 946_684_800 * SECOND
 """The year 2000: a machine whose clock shows less has not set it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
+class Limits(msgspec.Struct, frozen=True):
     """Which part of a source is read.
 
     Attributes:
@@ -65,7 +65,7 @@ class Limits:
     count: int = 0
     duration_ns: int = 0
     clock: Callable[[], int] = monotonic_ns
-    period: Period = field(default_factory=Period)
+    period: Period = msgspec.field(default_factory=Period)
 
 
 @dataclass(slots=True, eq=False)
@@ -235,7 +235,7 @@ def reading(  # noqa: PLR0913  see its arguments
     source: Source,
     bench: Workbench,
     selection: Selection | None = None,
-    limits: Limits = Limits(),
+    limits: Limits = Limits(),  # noqa: B008  frozen
     *,
     examined: Period = Period(),  # noqa: B008  frozen
     keeps_failure: bool = False,
@@ -383,7 +383,7 @@ def selected_rows(
     source: Source,
     bench: Workbench,
     selection: Selection,
-    limits: Limits = Limits(),
+    limits: Limits = Limits(),  # noqa: B008  frozen
     started: Callable[[int], None] = lambda _: None,
     *,
     most: int = 0,

@@ -17,10 +17,12 @@ import pickle
 import queue
 import threading
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from mmap import mmap
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import msgspec
 
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io import Sink, SourceDefaults
@@ -56,12 +58,11 @@ _PAGE_NS: Final = 40_000_000
 """A page goes to the thread after this time, even if it is not full; smaller batches would be inefficient."""
 
 
-@dataclass(slots=True, eq=False)
-class _Page:
+class _Page(msgspec.Struct, eq=False):
     """Datagrams in the order in which they were sent, and the faults injected meanwhile."""
 
-    datagrams: FramePage = field(default_factory=lambda: FramePage(PAGE_ROWS, PAGE_BYTES))
-    faults: list[Fault] = field(default_factory=list)
+    datagrams: FramePage = msgspec.field(default_factory=lambda: FramePage(PAGE_ROWS, PAGE_BYTES))
+    faults: list[Fault] = msgspec.field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)

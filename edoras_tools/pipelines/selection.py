@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from datetime import date, datetime, time, timedelta, tzinfo
+from functools import cache, partial
 from typing import TYPE_CHECKING, Final, NamedTuple, overload
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.errors import CaptureError, ConfigError
@@ -16,7 +18,7 @@ from edoras_tools.pipelines.names import PacketKinds, packets_of
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -69,8 +71,7 @@ class ClockTime(NamedTuple):
         return int(clock.replace(tzinfo=self.zone).timestamp()) * SECOND + rest
 
 
-@dataclass(frozen=True, slots=True)
-class Period:
+class Period(msgspec.Struct, frozen=True):
     """The datagrams between two times; by default all.
 
     Attributes:
@@ -146,8 +147,7 @@ def _began(begin_ns: int) -> str:
         return f"{begin_ns / SECOND:.3f} s after 1970"
 
 
-@dataclass(frozen=True, slots=True)
-class Selection:
+class Selection(msgspec.Struct, frozen=True):
     """A selection of datagrams; an empty one selects all.
 
     Attributes:
@@ -166,11 +166,8 @@ class Selection:
     notable: int = 0
     where: str = ""
     announced: bool = False
-    _filter: Where | None = field(default=None, repr=False, compare=False)
-    _packets: Sequence[PacketKinds] = field(default=(), repr=False, compare=False)
-    _ready: bool = field(default=False, repr=False, compare=False)
-    _of: dict[int, Sequence[PacketKinds]] = field(default_factory=dict, repr=False, compare=False)
-    _context: Context | None = field(default=None, repr=False, compare=False)
+    _filter: Where | None = None
+    _named: Callable[[int], Sequence[PacketKinds]] | None = None
 
     def __bool__(self) -> bool:
         return bool(self.links or self.msg_ids or self.topics or self.notable or self.where)
@@ -195,10 +192,9 @@ class Selection:
                 "--link and --msg-id select datagrams, and the recording has only messages: use --topic, "
                 "--where, --start and --end"
             )
-        packets = self._packets_named(context, FIRST_SPACECRAFT)
-        selection = replace(
-            self, _packets=packets, _ready=True, _of={FIRST_SPACECRAFT: packets}, _context=context
-        )
+        named = cache(partial(self._packets_named, context))
+        named(FIRST_SPACECRAFT)  # its errors are those of every other
+        selection = replace(self, _named=named)
         if not self.where:
             return selection
         from edoras_tools.decode.filters.filter import Where
@@ -215,11 +211,13 @@ class Selection:
         ]
         return [item.with_announcements() for item in packets] if self.announced else packets
 
+    @property
+    def _packets(self) -> Sequence[PacketKinds]:
+        return self.packets_of(FIRST_SPACECRAFT)
+
     def packets_of(self, spacecraft: int) -> Sequence[PacketKinds]:
         """Return the packets of a spacecraft that are named, of what :meth:`over` returned."""
-        if spacecraft not in self._of and self._context is not None:
-            self._of[spacecraft] = self._packets_named(self._context, spacecraft)
-        return self._of.get(spacecraft, ())
+        return self._named(spacecraft) if self._named else ()
 
     def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
         """Return which rows are selected, without regard to the filter."""
@@ -279,7 +277,7 @@ class Selection:
 
     def rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
         """Return the indices of the selected rows; only what :meth:`over` returns can tell them."""
-        assert self._ready or not self, "over() finds what names stand for, and the filter"
+        assert self._named or not self, "over() finds what names stand for, and the filter"
         rows = np.flatnonzero(self.mask(batch, columns))
         return rows if self._filter is None else rows[self._filter.mask(batch, columns, rows)]
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.decode import ColumnDecoder, Context, Options
 from edoras_tools.decode.spacecraft import Survey
@@ -31,8 +33,7 @@ _LAYOUTS: Final = "structs/"
 """Prefix of the names of layouts in a recording, which also contains the mission files."""
 
 
-@dataclass(frozen=True, eq=False)
-class Workbench:
+class Workbench(msgspec.Struct, frozen=True, eq=False, dict=True):
     """A mission, its types, and one decoder of each kind over the same context.
 
     Attributes:
@@ -45,7 +46,7 @@ class Workbench:
     mission: Mission
     types: TypeStore
     columns: ColumnDecoder
-    unwrappers: Mapping[Link, Unwrapper] = field(default_factory=dict)
+    unwrappers: Mapping[Link, Unwrapper] = msgspec.field(default_factory=dict)
 
     @cached_property
     def dissector(self) -> Dissector:
@@ -76,8 +77,7 @@ class Workbench:
         return _bench(mission, self.types, Context(mission, self.types, old.options, old.structs))
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
+class Settings(msgspec.Struct, frozen=True):
     """The command line's settings for missions, types and decoding.
 
     Attributes:
@@ -93,9 +93,9 @@ class Settings:
     configs: Sequence[Path] = ()
     distro: str = USUAL_DISTRO
     msg_paths: Sequence[Path] = ()
-    options: Options = Options()  # noqa: RUF009  frozen, and the same for all
+    options: Options = Options()
     structs: Sequence[Path] = ()
-    constants: Mapping[str, Any] = field(default_factory=dict)
+    constants: Mapping[str, Any] = msgspec.field(default_factory=dict)
     ros_args: Sequence[str] = ()
 
     def workbench(self, info: SourceInfo | None = None, paths: Sequence[Path] = ()) -> Workbench:

@@ -11,10 +11,11 @@ Rules that it keeps:
 from __future__ import annotations
 
 from collections.abc import Mapping  # noqa: TC003  Changes' annotations are read by people and tools
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import edoras_app
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, Link, PacketBatch, Peer
@@ -61,8 +62,7 @@ class ChecksumRule(StrEnum):
     WRONG = "wrong"
 
 
-@dataclass(frozen=True, slots=True)
-class Outgoing:
+class Outgoing(msgspec.Struct, frozen=True):
     """Datagrams in sending order; offsets point into ``data``, arrays have one element a datagram.
 
     Attributes:
@@ -253,8 +253,7 @@ class Outgoing:
         return result
 
 
-@dataclass(frozen=True, slots=True)
-class Packet:
+class Packet(msgspec.Struct, frozen=True):
     """A space packet to lay out.
 
     Attributes:
@@ -270,7 +269,7 @@ class Packet:
     cdr_at: int = -1
 
 
-_COLUMNS: Final = tuple(name for name in Outgoing.__slots__ if name not in {"link", "data"})
+_COLUMNS: Final = tuple(name for name in Outgoing.__struct_fields__ if name not in {"link", "data"})
 
 
 def _moved(place: NDArray[np.int64], shift: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -293,8 +292,7 @@ def join_datagrams(parts: Sequence[Outgoing]) -> Outgoing:
     return Outgoing(link=parts[0].link, data=np.concatenate([part.data for part in parts]), **columns)
 
 
-@dataclass(frozen=True, slots=True)
-class Changes:
+class Changes(msgspec.Struct, frozen=True):
     """What is changed in the datagrams before they are sent; nothing by default.
 
     Attributes:
@@ -308,7 +306,7 @@ class Changes:
         sender: identity in every SBN header; None keeps what was captured.
     """
 
-    msg_ids: Mapping[int, int] = field(default_factory=dict)
+    msg_ids: Mapping[int, int] = msgspec.field(default_factory=dict)
     sequence: SequenceRule = SequenceRule.KEEP
     checksum: ChecksumRule = ChecksumRule.KEEP
     restamp: NDArray[np.bool_] | None = None

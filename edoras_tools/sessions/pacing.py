@@ -11,9 +11,9 @@ Rules that it keeps:
 from __future__ import annotations
 
 from collections.abc import Mapping  # noqa: TC003  Pacing's annotations are read by people and tools
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.errors import ConfigError
@@ -47,8 +47,7 @@ class Timetable(NamedTuple):
         return count * SECOND / self.period_ns if self.period_ns and count else None
 
 
-@dataclass(frozen=True, slots=True)
-class Pacing:
+class Pacing(msgspec.Struct, frozen=True):
     """How fast a recording is sent.
 
     Attributes:
@@ -61,7 +60,7 @@ class Pacing:
 
     speed: float = 1.0
     rate_hz: float = 0.0
-    stream_rates: Mapping[int, float] = field(default_factory=dict)
+    stream_rates: Mapping[int, float] = msgspec.field(default_factory=dict)
     unpaced: bool = False
     cap_hz: float = 0.0
 

@@ -33,11 +33,12 @@ Counts that go up by one are taken as runs; Python looks at a packet only where 
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.units import SECOND
@@ -73,8 +74,7 @@ _NO_BOOT: Final = np.iinfo(np.int64).min
 _NOT_MISSED: Final = -1
 
 
-@dataclass(slots=True, eq=False)
-class _Hole:
+class _Hole(msgspec.Struct, eq=False):
     """Counts that did not come yet: positions from ``first`` up to ``end``.
 
     ``row`` is the row that jumped over them; ``_NOT_MISSED`` for those before the first packet of a strand.
@@ -88,8 +88,7 @@ class _Hole:
 _BY_FIRST = attrgetter("first")
 
 
-@dataclass(slots=True, eq=False)
-class _Strand:
+class _Strand(msgspec.Struct, eq=False):
     """One sender's count. A position is a count that does not wrap: modulo ``MODULUS`` it is the count.
 
     Attributes:
@@ -161,8 +160,7 @@ class _Strand:
             del self.holes[0]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SequenceRows:
+class SequenceRows(msgspec.Struct, frozen=True, eq=False):
     """What the sequence counts say of each row of a batch: columns, i32 (rows,), and ``refilled_row``, i64.
 
     Summed over the rows of a stream they are what its ``SequenceStream`` has.
@@ -186,8 +184,7 @@ class SequenceRows:
     restarts: NDArray[np.int32]
 
 
-@dataclass(slots=True, eq=False)
-class _Run:
+class _Run(msgspec.Struct, eq=False):
     """Packets of one stream whose counts go up by one.
 
     Attributes:
@@ -218,8 +215,7 @@ class _Run:
         return int(self.time_ns[row]) - mission if mission > 0 else _newest(self.boots())
 
 
-@dataclass(slots=True, eq=False)
-class SequenceStream:
+class SequenceStream(msgspec.Struct, eq=False):
     """What the sequence counts of one stream say.
 
     Attributes:
@@ -243,7 +239,7 @@ class SequenceStream:
     moved: bool = False
     last_count: int = -1
     last_print: int = 0
-    _strands: list[_Strand] = field(default_factory=list)
+    _strands: list[_Strand] = msgspec.field(default_factory=list)
 
     @property
     def has_count(self) -> bool:
@@ -441,8 +437,7 @@ class SequenceStream:
             out.columns["refilled_row"][out.row] = hole.row
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Packet:
+class _Packet(msgspec.Struct, frozen=True, eq=False):
     """A packet: its count, its place in the stream, boot and fingerprint."""
 
     count: int
@@ -451,8 +446,7 @@ class _Packet:
     print_: int
 
 
-@dataclass(slots=True, eq=False)
-class _Told:
+class _Told(msgspec.Struct, eq=False):
     """The columns of a batch that is followed.
 
     Attributes:
@@ -518,7 +512,7 @@ class SequenceCounts:
         out = _Told(
             {
                 name: np.zeros(len(batch), np.int64 if name == "refilled_row" else np.int32)
-                for name in SequenceRows.__slots__
+                for name in SequenceRows.__struct_fields__
             },
             self._rows,
         )
@@ -540,7 +534,8 @@ class SequenceCounts:
         What was found is taken off ``missing``. A row whose sender does not count is as one without a count.
         """
         joined = {
-            name: np.concatenate([getattr(part, name) for part in parts]) for name in SequenceRows.__slots__
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in SequenceRows.__struct_fields__
         }
         later = np.flatnonzero(joined["refilled"])
         np.subtract.at(joined["missing"], joined["refilled_row"][later], joined["refilled"][later])
@@ -624,8 +619,7 @@ class SequenceCounts:
         return index
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Groups:
+class _Groups(msgspec.Struct, frozen=True, eq=False):
     """Rows of a batch, those of one stream side by side, as they came; where each stream begins; its key."""
 
     rows: NDArray[np.int64]

@@ -8,9 +8,10 @@ their arguments, :mod:`edoras_tools.cfs.arguments`.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from typing import Any, Final
+
+from msgspec.structs import replace
 
 from edoras_tools.cfs.arguments import ARGUMENTS, BARE_TOO, SERVICES, TAILS
 from edoras_tools.structs.files import layout_of

@@ -8,8 +8,9 @@ several dimensions are flattened, texts become strings.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
+
+from msgspec.structs import replace
 
 from edoras_tools.links import ROWS, table
 from edoras_tools.model import OTHER

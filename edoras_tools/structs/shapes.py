@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from enum import Enum
 from math import inf, prod
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.wire import cfe, robot
@@ -78,8 +80,7 @@ class BasicKind(Enum):
     BYTE = "byte"
 
 
-@dataclass(frozen=True, slots=True)
-class Basic:
+class Basic(msgspec.Struct, frozen=True):
     """A type without parts.
 
     Attributes:
@@ -122,8 +123,7 @@ BASIC: Final = {
 """Every basic type by its name."""
 
 
-@dataclass(frozen=True, slots=True)
-class Enumeration:
+class Enumeration(msgspec.Struct, frozen=True):
     """Names for the values of an integer.
 
     Attributes:
@@ -137,8 +137,7 @@ class Enumeration:
     names: Mapping[int, str]
 
 
-@dataclass(frozen=True, slots=True)
-class Member:
+class Member(msgspec.Struct, frozen=True):
     """One member of a struct or union.
 
     Attributes:
@@ -219,8 +218,7 @@ class Member:
         return self.yellow or _ANY, self.red or _ANY
 
 
-@dataclass(frozen=True, slots=True)
-class Struct:
+class Struct(msgspec.Struct, frozen=True):
     """The memory layout of a struct or union.
 
     Attributes:
@@ -242,8 +240,7 @@ class Struct:
     tail: int = 0
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Key:
+class Key(msgspec.Struct, frozen=True, order=True):
     """The packets that hold a struct, or the datagrams of the robot link, or an entry of a dictionary.
 
     Attributes:
@@ -301,8 +298,7 @@ class LayoutEntries(Protocol):
         """Return the ``entries.LayoutEntryTable`` of them; ``structs`` is the ``table.Structs``."""
 
 
-@dataclass(frozen=True, slots=True)
-class StructLayout:
+class StructLayout(msgspec.Struct, frozen=True):
     """Structs that belong together, and the packets that hold them.
 
     Attributes:
@@ -317,8 +313,8 @@ class StructLayout:
     """
 
     structs: Mapping[str, Struct]
-    enums: Mapping[str, Enumeration] = field(default_factory=dict)
-    bindings: Mapping[Key, str] = field(default_factory=dict)
+    enums: Mapping[str, Enumeration] = msgspec.field(default_factory=dict)
+    bindings: Mapping[Key, str] = msgspec.field(default_factory=dict)
     byte_order: ByteOrder = "little"
     package: str = "cfs_msgs"
     origin: str = ""
@@ -348,8 +344,7 @@ class StructLayout:
         return member.dims[-1] if member.text else basic.size
 
 
-@dataclass(frozen=True, slots=True)
-class Wanted:
+class Wanted(msgspec.Struct, frozen=True):
     """A member whose offset is to be computed.
 
     Attributes:

@@ -7,10 +7,10 @@ strided copies over all packets; nothing runs in Python per packet.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.errors import ConfigError
@@ -71,8 +71,7 @@ class Bits(NamedTuple):
     order: str = "<"
 
 
-@dataclass(slots=True)
-class Block:
+class Block(msgspec.Struct):
     """Bytes at fixed places from an aligned start.
 
     Attributes:
@@ -85,9 +84,9 @@ class Block:
 
     alignment: int
     size: int = 0
-    copies: list[Copy] = field(default_factory=list)
-    bits: list[Bits] = field(default_factory=list)
-    constants: dict[int, bytes] = field(default_factory=dict)
+    copies: list[Copy] = msgspec.field(default_factory=list)
+    bits: list[Bits] = msgspec.field(default_factory=list)
+    constants: dict[int, bytes] = msgspec.field(default_factory=dict)
 
 
 class StructText(NamedTuple):

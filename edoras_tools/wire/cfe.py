@@ -6,12 +6,13 @@ Headers are big-endian; telemetry payloads are in the flight processor's order, 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError, FieldError
 from edoras_tools.older import UTC
@@ -144,8 +145,7 @@ TELEMETRY_OUTPUT_HOUSEKEEPING: Final = Layout(
 """Payload of TO_LAB's telemetry 0x0880."""
 
 
-@dataclass(frozen=True, slots=True)
-class MissionTime:
+class MissionTime(msgspec.Struct, frozen=True):
     """How the headers of telemetry have mission time; what is None is not known, and read as usual.
 
     Attributes:
@@ -217,8 +217,7 @@ def _timed(telemetry: Layout, time: MissionTime) -> Layout:
     return Layout(telemetry.name, telemetry.title, seconds, subseconds, *rest, byte_order=order)
 
 
-@dataclass(frozen=True, slots=True)
-class Headers:
+class Headers(msgspec.Struct, frozen=True):
     """The headers of one build of cFE, behind the primary header.
 
     Attributes:
@@ -342,7 +341,7 @@ def emit_telemetry(
     sequence_flags: int = ccsds.UNSEGMENTED,
     sequence_count: int = 0,
     headers: Headers = STANDARD,
-    time: MissionTime = MissionTime(),
+    time: MissionTime = MissionTime(),  # noqa: B008  frozen
 ) -> bytes:
     """Write a whole telemetry packet: 16 header bytes (12 in older builds) and the payload.
 

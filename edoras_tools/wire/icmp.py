@@ -15,10 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-class _AddressField(Field):
+class _AddressField(Field, frozen=True):
     """An IP address; as a value its bytes, in network byte order."""
-
-    __slots__ = ()
 
     def text(self, value: Any) -> str:
         """Return the address as people write it."""

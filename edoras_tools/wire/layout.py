@@ -8,10 +8,10 @@ reader :meth:`Layout.columns`, and (elsewhere) the tree view and the dissectors 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.errors import FieldError, TruncatedError
@@ -26,8 +26,7 @@ _FLOATS: Final = {4: "f", 8: "d"}
 FieldKind = Literal["uint", "int", "float", "text", "bytes"]
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
+class Field(msgspec.Struct, frozen=True):
     """One field of a header.
 
     Attributes:
@@ -45,7 +44,7 @@ class Field:
     bits: int
     doc: str
     kind: FieldKind = "uint"
-    names: Mapping[int, str] = field(default_factory=dict)
+    names: Mapping[int, str] = msgspec.field(default_factory=dict)
     base: Literal[10, 16] = 10
     clause: str = ""
 

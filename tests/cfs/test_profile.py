@@ -1,8 +1,7 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.errors import ConfigError

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.account import Fifo
@@ -57,17 +57,18 @@ def one_at_a_time(queue, times, msg_ids, wakes):
 
 ARRIVALS = st.lists(st.tuples(st.integers(0, 12), st.sampled_from([0x0801, 0x0827, 0x1829])), max_size=60)
 LIMITS = st.one_of(st.integers(0, 5), st.just(NO_LIMIT))
-QUEUES = st.builds(
-    Queue,
-    round_ns=st.integers(1, 40),
-    depth=st.integers(1, 12),
-    usual_limit=LIMITS,
-    limits=st.dictionaries(st.sampled_from([0x0801, 0x0827]), LIMITS),
-    reads=st.one_of(st.integers(1, 6), st.just(NO_LIMIT)),
-    phase_ns=st.integers(-50, 50),
-    is_socket=st.booleans(),
-    keeps_newest=st.booleans(),
-)
+QUEUES = st.fixed_dictionaries(
+    {
+        "round_ns": st.integers(1, 40),
+        "depth": st.integers(1, 12),
+        "usual_limit": LIMITS,
+        "limits": st.dictionaries(st.sampled_from([0x0801, 0x0827]), LIMITS),
+        "reads": st.one_of(st.integers(1, 6), st.just(NO_LIMIT)),
+        "phase_ns": st.integers(-50, 50),
+        "is_socket": st.booleans(),
+        "keeps_newest": st.booleans(),
+    }
+).map(lambda values: Queue(**values))
 
 
 def columns(passage):

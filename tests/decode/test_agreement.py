@@ -1,16 +1,15 @@
 """Columns and stack give one answer, one line, one JSON: on every packet of the samples, and on any bytes."""
 
-import dataclasses
 import json
 import struct
 from contextlib import closing
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from effort import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from places import ROOT
 
 from edoras_tools.addons.lab.emulator import Simulation, WireDatagram
@@ -81,7 +80,7 @@ def row_of_stack(decoded, context):
 
 
 def row_of_columns(batch, columns, index):
-    row = {item.name: int(getattr(columns, item.name)[index]) for item in dataclasses.fields(Columns)}
+    row = {name: int(getattr(columns, name)[index]) for name in Columns.__struct_fields__}
     for name in ("packet_offset", "cdr_offset"):
         row[name] -= int(batch.offset[index]) if row[name] >= 0 else 0
     row["findings"] = Finding(row["findings"]).labels
@@ -259,8 +258,8 @@ def test_a_batch_of_one_says_the_same_as_a_batch_of_many(rows, name):
     context = Context(mission(name), TYPES)
     for index in range(len(whole)):
         alone = ColumnDecoder(context).decode(whole.take(slice(index, index + 1)))
-        for item in dataclasses.fields(Columns):
-            assert getattr(alone, item.name)[0] == getattr(together, item.name)[index], item.name
+        for column in Columns.__struct_fields__:
+            assert getattr(alone, column)[0] == getattr(together, column)[index], column
 
 
 def test_what_the_capture_cut_is_not_blamed():

@@ -1,9 +1,9 @@
 import json
 from contextlib import closing
-from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from places import CAPTURES, MISSIONS, ROOT
 from rewriting import datagrams, rewritten, write
 
@@ -202,8 +202,8 @@ def test_what_one_decoder_detected_another_reads_with(tmp_path, order):
         begun = begins.begin(some)
         ends.context.take_over(begins.context.detected)
         expected, found = one.decode(some), ends.finish(some, begun._replace(part=None))
-        for item in fields(type(found)):
-            assert np.array_equal(getattr(found, item.name), getattr(expected, item.name)), item.name
+        for name in type(found).__struct_fields__:
+            assert np.array_equal(getattr(found, name), getattr(expected, name)), name
         several += ends.context.builds.several
     assert several > 10
     assert ends.context.detected == one.context.detected

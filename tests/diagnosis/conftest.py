@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import pytest
+from msgspec.structs import replace
 from places import ROOT
 
 from edoras_tools.addons.lab.emulator import Simulation, WireDatagram

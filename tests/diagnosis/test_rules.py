@@ -5,11 +5,11 @@ from __future__ import annotations
 import random
 import re
 import struct
-from dataclasses import replace
 
 import pytest
 from fprime_session import space
 from icmp_errors import datagram, error_about, frame
+from msgspec.structs import replace
 from mutations import Frame, frames
 from mutations import damaged as damaging
 from mutations import write as write_frames

@@ -4,12 +4,13 @@ import random
 import struct
 from collections import Counter
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 
 import pytest
 from captures import ROBOT_GOT
 from effort import long_but
+from msgspec.structs import replace
 from places import MISSIONS, ROOT
 from rewriting import Udp, datagrams, write
 

@@ -1,7 +1,6 @@
 """Transfer frames and F Prime in Wireshark: every field of every frame as our own decoder reads it."""
 
 import random
-from dataclasses import replace
 
 import pytest
 from effort import every, examples
@@ -9,6 +8,7 @@ from fprime_frames import BAD, EVENT, PACKETS, any_frames
 from fprime_session import CAPTURE, DICTIONARY, own, space, tc, tm
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from places import ROOT
 from rewriting import Udp, write
 from rewriting import datagrams as captured

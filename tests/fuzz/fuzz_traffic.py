@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.model import Endpoint, Peer

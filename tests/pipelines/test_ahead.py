@@ -4,7 +4,6 @@ import os
 import signal
 import sys
 from contextlib import closing
-from dataclasses import fields, replace
 from itertools import cycle, product, zip_longest
 from unittest.mock import patch
 
@@ -14,6 +13,7 @@ from children import children
 from effort import LONG, examples, long_but
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from places import CAPTURES, ROOT
 from rewriting import datagrams, write
 
@@ -52,10 +52,10 @@ def looked_at(path, jobs, **how):
 
 def same(one, other):
     """Compare two batches, or the columns of two, byte for byte."""
-    for item in fields(type(one)):
-        here, there = getattr(one, item.name), getattr(other, item.name)
-        assert np.array_equal(here, there), item.name
-        assert getattr(here, "dtype", None) == getattr(there, "dtype", None), item.name
+    for name in type(one).__struct_fields__:
+        here, there = getattr(one, name), getattr(other, name)
+        assert np.array_equal(here, there), name
+        assert getattr(here, "dtype", None) == getattr(there, "dtype", None), name
     return True
 
 

@@ -1,8 +1,7 @@
 """Files are one run or several, whatever command reads them."""
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 from places import MISSIONS, ROOT
 from rewriting import datagrams, write
 

@@ -1,12 +1,12 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN

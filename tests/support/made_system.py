@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator import Simulation, WireDatagram
 from edoras_tools.addons.lab.emulator.apps import generator

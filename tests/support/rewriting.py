@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import gzip
 import struct
-from dataclasses import dataclass, replace
 from functools import cache
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import zstandard
+from msgspec.structs import replace
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -20,8 +21,7 @@ address = cache(ip_address)
 packed = cache(lambda text: address(text).packed)
 
 
-@dataclass(frozen=True)
-class Udp:
+class Udp(msgspec.Struct, frozen=True):
     """One captured datagram: when, from where to where, what, and what its frame says beside that."""
 
     time_ns: int

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from fastcrc import crc16
 from rewriting import Udp, _packets
@@ -26,8 +26,7 @@ def with_crc(frame):
     return frame + crc16.ibm_3740(frame).to_bytes(2, "big")
 
 
-@dataclass
-class Maker:
+class Maker(msgspec.Struct):
     """Makes the frames of one virtual channel.
 
     ``room`` is the bytes of data in a TM or AOS frame.

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.addons.archive.views import short
 from edoras_tools.older import UTC
@@ -54,8 +55,7 @@ _PARTS: Final = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class ArchiveTrends:
+class ArchiveTrends(msgspec.Struct, frozen=True):
     """What a report shows; rows are as the queries of ``addons.archive.questions`` name them.
 
     Attributes:
@@ -92,12 +92,14 @@ def bin_ns(totals: dict[str, Any]) -> int:
     return next((step * SECOND for step in _ROUND_S if step * SECOND >= least), least)
 
 
-class _Calendar(TimeSpan):
+class _Calendar(TimeSpan, frozen=True):
     """How long a chart is, in s, and when it begins."""
 
-    def __init__(self, trends: ArchiveTrends) -> None:
+    @classmethod
+    def of(cls, trends: ArchiveTrends) -> _Calendar:
+        """Return that of all captures."""
         start_ns, end_ns = trends.totals["start_ns"], trends.totals["end_ns"]
-        super().__init__(start_ns / 1e9, max(1.0, (end_ns - start_ns) / 1e9))
+        return cls(start_ns / 1e9, max(1.0, (end_ns - start_ns) / 1e9))
 
     def at(self, time_ns: int) -> float:
         """Return a time as s since the begin."""
@@ -123,7 +125,7 @@ class _DateFrame(Frame):
 
 def archive_page(trends: ArchiveTrends, origin: Made) -> str:
     """Return the HTML page."""
-    calendar = _Calendar(trends)
+    calendar = _Calendar.of(trends)
     sections = [
         section(
             "Runs over time",

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.addons.archive.page import BINS, MOST_COLUMNS, ArchiveTrends, bin_ns
 from edoras_tools.errors import CaptureError
@@ -47,8 +48,7 @@ WHERE o.sent > 0 AND (? IS NULL OR c.end_ns >= ?) AND (? IS NULL OR c.start_ns <
 """
 
 
-@dataclass(frozen=True, slots=True)
-class ArchiveSpan:
+class ArchiveSpan(msgspec.Struct, frozen=True):
     """A span of time; captures that overlap it are meant.
 
     Attributes:

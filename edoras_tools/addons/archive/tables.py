@@ -6,9 +6,9 @@ have too has the same name here, but for ``in``, ``out`` and ``of``, which SQL r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Final
 
+import msgspec
 import pyarrow as pa
 
 SHAPE: Final = 2
@@ -25,8 +25,7 @@ _TYPES: Final = {
 """Kind of a column to its type in DuckDB and in Arrow. A time is UTC; the column in ns beside it is exact."""
 
 
-@dataclass(frozen=True, slots=True)
-class IndexColumn:
+class IndexColumn(msgspec.Struct, frozen=True):
     """One column.
 
     Attributes:
@@ -45,8 +44,7 @@ class IndexColumn:
         return f'"{self.name}" {_TYPES[self.kind][0]}'
 
 
-@dataclass(frozen=True, slots=True)
-class IndexTable:
+class IndexTable(msgspec.Struct, frozen=True):
     """One table.
 
     Attributes:

@@ -16,10 +16,10 @@ import asyncio
 import logging
 from collections import deque
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import dask
+import msgspec
 from dask.system import CPU_COUNT
 from distributed import Client, Future, LocalCluster, as_completed
 from distributed.client import FutureCancelledError
@@ -128,8 +128,7 @@ _UNDER_WAY: Final = 3
 """Groups for each worker that were handed out and are not written yet."""
 
 
-@dataclass(frozen=True, slots=True)
-class Update:
+class Update(msgspec.Struct, frozen=True):
     """What is to be done.
 
     Attributes:
@@ -149,8 +148,7 @@ class Update:
     forget: bool = False
 
 
-@dataclass(slots=True)
-class UpdateReport:
+class UpdateReport(msgspec.Struct):
     """What was done.
 
     Attributes:
@@ -167,7 +165,7 @@ class UpdateReport:
     read: int = 0
     same: int = 0
     missing: int = 0
-    bad: list[str] = field(default_factory=list)
+    bad: list[str] = msgspec.field(default_factory=list)
     lost_workers: int = 0
     interrupted: bool = False
     unfinished: int = 0

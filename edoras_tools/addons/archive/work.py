@@ -7,11 +7,12 @@ two groups, so a group can be done again, elsewhere, with the same result.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from hashlib import sha256
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools import __version__
 from edoras_tools.addons.archive.places import ListedFile, at_hand, cause_of, is_remote, listed_now, reason_of
@@ -51,8 +52,7 @@ _SENDERS: Final = (*_ROUTE, "sender", "receiver", "instance")
 _GONE: Final = ("superseded", "waiting", "not_captured", "unaccounted")
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
+class Task(msgspec.Struct, frozen=True):
     """A group of captures to read.
 
     Attributes:
@@ -66,8 +66,7 @@ class Task:
     fingerprint: str
 
 
-@dataclass(frozen=True, slots=True)
-class Done:
+class Done(msgspec.Struct, frozen=True):
     """What became of a group.
 
     Attributes:
@@ -130,8 +129,7 @@ def failed(urls: Sequence[str], reason: str, fingerprint: str) -> dict[str, Any]
     return {"captures": TABLES["captures"].arrow(rows)}
 
 
-@dataclass(slots=True)
-class _Group:
+class _Group(msgspec.Struct):
     """A group that is being read.
 
     Attributes:

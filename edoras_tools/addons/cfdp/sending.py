@@ -6,9 +6,9 @@ the procedures is kept: what the receiver misses is sent again, EOF until it is 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.addons.cfdp import wire as cfdp
@@ -37,8 +37,7 @@ def _read(data: bytes) -> Pdus:
     return cfdp.read_pdus(np.frombuffer(data, np.uint8), np.array([0]), np.array([len(data)], np.int32))
 
 
-@dataclass(slots=True)
-class SentFile:
+class SentFile(msgspec.Struct):
     """A new transaction.
 
     Attributes:
@@ -52,7 +51,7 @@ class SentFile:
         missing: bytes that were asked for and the recording has not.
     """
 
-    pieces: list[tuple[int, int, bytes]] = field(default_factory=list)
+    pieces: list[tuple[int, int, bytes]] = msgspec.field(default_factory=list)
     metadata: bytes = b""
     eof: bytes = b""
     acknowledged: bool = False

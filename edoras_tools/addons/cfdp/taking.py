@@ -14,9 +14,10 @@ import os
 import shutil
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.addons.cfdp.transactions import FileEvidence, Transaction
 from edoras_tools.errors import CaptureError
@@ -51,8 +52,7 @@ def safe_path(name: str | None) -> Path | None:
     return Path(*parts) if safe else None
 
 
-@dataclass(slots=True)
-class TakenFile:
+class TakenFile(msgspec.Struct):
     """A transaction, and what was written of its file.
 
     Attributes:
@@ -90,8 +90,7 @@ class TakenFile:
         }
 
 
-@dataclass(slots=True)
-class FilesReport:
+class FilesReport(msgspec.Struct):
     """The result of ``edoras files``.
 
     Attributes:
@@ -103,7 +102,7 @@ class FilesReport:
     """
 
     source: Source
-    files: list[TakenFile] = field(default_factory=list)
+    files: list[TakenFile] = msgspec.field(default_factory=list)
     left_out: int = 0
     corrupt: int = 0
     failure: CaptureError | None = None

@@ -15,10 +15,10 @@ The rules that this file keeps:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
+import msgspec
 import numpy as np
 
 from edoras_tools.addons.cfdp.link import CFDP, holds_pdu
@@ -53,8 +53,7 @@ LARGEST_OFFSET: Final = 1 << 40
 """In a file; pieces beyond are left out."""
 
 
-@dataclass(slots=True, eq=False)
-class Transaction:
+class Transaction(msgspec.Struct, eq=False):
     """One file on its way; None: not captured.
 
     Attributes:
@@ -94,8 +93,8 @@ class Transaction:
     checksum_type: int | None = None
     file_size: int | None = None
     file_checksum: int | None = None
-    received: KnownRanges = field(default_factory=KnownRanges)
-    sums: dict[int, ModularSum | FileCrc] = field(
+    received: KnownRanges = msgspec.field(default_factory=KnownRanges)
+    sums: dict[int, ModularSum | FileCrc] = msgspec.field(
         default_factory=lambda: {
             Checksum.MODULAR: ModularSum(),
             Checksum.CRC_32: FileCrc(),

@@ -6,10 +6,10 @@ With the large-file flag, offsets and sizes have 64 bits instead of 32.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16_rows
@@ -172,8 +172,7 @@ UNREAD: Final = -1
 """``Pdus.kind`` where the kind does not exist, or the PDU is cut."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pdus:
+class Pdus(msgspec.Struct, frozen=True, eq=False):
     """PDUs in columns, one element each; positions point into the data that they were read from.
 
     Attributes:

@@ -6,6 +6,8 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+import msgspec
+
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.types.schema import STRINGS, Definition, MessageField, Shape, full_name
 
@@ -20,8 +22,7 @@ _LARGEST_BOUND: Final = 1 << 24
 _RULE: Final = re.compile(r"(?P<type>[\w/]+)\.(?P<field>\w+)(?P<each>\[\])?=(?P<most>\w+)", re.ASCII)
 
 
-@dataclass(frozen=True, slots=True)
-class BoundRule:
+class BoundRule(msgspec.Struct, frozen=True):
     """What the command line says of one field.
 
     Attributes:

@@ -8,9 +8,10 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from edoras_tools.addons.codegen.bounds import SEQUENCES_DEFAULT, STRINGS_DEFAULT, Bounds
 from edoras_tools.addons.codegen.header import UMBRELLA, c_type, header_name, heads, package_header, umbrella
@@ -290,8 +291,7 @@ POOL_DEFAULT: Final = 4
 MOST_POOLED: Final = 1024
 
 
-@dataclass(frozen=True, slots=True)
-class LibraryOrder:
+class LibraryOrder(msgspec.Struct, frozen=True):
     """The options of a library.
 
     Attributes:
@@ -304,15 +304,14 @@ class LibraryOrder:
     """
 
     types: Sequence[str] = ()
-    bounds: Bounds = Bounds()  # noqa: RUF009  frozen, and the same for all
-    mission: Mission = Mission()  # noqa: RUF009
+    bounds: Bounds = Bounds()
+    mission: Mission = Mission()
     pool: int = POOL_DEFAULT
-    envelope: EnvelopeFormat = EnvelopeFormat()  # noqa: RUF009
+    envelope: EnvelopeFormat = EnvelopeFormat()
     keep_values: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Generated:
+class Generated(msgspec.Struct, frozen=True):
     """A library in C.
 
     Attributes:

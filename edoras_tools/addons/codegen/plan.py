@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from dataclasses import dataclass
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.addons.codegen.names import c_type_name, member_name
@@ -85,8 +85,7 @@ _LARGEST_MESSAGE: Final = 1 << 26
 """Most bytes of one message; a larger static array is a mistake."""
 
 
-@dataclass(frozen=True, slots=True)
-class CMember:
+class CMember(msgspec.Struct, frozen=True):
     """One field of a message.
 
     Attributes:
@@ -116,8 +115,7 @@ class CMember:
         return "uint8" if self.ros.type in {"byte", "char"} else self.ros.type
 
 
-@dataclass(frozen=True)
-class Message:
+class Message(msgspec.Struct, frozen=True, dict=True):
     """One message type.
 
     Attributes:
@@ -182,8 +180,7 @@ class Message:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class CLibrary:
+class CLibrary(msgspec.Struct, frozen=True):
     """All messages that are generated together.
 
     Attributes:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.addons.codegen.ground.cosmos import cosmos
 from edoras_tools.addons.codegen.ground.packets import PacketItem, route_packet, struct_packet
@@ -71,8 +73,7 @@ def _ours(path: Path) -> bool:
         return MARK.encode() in file.readline(200)
 
 
-@dataclass(frozen=True, slots=True)
-class GroundDescription:
+class GroundDescription(msgspec.Struct, frozen=True):
     """What was written, and what it lacks.
 
     Attributes:
@@ -85,7 +86,7 @@ class GroundDescription:
     text: bytes
     telemetry: int
     commands: int
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = msgspec.field(default_factory=list)
 
 
 def describe_packets(

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 from xml.parsers import expat
+
+import msgspec
 
 from edoras_tools.errors import ConfigError
 
@@ -21,8 +22,7 @@ class SheetError(Exception):
     """Something in a file that cannot be read; the file's other parts are."""
 
 
-@dataclass(slots=True)
-class Node:
+class Node(msgspec.Struct):
     """An element.
 
     Attributes:
@@ -38,7 +38,7 @@ class Node:
     attributes: dict[str, str]
     file: str
     line: int
-    children: list[Node] = field(default_factory=list)
+    children: list[Node] = msgspec.field(default_factory=list)
     text: str = ""
 
     @property

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
 from math import prod
 from typing import Final, Literal
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.addons.databases.documents import SheetError
 from edoras_tools.structs.messages import unique
@@ -24,8 +26,7 @@ def c_name(name: str) -> str:
     return plain if not plain[0].isdigit() else f"_{plain}"
 
 
-@dataclass(frozen=True, slots=True)
-class DataType:
+class DataType(msgspec.Struct, frozen=True):
     """What a name of a type stands for.
 
     Attributes:

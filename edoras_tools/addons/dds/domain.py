@@ -22,13 +22,13 @@ import re
 import sys
 import tempfile
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from socket import SO_RCVBUF, SOCK_DGRAM, SOL_SOCKET, socket
 from threading import Lock
 from typing import TYPE_CHECKING, Final
 from xml.sax.saxutils import quoteattr
 
+import msgspec
 from cyclonedds.core import DDSException
 from cyclonedds.domain import Domain
 
@@ -72,8 +72,7 @@ _BUFFER: Final = f'<SocketReceiveBufferSize max="{_RECEIVE_BYTES} B"/>'
 _COMPATIBLE: Final = f"<IgnoreTypeInformation>{_FAST_DDS_3}</IgnoreTypeInformation>"
 
 
-@dataclass(slots=True)
-class _Held:
+class _Held(msgspec.Struct):
     domain: Domain | None
     config: str
     inodes: frozenset[int]

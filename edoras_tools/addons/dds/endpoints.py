@@ -22,10 +22,10 @@ from __future__ import annotations
 import math
 import time
 from collections import defaultdict
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from cyclonedds.core import DDSException
+from msgspec.structs import replace
 
 from edoras_tools.addons.dds.domain import UNACKNOWLEDGED_BYTES
 from edoras_tools.addons.dds.messages import info_taker_of, is_little_endian, padded, rewritten, writer_of

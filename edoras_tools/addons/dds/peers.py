@@ -7,12 +7,12 @@ node list`` shows a participant whose entities are published on ``ros_discovery_
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 from cyclonedds.builtin import (
     BuiltinDataReader,
     BuiltinTopicDcpsPublication,
@@ -111,8 +111,7 @@ DISCOVERY_S: Final = 1.5
 _STEP_S: Final = 0.05
 
 
-@dataclass(frozen=True, slots=True)
-class PeerEndpoint:
+class PeerEndpoint(msgspec.Struct, frozen=True):
     """A reader or writer of another participant.
 
     Attributes:
@@ -128,8 +127,7 @@ class PeerEndpoint:
     type_hash: str
 
 
-@dataclass(frozen=True, slots=True)
-class OwnEndpoint:
+class OwnEndpoint(msgspec.Struct, frozen=True):
     """A reader or writer of ours.
 
     Attributes:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.addons.debug_info.dwarf import SOURCE_SUFFIXES, DebugInfo, Listed, compiled
 from edoras_tools.errors import CaptureError, ConfigError
@@ -133,8 +135,7 @@ def bound(source: DebugInfo | LayoutFile) -> dict[str, str]:
     return source.bound() if isinstance(source, LayoutFile) else {}
 
 
-@dataclass(frozen=True, slots=True)
-class Taken:
+class Taken(msgspec.Struct, frozen=True):
     """The requested structs.
 
     Attributes:

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import re
 import threading
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.addons.foxglove.server.requests import PlaybackRequest, PlaybackState
 from edoras_tools.errors import CaptureError, EdorasError
@@ -78,8 +79,7 @@ _FASTEST: Final = 1e4
 _Piece = tuple["PacketBatch", "Columns"]
 
 
-@dataclass(frozen=True, slots=True)
-class PlaybackOptions:
+class PlaybackOptions(msgspec.Struct, frozen=True):
     """How playback begins and ends.
 
     Attributes:
@@ -95,8 +95,7 @@ class PlaybackOptions:
     loop: bool = False
 
 
-@dataclass(slots=True)
-class _Playback:
+class _Playback(msgspec.Struct):
     """The state of playback: it was at ``at_ns`` when the monotonic clock showed ``since_ns``.
 
     ``seek_ns`` is the time to seek to, until that is done.
@@ -164,7 +163,7 @@ class RecordingPlayer:
         *,
         clock: Callable[[], int],
         scope: Scope | None = None,
-        options: PlaybackOptions = PlaybackOptions(),
+        options: PlaybackOptions = PlaybackOptions(),  # noqa: B008  frozen
         progress: Progress | None = None,
     ) -> None:
         self._reopen, self._bench, self._clock, self._options = reopen, bench, clock, options

@@ -5,9 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol
+
+from msgspec.structs import replace
 
 from edoras_tools.addons.foxglove.server.requests import Publisher
 from edoras_tools.errors import ConfigError, RouteError

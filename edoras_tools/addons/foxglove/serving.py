@@ -9,8 +9,9 @@ Two lines attach it to any pipeline::
 from __future__ import annotations
 
 import socket
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from edoras_tools.addons.foxglove.server.origins import OriginCheck
 from edoras_tools.addons.foxglove.server.requests import Publisher

@@ -7,9 +7,9 @@ with a wrong CRC are not taken: its receiver drops it, so they count as missing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from edoras_tools.addons.fprime.link import FPRIME
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@dataclass(slots=True, eq=False)
-class GroundStream:
+class GroundStream(msgspec.Struct, eq=False):
     """The space packets of one APID from one endpoint.
 
     Attributes:
@@ -108,7 +107,7 @@ class GroundCounts(LinkEvidence):
 def _columns(start: NDArray[np.int64], end: NDArray[np.int64], word: NDArray[np.integer[Any]]) -> Columns:
     """Return space packets as the follower takes them: the first word of each stands for a MsgId."""
     none = np.zeros(len(start), np.int64)
-    blank: dict[str, NDArray[Any]] = dict.fromkeys((item.name for item in fields(Columns)), none)
+    blank: dict[str, NDArray[Any]] = dict.fromkeys((name for name in Columns.__struct_fields__), none)
     unset = (word[:, 1] == 0) * np.uint32(Finding.SEQUENCE_UNSET)
     return Columns(
         **blank

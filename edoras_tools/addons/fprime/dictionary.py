@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass, field, replace
 from math import prod
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.addons.fprime import wire as fprime
 from edoras_tools.addons.fprime.entry import BoundEntry, Entry, EventSeverity
@@ -85,8 +87,7 @@ TIME: Final = Struct(
 _TIME_BASE: Final = Enumeration("FprimeTimeBase", BASIC["uint16"], fprime.TIME_BASES)
 
 
-@dataclass(frozen=True, slots=True)
-class _Type:
+class _Type(msgspec.Struct, frozen=True):
     """A type: a basic one, an enumeration or a struct, and the dimensions of an array of them."""
 
     base: Basic | str
@@ -148,15 +149,15 @@ def read_dictionary(data: bytes, name: str) -> StructLayout:
 DICTIONARIES: Final = Database(is_dictionary, read_dictionary)
 
 
-@dataclass
-class _DictionaryReader:
+class _DictionaryReader(msgspec.Struct):
     raw: Mapping[str, Any]
     name: str
-    mistakes: list[str] = field(default_factory=list)
-    enums: dict[str, Enumeration] = field(default_factory=dict)
-    structs: dict[str, Struct] = field(default_factory=dict)
-    types: dict[str, _Type | None] = field(default_factory=dict)
-    entries: dict[tuple[int, int], tuple[Entry, Struct]] = field(default_factory=dict)
+    mistakes: list[str] = msgspec.field(default_factory=list)
+    enums: dict[str, Enumeration] = msgspec.field(default_factory=dict)
+    structs: dict[str, Struct] = msgspec.field(default_factory=dict)
+    types: dict[str, _Type | None] = msgspec.field(default_factory=dict)
+    entries: dict[tuple[int, int], tuple[Entry, Struct]] = msgspec.field(default_factory=dict)
+    definitions: dict[str, tuple[str, Any]] = msgspec.field(default_factory=dict)
 
     def layout(self) -> StructLayout:
         self.enums[_TIME_BASE.name], self.structs[TIME.name] = _TIME_BASE, TIME

@@ -8,11 +8,11 @@ text.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.addons.fprime import wire as fprime
@@ -62,8 +62,7 @@ class EventSeverity(Enum):
         return self.value // 10 * 10
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Entry:
+class Entry(msgspec.Struct, frozen=True, order=True):
     """One entry of a dictionary.
 
     Attributes:

@@ -10,11 +10,11 @@ configuration since version 4.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.wire import ccsds
 from edoras_tools.wire import transfer_frames as headers

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16_rows
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameFields:
+class FrameFields(msgspec.Struct, frozen=True, eq=False):
     """What frames say, (n,) each; positions are in the data that was read.
 
     Attributes:

@@ -22,10 +22,11 @@ takes the next packet behind every pointer at once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.addons.frames.link import frame_rows, framed_ports
 from edoras_tools.addons.frames.reading import FrameFields, read_frames
@@ -52,8 +53,7 @@ _UNSOUND: Final = np.uint32(Finding.TRUNCATED | Finding.CHECKSUM_BAD | Finding.C
 _NONE: Final = -1
 
 
-@dataclass(slots=True, eq=False)
-class FrameChannel:
+class FrameChannel(msgspec.Struct, eq=False):
     """One virtual channel from one endpoint to another, or a master channel: all frames of a spacecraft.
 
     Attributes:
@@ -137,8 +137,7 @@ class FrameChannel:
         return run
 
 
-@dataclass(slots=True, eq=False)
-class _Stream:
+class _Stream(msgspec.Struct, eq=False):
     """The bytes of one channel, or of one MAP of it.
 
     Attributes:
@@ -166,8 +165,7 @@ class _Frames(NamedTuple):
     first: NDArray[np.int64]
 
 
-@dataclass(slots=True)
-class Unframer:
+class Unframer(msgspec.Struct):
     """Takes the packets out of the frames of batches, in the order they were captured.
 
     Attributes:
@@ -180,17 +178,17 @@ class Unframer:
     """
 
     formats: Mapping[int, FrameFormat]
-    channels: list[FrameChannel] = field(default_factory=list)
-    masters: list[FrameChannel] = field(default_factory=list)
+    channels: list[FrameChannel] = msgspec.field(default_factory=list)
+    masters: list[FrameChannel] = msgspec.field(default_factory=list)
     damaged: int = 0
     strange: int = 0
     left_out: int = 0
-    _numbers: dict[tuple[Any, ...], int] = field(default_factory=dict)
-    _master_of: list[int] = field(default_factory=list)
-    _streams: dict[tuple[int, int], int] = field(default_factory=dict)
-    _states: list[_Stream] = field(default_factory=list)
-    _counts: SequenceCounts = field(default_factory=SequenceCounts)
-    _master_counts: SequenceCounts = field(default_factory=SequenceCounts)
+    _numbers: dict[tuple[Any, ...], int] = msgspec.field(default_factory=dict)
+    _master_of: list[int] = msgspec.field(default_factory=list)
+    _streams: dict[tuple[int, int], int] = msgspec.field(default_factory=dict)
+    _states: list[_Stream] = msgspec.field(default_factory=list)
+    _counts: SequenceCounts = msgspec.field(default_factory=SequenceCounts)
+    _master_counts: SequenceCounts = msgspec.field(default_factory=SequenceCounts)
 
     def take(self, batch: PacketBatch) -> PacketBatch:
         """Return a batch with the packets that end in it; the same one where no frames are in it."""
@@ -447,7 +445,7 @@ class _Laid:
 
 
 def _selected(read: FrameFields, rows: NDArray[np.bool_]) -> FrameFields:
-    return FrameFields(**{item.name: getattr(read, item.name)[rows] for item in fields(FrameFields)})
+    return FrameFields(**{name: getattr(read, name)[rows] for name in FrameFields.__struct_fields__})
 
 
 def _followed(
@@ -471,7 +469,7 @@ def _followed(
     groups = [(index, at) for index, at in by_value(which) if index != _NONE]
     for index, at in groups:
         sequence[at] = channels[index].unwrapped(count[at])
-    blank: dict[str, NDArray[Any]] = dict.fromkeys((item.name for item in fields(Columns)), none)
+    blank: dict[str, NDArray[Any]] = dict.fromkeys((name for name in Columns.__struct_fields__), none)
     columns = Columns(
         **blank
         | {

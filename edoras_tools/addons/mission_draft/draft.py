@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.conversations import ConversationKind
@@ -53,8 +54,7 @@ _HEADER: Final = """\
 """
 
 
-@dataclass(slots=True)
-class _Stream:
+class _Stream(msgspec.Struct):
     """The messages of one MsgId of one sender on one link.
 
     Attributes:
@@ -68,8 +68,8 @@ class _Stream:
     msg_id: int
     processor_id: int
     count: int = 0
-    samples: dict[bytes, None] = field(default_factory=dict)
-    formats: Counter[EnvelopeFormat] = field(default_factory=Counter)
+    samples: dict[bytes, None] = msgspec.field(default_factory=dict)
+    formats: Counter[EnvelopeFormat] = msgspec.field(default_factory=Counter)
     bare: int = 0
 
     def look(self, payload: bytes) -> None:
@@ -89,8 +89,7 @@ class _Stream:
         return f"0x{self.msg_id:04x} ({self.link.name})"
 
 
-@dataclass(slots=True)
-class _Traffic:
+class _Traffic(msgspec.Struct):
     """What a capture says of the bridges.
 
     Attributes:
@@ -105,12 +104,12 @@ class _Traffic:
 
     msg_ids: MsgIds
 
-    streams: dict[tuple[Link, int, int], _Stream] = field(default_factory=dict)
-    ways: dict[Link, Counter[tuple[str, Endpoint]]] = field(default_factory=dict)
-    peers: dict[Peer, Counter[Endpoint]] = field(default_factory=dict)
-    orders: Counter[str] = field(default_factory=Counter)
-    flight: Counter[int] = field(default_factory=Counter)
-    configured: set[int] = field(default_factory=set)
+    streams: dict[tuple[Link, int, int], _Stream] = msgspec.field(default_factory=dict)
+    ways: dict[Link, Counter[tuple[str, Endpoint]]] = msgspec.field(default_factory=dict)
+    peers: dict[Peer, Counter[Endpoint]] = msgspec.field(default_factory=dict)
+    orders: Counter[str] = msgspec.field(default_factory=Counter)
+    flight: Counter[int] = msgspec.field(default_factory=Counter)
+    configured: set[int] = msgspec.field(default_factory=set)
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch."""
@@ -170,8 +169,7 @@ def _payload(batch: PacketBatch, columns: Columns, row: int) -> bytes:
     return batch.data[at : start + int(columns.packet_length[row])].tobytes()
 
 
-@dataclass(frozen=True, slots=True)
-class MissionDraft:
+class MissionDraft(msgspec.Struct, frozen=True):
     """A mission file from a capture.
 
     Attributes:
@@ -191,8 +189,7 @@ class MissionDraft:
     constants: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class CapturedTraffic:
+class CapturedTraffic(msgspec.Struct, frozen=True):
     """What was read of a spacecraft.
 
     Attributes:

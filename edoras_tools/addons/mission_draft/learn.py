@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from edoras_tools.addons.mission_draft.constants import clean_rates, joined_constants, shown_constants
 from edoras_tools.addons.mission_draft.draft import MissionDraft, each_draft, read_traffic

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.errors import ConfigError, RouteError
@@ -36,8 +36,7 @@ class Quantity(StrEnum):
     """Lost messages per second, as ``doctor --list-lost`` lists them."""
 
 
-@dataclass(frozen=True, slots=True)
-class PlotRequest:
+class PlotRequest(msgspec.Struct, frozen=True):
     """One request.
 
     Attributes:

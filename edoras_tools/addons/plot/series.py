@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.addons.plot.request import PlotRequest, Quantity
 from edoras_tools.addons.plot.values import Values, numbers
@@ -49,8 +50,7 @@ _OWN: Final = "/edoras/"
 _PER_SECOND: Final = "messages/s"
 
 
-@dataclass(slots=True)
-class _Recording:
+class _Recording(msgspec.Struct):
     """What is collected of one recording.
 
     Attributes:
@@ -67,11 +67,11 @@ class _Recording:
 
     source: TopicSource
     topics: dict[PlotRequest, dict[str, list[str]]]
-    log_topics: list[str] = field(default_factory=list)
-    fields: dict[tuple[str, str, int | None], Values] = field(default_factory=dict)
-    rates: dict[str, RateCounts] = field(default_factory=dict)
-    losses: dict[str, RateCounts] = field(default_factory=dict)
-    marks: list[tuple[float, int, str]] = field(default_factory=list)
+    log_topics: list[str] = msgspec.field(default_factory=list)
+    fields: dict[tuple[str, str, int | None], Values] = msgspec.field(default_factory=dict)
+    rates: dict[str, RateCounts] = msgspec.field(default_factory=dict)
+    losses: dict[str, RateCounts] = msgspec.field(default_factory=dict)
+    marks: list[tuple[float, int, str]] = msgspec.field(default_factory=list)
     first: float = 0.0
     large: bool = False
 
@@ -192,8 +192,7 @@ def _array(block: TopicBlock, name: str) -> NDArray[Any]:
     return values
 
 
-@dataclass(slots=True)
-class PlotReport:
+class PlotReport(msgspec.Struct):
     """A plot, and how its inputs were read.
 
     Attributes:
@@ -290,14 +289,13 @@ def read_plot(
     return PlotReport(_Assembly(read, names, scope).figure(panels), sources)
 
 
-@dataclass(slots=True)
-class _Assembly:
+class _Assembly(msgspec.Struct):
     """Makes the figure of what was read."""
 
     read: Sequence[_Recording]
     names: Sequence[str]
     scope: Scope
-    colours: dict[str, int] = field(default_factory=dict)
+    colours: dict[str, int] = msgspec.field(default_factory=dict)
 
     def figure(self, requested: Sequence[Sequence[PlotRequest]]) -> Figure:
         """Return the figure.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.render.plot.figure import PlotLine, extremes
@@ -23,12 +23,11 @@ _COLUMNS: Final = 1 << 15
 """Parts of its time that then keep their least and greatest value."""
 
 
-@dataclass(slots=True)
-class Values:
+class Values(msgspec.Struct):
     """The values of a field, as they come."""
 
-    _seconds: list[NDArray[np.float64]] = field(default_factory=list)
-    _values: list[NDArray[np.float64]] = field(default_factory=list)
+    _seconds: list[NDArray[np.float64]] = msgspec.field(default_factory=list)
+    _values: list[NDArray[np.float64]] = msgspec.field(default_factory=list)
     _count: int = 0
     _read: int = 0
     _not_finite: int = 0

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from operator import attrgetter
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.frames.build import ends_of
@@ -20,8 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@dataclass(slots=True, eq=False)
-class ProxyClient:
+class ProxyClient(msgspec.Struct, eq=False):
     """One client, and the sockets that represent it towards the targets.
 
     Attributes:
@@ -52,8 +52,7 @@ class ProxyClient:
         return [*self.to_target, self.to_client]
 
 
-@dataclass(frozen=True, slots=True)
-class Routing:
+class Routing(msgspec.Struct, frozen=True):
     """What all clients of a proxy share.
 
     Attributes:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.net.address import arrives_at
@@ -17,8 +19,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Settings
 
 
-@dataclass(frozen=True, slots=True)
-class ProxyPlan:
+class ProxyPlan(msgspec.Struct, frozen=True):
     """What is relayed, and where.
 
     Attributes:
@@ -43,7 +44,7 @@ class ProxyPlan:
     targets: tuple[Endpoint, ...]
     bind: Endpoint | None = None
     client: Endpoint | None = None
-    faults: FaultPlan = field(default_factory=FaultPlan)
+    faults: FaultPlan = msgspec.field(default_factory=FaultPlan)
     idle_ns: int = 60_000_000_000
     clients: int = 256
     queue_bytes: int = 4 << 20

@@ -21,8 +21,9 @@ import struct
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.addons.proxy.stream_faults import StreamFaults
 from edoras_tools.errors import os_errors
@@ -45,8 +46,7 @@ _RESET: Final = struct.pack("ii", 1, 0)
 """``struct linger`` with a time of 0."""
 
 
-@dataclass(slots=True, eq=False)
-class _Pipe:
+class _Pipe(msgspec.Struct, eq=False):
     """One direction of a connection: bytes that wait, each with the time when they may leave.
 
     ``full`` is whether the target took no more when it was last sent to.
@@ -56,7 +56,7 @@ class _Pipe:
     faults: StreamFaults
     counts: StreamCounts
     target: socket.socket | None = None
-    waiting: deque[tuple[int, bytes]] = field(default_factory=deque)
+    waiting: deque[tuple[int, bytes]] = msgspec.field(default_factory=deque)
     size: int = 0
     ended: bool = False
     reported: bool = False
@@ -111,8 +111,7 @@ class _Pipe:
                 self.target.shutdown(socket.SHUT_WR)
 
 
-@dataclass(slots=True, eq=False)
-class StreamCounts:
+class StreamCounts(msgspec.Struct, eq=False):
     """What went one way, over all connections.
 
     Attributes:
@@ -122,8 +121,7 @@ class StreamCounts:
     octets: int = 0
 
 
-@dataclass(slots=True, eq=False)
-class _Connection:
+class _Connection(msgspec.Struct, eq=False):
     """A client, and the target once it is connected: ``pipes`` begins with the way to the target.
 
     ``asked_ns`` is when the target was asked for a connection, ``target`` what is to become it.

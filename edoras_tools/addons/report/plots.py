@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -31,8 +30,7 @@ _MOST_POINTS: Final = 1500
 _MOST_EVENTS: Final = 400
 
 
-@dataclass(frozen=True, slots=True)
-class Plots(TimeSpan):
+class Plots(TimeSpan, frozen=True):
     """All of them, times in s from the first datagram that is examined.
 
     Attributes:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.diagnosis.balance import ways
 from edoras_tools.diagnosis.ledger import ENDING_TEXTS, ENDINGS, Row, cause_text, summed
@@ -26,8 +27,7 @@ _NODE, _LINE = 8, 15
 _LEFT: Final = 12
 
 
-@dataclass(frozen=True, slots=True)
-class Band:
+class Band(msgspec.Struct, frozen=True):
     """What goes on from one hop, or ends there; its width is to scale.
 
     Attributes:

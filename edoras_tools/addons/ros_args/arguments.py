@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from edoras_tools.addons.ros_args.names import PART, Remap, remapped_node, remapped_topic
 from edoras_tools.errors import ConfigError

@@ -10,8 +10,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission.bridges import full_topic
@@ -29,8 +30,7 @@ _RULE: Final = re.compile(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Remap:
+class Remap(msgspec.Struct, frozen=True):
     """One rule.
 
     Attributes:

@@ -5,9 +5,9 @@ Numbers of type float32 have the digits that a double has of them, as rclpy prin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import yaml
 
 from edoras_tools.errors import ConfigError
@@ -31,8 +31,7 @@ _ROSIDL_NAMES: Final = {
 """What ``--no-arr`` calls types of elements."""
 
 
-@dataclass(frozen=True, slots=True)
-class EchoFormat:
+class EchoFormat(msgspec.Struct, frozen=True):
     """How messages are printed.
 
     Attributes:

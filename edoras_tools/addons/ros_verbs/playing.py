@@ -9,12 +9,12 @@ from __future__ import annotations
 import select
 import time
 from collections.abc import Mapping, Sequence  # noqa: TC003  of a NamedTuple
-from dataclasses import replace
 from fnmatch import fnmatchcase
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.addons.ros_verbs.endpoints import recorded_qos
 from edoras_tools.addons.ros_verbs.messages import OWN_NAMES, TopicReader

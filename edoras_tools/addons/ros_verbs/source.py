@@ -15,10 +15,10 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from dataclasses import dataclass, field
 from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.addons.ros_verbs.endpoints import (
@@ -70,8 +70,7 @@ _ENTRY: Final[Mapping[str, Any]] = {
 _Row = tuple[int, bytes, int, int, int, str]
 
 
-@dataclass(slots=True)
-class EndpointCount:
+class EndpointCount(msgspec.Struct):
     """What came of one publisher.
 
     Attributes:
@@ -85,7 +84,7 @@ class EndpointCount:
     first: int = 0
     last: int = 0
     missed: int = 0
-    delay: Lateness = field(default_factory=Lateness)
+    delay: Lateness = msgspec.field(default_factory=Lateness)
 
     def add(self, sequence: int, delay_ns: int | None) -> None:
         """Take a message: its number, 0 for none, and how long it took."""
@@ -260,8 +259,7 @@ class GraphSource(SourceDefaults):
         return message_batch(messages, {place: place for place in range(len(self.topics) + 1)}, first)
 
 
-@dataclass(frozen=True, slots=True)
-class GraphRequest:
+class GraphRequest(msgspec.Struct, frozen=True):
     """Which graph, and what of it.
 
     Attributes:
@@ -275,7 +273,7 @@ class GraphRequest:
 
     ros: str
     domain: int
-    options: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, str] = msgspec.field(default_factory=dict)
     topics: Sequence[str] = ()
     qos: Callable[[Sequence[GraphEndpoint]], Qos] = fitting_qos
     on_note: Callable[[str], None] = lambda _: None

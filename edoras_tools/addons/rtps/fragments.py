@@ -15,9 +15,9 @@ The rules that this file keeps:
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.addons.rtps.link import RTPS
@@ -55,13 +55,12 @@ MOST_OPEN: Final = 1 << 10
 LARGEST_SAMPLE: Final = 32 << 20
 
 
-@dataclass(slots=True, eq=False)
-class _Sample:
+class _Sample(msgspec.Struct, eq=False):
     """A sample, and how many bytes of it came again."""
 
     data: NDArray[np.uint8]
     fragment_size: int
-    fragments: KnownRanges = field(default_factory=KnownRanges)
+    fragments: KnownRanges = msgspec.field(default_factory=KnownRanges)
     again: int = 0
 
     def add(self, begin: int, end: int) -> bool:
@@ -244,8 +243,8 @@ def _with_messages(
     order = order_behind(len(batch), row)
     more = decode(whole.take(np.flatnonzero(order >= len(batch))))
     joined = {
-        item.name: np.concatenate([getattr(columns, item.name), getattr(more, item.name)])[order]
-        for item in fields(Columns)
+        name: np.concatenate([getattr(columns, name), getattr(more, name)])[order]
+        for name in Columns.__struct_fields__
     }
     return whole, Columns(**joined)
 

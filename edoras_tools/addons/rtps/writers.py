@@ -24,9 +24,9 @@ The rules that this file keeps:
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.addons.rtps.link import RTPS
@@ -59,8 +59,7 @@ _FARTHEST: Final = 1 << 32
 """A number so far ahead of the others is not believed."""
 
 
-@dataclass(slots=True, eq=False)
-class SampleWriter:
+class SampleWriter(msgspec.Struct, eq=False):
     """One writer, and what became of its samples.
 
     Attributes:
@@ -91,19 +90,19 @@ class SampleWriter:
     longest_ns: int = 0
     first: int | None = None
     last: int = 0
-    sample_numbers: KnownRanges = field(default_factory=KnownRanges)
-    irrelevant: KnownRanges = field(default_factory=KnownRanges)
+    sample_numbers: KnownRanges = msgspec.field(default_factory=KnownRanges)
+    irrelevant: KnownRanges = msgspec.field(default_factory=KnownRanges)
     copies: int = 0
     available: int = 0
     reliable: bool = False
-    acknowledged: dict[bytes, int] = field(default_factory=dict)
-    requested: KnownRanges = field(default_factory=KnownRanges)
+    acknowledged: dict[bytes, int] = msgspec.field(default_factory=dict)
+    requested: KnownRanges = msgspec.field(default_factory=KnownRanges)
     behind: int = 0
-    open: dict[int, set[bytes]] = field(default_factory=dict)
-    given_up: KnownRanges = field(default_factory=KnownRanges)
-    unclear: KnownRanges = field(default_factory=KnownRanges)
+    open: dict[int, set[bytes]] = msgspec.field(default_factory=dict)
+    given_up: KnownRanges = msgspec.field(default_factory=KnownRanges)
+    unclear: KnownRanges = msgspec.field(default_factory=KnownRanges)
     floor: int = 0
-    settled: Counter[str] = field(default_factory=Counter)
+    settled: Counter[str] = msgspec.field(default_factory=Counter)
 
     def _judged(self, start: int, end: int) -> Counter[str]:
         """Count what became of a range of numbers: ``captured``, ``asked``, ``resent``, and ``fates``."""
@@ -169,8 +168,7 @@ class SampleWriter:
         return {name: total[name] for name in FATES}
 
 
-@dataclass(frozen=True, slots=True)
-class TopicWriter:
+class TopicWriter(msgspec.Struct, frozen=True):
     """A writer and its topic.
 
     Attributes:

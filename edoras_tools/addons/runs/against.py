@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.addons.runs.comparison import CaptureComparison, compare_each, compare_messages
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import msgspec
 
 from edoras_tools.addons.runs.expectations import LOSS_KEYS
 from edoras_tools.addons.runs.figures import Figures, Parts
@@ -49,8 +50,7 @@ _OF_DATAGRAMS: Final = frozenset({*LOSS_KEYS, "latency"})
 """DifferenceLimits of what only datagrams show."""
 
 
-@dataclass(frozen=True, slots=True)
-class CheckResult:
+class CheckResult(msgspec.Struct, frozen=True):
     """One expectation, and what was found.
 
     Attributes:
@@ -119,8 +119,7 @@ def write_junit(
     write_bytes(path, junit(results, names, seconds), folders=True)
 
 
-@dataclass(frozen=True, slots=True)
-class CheckReport:
+class CheckReport(msgspec.Struct, frozen=True):
     """All expectations of a file, and what was found.
 
     Attributes:
@@ -150,7 +149,7 @@ class CheckReport:
             "seconds": self.seconds,
             "passed": not self.failed,
             "failed": self.failed,
-            "results": [asdict(item) for item in self.results],
+            "results": [msgspec.to_builtins(item) for item in self.results],
         }
 
 

@@ -16,10 +16,11 @@ among them, each paired with the latest equal one that was not later. The missio
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
@@ -57,8 +58,7 @@ _FEW: Final = 0.01
 """A smaller part of the packets is the same by chance."""
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
+class Difference(msgspec.Struct, frozen=True):
     """One MsgId on one link, in both captures.
 
     Attributes:
@@ -125,8 +125,7 @@ class Difference:
         return replace(self, lost=self.lost - missed, missed=missed)
 
 
-@dataclass(frozen=True, slots=True)
-class CaptureComparison:
+class CaptureComparison(msgspec.Struct, frozen=True):
     """All differences of two captures.
 
     Attributes:
@@ -163,8 +162,7 @@ class CaptureComparison:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class _Side:
+class _Side(msgspec.Struct, frozen=True):
     """One capture: its rows, who sent each, and which of them the network doubled."""
 
     rows: Rows

@@ -23,11 +23,11 @@ times from each run's own start. The rules:
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field, fields
 from math import sqrt
 from statistics import fmean, pvariance, variance
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, CheckResult
@@ -62,8 +62,7 @@ _GONE: Final = {"lost": "lost", "superseded": "superseded", "unaccounted": "not 
 """Figures of the balance that say what did not arrive, and how people are told of them."""
 
 
-@dataclass(frozen=True, slots=True)
-class RunSummary:
+class RunSummary(msgspec.Struct, frozen=True):
     """What is compared of one run.
 
     Attributes:
@@ -76,9 +75,9 @@ class RunSummary:
 
     info: Mapping[str, Any]
     doctor: Mapping[str, Any]
-    values: Mapping[str, TopicValues] = field(default_factory=dict)
-    spreads: Mapping[Key, float] = field(default_factory=dict)
-    mission: Mission = field(default_factory=Mission)
+    values: Mapping[str, TopicValues] = msgspec.field(default_factory=dict)
+    spreads: Mapping[Key, float] = msgspec.field(default_factory=dict)
+    mission: Mission = msgspec.field(default_factory=Mission)
 
     @classmethod
     def of(cls, run: Run) -> RunSummary:
@@ -95,8 +94,7 @@ class RunSummary:
         return float(times["end_ns"] - times["start_ns"]) / 1e9
 
 
-@dataclass(frozen=True, slots=True)
-class Point:
+class Point(msgspec.Struct, frozen=True):
     """One figure or field of a route in the earlier and the later runs.
 
     Attributes:
@@ -130,7 +128,7 @@ class Point:
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``compare --json``."""
-        values = {item.name: json_value(getattr(self, item.name)) for item in fields(self)}
+        values = {name: json_value(getattr(self, name)) for name in self.__struct_fields__}
         return {name: value for name, value in values.items() if name != "differs"}
 
     def result(self) -> CheckResult:
@@ -139,8 +137,7 @@ class Point:
         return CheckResult(self.route or self.link or "run", name, None, self.text, not self.worse)
 
 
-@dataclass(frozen=True, slots=True)
-class DifferenceLimits:
+class DifferenceLimits(msgspec.Struct, frozen=True):
     """How much may differ, and what later runs may show at all.
 
     Attributes:
@@ -151,7 +148,7 @@ class DifferenceLimits:
     """
 
     tolerance: float = 0.1
-    rooms: Mapping[str, float] = field(default_factory=dict)
+    rooms: Mapping[str, float] = msgspec.field(default_factory=dict)
     max_loss: Sequence[tuple[str, float]] = ()
     max_delay: Sequence[tuple[str, float]] = ()
 

@@ -34,10 +34,12 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
 from enum import Enum
 from math import inf
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.decode.filters.syntax import WhereError, parse_filter
 from edoras_tools.diagnosis.rules import rules
@@ -95,8 +97,7 @@ class Unit(Enum):
         return plural(int(value), "byte" if self is Unit.BYTES else "message")
 
 
-@dataclass(frozen=True, slots=True)
-class Tolerance:
+class Tolerance(msgspec.Struct, frozen=True):
     """The least and the most that is accepted, both included.
 
     Attributes:
@@ -174,8 +175,7 @@ _FORM: Final = (
 _EVENT: Final = re.compile(r"(\w+) (\d+)(?::\s*(.*))?", re.DOTALL)
 
 
-@dataclass(frozen=True, slots=True)
-class FieldExpectation:
+class FieldExpectation(msgspec.Struct, frozen=True):
     """What must be so of the messages of a topic.
 
     Attributes:
@@ -197,8 +197,7 @@ class FieldExpectation:
         return f"{self.sort} {self.where}{rest}"
 
 
-@dataclass(frozen=True, slots=True)
-class EventExpectation:
+class EventExpectation(msgspec.Struct, frozen=True):
     """An event of cFE that must be there, or must not.
 
     Attributes:
@@ -221,8 +220,7 @@ class EventExpectation:
         return " and ".join(tests)
 
 
-@dataclass(frozen=True, slots=True)
-class TopicExpectation:
+class TopicExpectation(msgspec.Struct, frozen=True):
     """What is expected of one topic.
 
     Attributes:
@@ -238,8 +236,7 @@ class TopicExpectation:
     fields: tuple[FieldExpectation, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Expectations:
+class Expectations(msgspec.Struct, frozen=True):
     """What is expected of a capture.
 
     Attributes:
@@ -256,7 +253,7 @@ class Expectations:
     events: tuple[EventExpectation, ...] = ()
     findings: frozenset[str] | None = None
     verdicts: frozenset[str] | None = None
-    bounds: Mapping[str, Tolerance] = field(default_factory=dict)
+    bounds: Mapping[str, Tolerance] = msgspec.field(default_factory=dict)
 
 
 def load_expectations(path: Path) -> Expectations:

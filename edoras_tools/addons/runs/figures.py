@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import msgspec
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.accounts import latency_ms
@@ -105,8 +106,7 @@ def _under(rows: Mapping[Any, list[tuple[int, _Item]]], keys: Iterable[Any]) -> 
     return [own[place] for place in sorted(own)]
 
 
-@dataclass(frozen=True, slots=True)
-class Figures:
+class Figures(msgspec.Struct, frozen=True):
     """What was counted of some messages.
 
     Attributes:

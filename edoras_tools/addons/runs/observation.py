@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from itertools import compress
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.syntax import WhereError
@@ -42,8 +43,7 @@ NOT_OBSERVABLE: Final = "not observable in this recording: it has messages and n
 """Found of an expectation that needs datagrams; it is not met."""
 
 
-@dataclass(slots=True)
-class CountedMessages:
+class CountedMessages(msgspec.Struct):
     """How the counting of messages ended; as ``doctor.Findings`` where these can say the same.
 
     Attributes:
@@ -58,7 +58,7 @@ class CountedMessages:
     source: Source
     zero_ns: int = 0
     failure: EdorasError | None = None
-    warnings: list[str] = field(default_factory=list)
+    warnings: list[str] = msgspec.field(default_factory=list)
     unnamed: tuple[str, ...] = ()
     diagnosis: None = None
 
@@ -94,8 +94,7 @@ def examine_or_count(
     return CountedMessages(source, loop.begin_ns or 0, loop.failure, warnings)
 
 
-@dataclass(frozen=True, slots=True)
-class Subject:
+class Subject(msgspec.Struct, frozen=True):
     """The messages that a name stands for.
 
     Attributes:
@@ -155,8 +154,7 @@ class Subject:
 EVENT_MESSAGES = Subject("events", PacketKinds(keys=frozenset({Key(cfe.EVENT_MSG_ID)})), 0)
 
 
-@dataclass(slots=True)
-class FilterCount:
+class FilterCount(msgspec.Struct):
     """Counts which messages pass a filter.
 
     Attributes:
@@ -176,8 +174,8 @@ class FilterCount:
     hits: int = 0
     first_hit: tuple[int, int] | None = None
     first_miss: tuple[int, int] | None = None
-    _hits_ns: list[NDArray[np.int64]] = field(default_factory=list)
-    _then_ns: list[NDArray[np.int64]] = field(default_factory=list)
+    _hits_ns: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
+    _then_ns: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
 
     def add(self, messages: ColumnRows, rows: ColumnRows) -> None:
         """Count messages of the subject, and look for what has to come afterwards in all rows."""

@@ -12,10 +12,10 @@ How much a loss would have differed in another run of the same traffic the queue
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import hypot, sqrt
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.addons.runs.figures import Figures, Parts
@@ -118,8 +118,7 @@ class ValueCounting(Counting):
         return own
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
+class Run(msgspec.Struct, frozen=True):
     """What is known of one run.
 
     Attributes:

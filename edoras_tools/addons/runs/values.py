@@ -8,9 +8,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.decode.contents import message_rows, read_whole
@@ -32,8 +32,7 @@ _MOVED: Final = 0.8
 _FEWEST: Final = 20
 
 
-@dataclass(slots=True)
-class FieldValues:
+class FieldValues(msgspec.Struct):
     """One field of a topic.
 
     Attributes:
@@ -51,7 +50,7 @@ class FieldValues:
     is_whole: bool = False
     is_flag: bool = False
     _sum: float = 0.0
-    _first_values: list[NDArray[np.float64]] = field(default_factory=list)
+    _first_values: list[NDArray[np.float64]] = msgspec.field(default_factory=list)
     _kept_count: int = 0
 
     def add(self, values: NDArray[Any]) -> None:
@@ -93,8 +92,7 @@ class FieldValues:
         return bool(goes_on and abs(values[-1] - values[0]) > _MOVED * (self.high - self.low))
 
 
-@dataclass(slots=True)
-class TopicValues:
+class TopicValues(msgspec.Struct):
     """The fields of one topic.
 
     Attributes:
@@ -103,9 +101,9 @@ class TopicValues:
     """
 
     to_cfs: bool = False
-    fields: dict[str, FieldValues] = field(default_factory=dict)
-    _numbers: list[NDArray[np.int64]] = field(default_factory=list)
-    _times_ns: list[NDArray[np.int64]] = field(default_factory=list)
+    fields: dict[str, FieldValues] = msgspec.field(default_factory=dict)
+    _numbers: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
+    _times_ns: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
 
     def place(self, message: int) -> tuple[int, int]:
         """Return number and time of a message, counted from 0."""

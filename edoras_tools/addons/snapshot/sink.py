@@ -16,10 +16,11 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.addons.snapshot.triggers import RuleTrigger, Triggers
 from edoras_tools.decode.filters.filter import Where
@@ -53,8 +54,7 @@ _APART_NS: Final = 100 * MILLISECOND
 _MOST_REASONS: Final = 10
 
 
-@dataclass(frozen=True, slots=True)
-class SnapshotPlan:
+class SnapshotPlan(msgspec.Struct, frozen=True):
     """When what is written.
 
     Attributes:
@@ -76,8 +76,7 @@ class SnapshotPlan:
     any_rule: bool = False
 
 
-@dataclass(slots=True)
-class Snapshot:
+class Snapshot(msgspec.Struct):
     """One file, and why it was written.
 
     Attributes:
@@ -101,8 +100,8 @@ class Snapshot:
     datagrams: int = 0
     before_ns: int = 0
     cut: bool = False
-    next: int = field(default=0, repr=False)
-    sink: WatchedSink | None = field(default=None, repr=False)
+    next: int = 0
+    sink: WatchedSink | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``record --snapshot --json``."""
@@ -117,8 +116,7 @@ class Snapshot:
         }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Piece:
+class _Piece(msgspec.Struct, frozen=True, eq=False):
     """A batch that is kept."""
 
     batch: PacketBatch

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -25,8 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Settings
 
 
-@dataclass(frozen=True, slots=True)
-class _Partition(ExportTarget):
+class _Partition(ExportTarget, frozen=True):
     """The output of one recording.
 
     Attributes:

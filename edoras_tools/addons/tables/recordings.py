@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from glob import glob
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.io.formats.rosbag2.reader import METADATA
@@ -59,11 +61,11 @@ def read_recordings(tables: RecordingTables) -> RecordingTables:
     """
     files = recordings_in(tables.paths)
     paths = zip(recording_names([*map(str, files)]), files, strict=True)
-    each = [replace(tables, paths=(file,), recording=name) for name, file in paths]
+    each = [dataclasses.replace(tables, paths=(file,), recording=name) for name, file in paths]
     return ManyRecordings(files, tables.settings, tables.scope, tables.form, recordings=each)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclasses.dataclass(frozen=True, repr=False)
 class ManyRecordings(RecordingTables):
     """The topics of many recordings, of which one at a time is open; each has its own mission.
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+import msgspec
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.cfe.contents import CfeFile, marker_name, read_cfe_file
@@ -17,8 +18,7 @@ if TYPE_CHECKING:
 _MICROSECOND = 1000.0
 
 
-@dataclass(frozen=True, slots=True)
-class TraceReport:
+class TraceReport(msgspec.Struct, frozen=True):
     """What was written.
 
     Attributes:

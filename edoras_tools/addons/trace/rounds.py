@@ -15,10 +15,10 @@ Rules:
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+import msgspec
 import numpy as np
 
 from edoras_tools.cfs import queues, telemetry_output
@@ -42,8 +42,7 @@ _NEAR: Final = 0.1
 """A round may be so much longer or shorter than its task's."""
 
 
-@dataclass(frozen=True)
-class Rounds:
+class Rounds(msgspec.Struct, frozen=True, dict=True):
     """The messages of a stream in the rounds of the queue that they pass; an element for each message.
 
     Attributes:
@@ -137,8 +136,7 @@ class Rounds:
         return Counter((through, of) for through, of in zip(out.tolist(), came.tolist(), strict=True) if of)
 
 
-@dataclass(frozen=True, slots=True)
-class Timing:
+class Timing(msgspec.Struct, frozen=True):
     """The messages of a topic in the rounds of their queue.
 
     Attributes:
@@ -266,8 +264,7 @@ _BACKLOG_S: Final = 2.0
 _GONE: Final = frozenset({"lost", "unaccounted"})
 
 
-@dataclass(frozen=True, slots=True)
-class HopRate:
+class HopRate(msgspec.Struct, frozen=True):
     """The rate at one hop.
 
     Attributes:
@@ -289,8 +286,7 @@ class HopRate:
     deviation_s: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class TopicRates:
+class TopicRates(msgspec.Struct, frozen=True):
     """The rates of one topic.
 
     Attributes:
@@ -309,7 +305,7 @@ class TopicRates:
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``hz --json``."""
-        return asdict(self) | {"msg_id": f"0x{self.msg_id:04x}"}
+        return {**msgspec.to_builtins(self), "msg_id": f"0x{self.msg_id:04x}"}
 
 
 def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRates:

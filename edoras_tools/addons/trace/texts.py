@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
 from rich.text import Text
 
@@ -156,8 +156,7 @@ def trace_mermaid(trace: MessageTrace, zero_ns: int) -> Iterator[str]:
         yield f"    {names[-1]}{arrow}{names[-1]}: {mermaid_text(ended_text(way.trace))}"
 
 
-@dataclass(frozen=True, slots=True)
-class TimingWindow:
+class TimingWindow(msgspec.Struct, frozen=True):
     """The part of a topic's rounds that a diagram shows.
 
     Attributes:

@@ -12,10 +12,11 @@ Rules:
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.addons.trace.rounds import Rounds, rounds_into, rounds_out
 from edoras_tools.diagnosis.accounting.losses import Among
@@ -39,8 +40,7 @@ _NOT_SEEN: Final = "not seen in a capture: give doctor the --bag of its side"
 PASSED_ON: Final = "passed on by the application, and lost behind it"
 
 
-@dataclass(frozen=True, slots=True)
-class TraceStep:
+class TraceStep(msgspec.Struct, frozen=True):
     """One place on the way of a message.
 
     Attributes:
@@ -62,8 +62,7 @@ class TraceStep:
     limit: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class MessageEnd:
+class MessageEnd(msgspec.Struct, frozen=True):
     """How the way of a message ended.
 
     Attributes:
@@ -84,8 +83,7 @@ class MessageEnd:
     one_of: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class MessageTrace:
+class MessageTrace(msgspec.Struct, frozen=True):
     """The way of one message.
 
     Attributes:
@@ -131,10 +129,11 @@ class MessageTrace:
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``trace --json``."""
-        return asdict(self) | {
+        return {
+            **msgspec.to_builtins(self),
             "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}",
             "steps": [
-                {**asdict(step), "after_ns": after_ns}
+                {**msgspec.to_builtins(step), "after_ns": after_ns}
                 for step, after_ns in zip(self.steps, self.after_ns, strict=True)
             ],
             "delay_witness": None if self.delay_ns is None else self.delay_witness,
@@ -143,8 +142,7 @@ class MessageTrace:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class _Leg:
+class _Leg(msgspec.Struct, frozen=True):
     """A message in one stream: its row, or how far behind a row it is missing."""
 
     stream: Stream

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from edoras_tools.addons.trace.rounds import Timing, TopicRates, rounds_into, rounds_out, topic_rates
 from edoras_tools.addons.trace.tracer import (
@@ -31,8 +32,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.streams import Stream
 
 
-@dataclass(frozen=True, slots=True)
-class TraceRequest:
+class TraceRequest(msgspec.Struct, frozen=True):
     """What to follow: a packet, the n-th message of a topic, the n-th lost one, or the topic itself.
 
     Attributes:

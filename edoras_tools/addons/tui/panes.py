@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
+import msgspec
 from rich.text import Text
 from textual.app import App, ComposeResult
 from textual.binding import Binding
@@ -113,8 +113,7 @@ _SAID_S: Final = 6.0
 """How long a notice is shown."""
 
 
-@dataclass(frozen=True, slots=True)
-class ViewOptions:
+class ViewOptions(msgspec.Struct, frozen=True):
     """What to show, and how.
 
     Attributes:
@@ -131,7 +130,7 @@ class ViewOptions:
     settings: Settings
     time_format: TimeFormat = TimeFormat.RELATIVE
     follow: bool = False
-    limits: Limits = Limits()  # noqa: RUF009  frozen
+    limits: Limits = Limits()
     verbose: bool = False
     limit: int = LIMIT
 

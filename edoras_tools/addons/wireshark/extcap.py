@@ -8,10 +8,11 @@ fifo.
 from __future__ import annotations
 
 import select
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, BinaryIO, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, ConfigError, os_errors
@@ -42,8 +43,7 @@ _OPTIONS: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class CaptureRequest:
+class CaptureRequest(msgspec.Struct, frozen=True):
     """What the user chose in Wireshark's dialogue.
 
     Attributes:

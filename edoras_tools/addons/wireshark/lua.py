@@ -7,11 +7,11 @@ whose message type fits the bytes is used.
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.addons.wireshark.structs import engine_structs
 from edoras_tools.decode import Context

@@ -6,12 +6,12 @@ import json
 import os
 import re
 import time
-from dataclasses import replace
 from itertools import count
 from threading import Lock, RLock
 from typing import TYPE_CHECKING, Any, Final
 
 import zenoh
+from msgspec.structs import replace
 from zenoh import ext
 
 from edoras_tools.addons.zenoh.identity import (

@@ -14,8 +14,9 @@ sequence number.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
+
+import msgspec
 
 from edoras_tools.errors import FieldError, TruncatedError, WireError
 from edoras_tools.middleware.names import dds_name, node_name
@@ -63,8 +64,7 @@ class KeyedTopic(NamedTuple):
         return f"{domain}/{self.name.strip('/')}/{self.dds_type}/{self.type_hash}"
 
 
-@dataclass(frozen=True, slots=True)
-class NodeTokens:
+class NodeTokens(msgspec.Struct, frozen=True):
     """A node, and the tokens of the node and its entities.
 
     Attributes:
@@ -265,8 +265,7 @@ ATTACHMENT: Final = struct.Struct(f"<qqB{GID}s")
 """Sequence number, source time in ns, length of the id (one byte of Zenoh's variable-length numbers), id."""
 
 
-@dataclass(frozen=True, slots=True)
-class Attachment:
+class Attachment(msgspec.Struct, frozen=True):
     """The attachment of a message, 33 bytes, little-endian.
 
     Attributes:

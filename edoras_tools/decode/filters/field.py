@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.decode.filters.rows import INDEX_DTYPE, ColumnRows, PacketRows, Series, ValueKind
 
@@ -28,8 +29,7 @@ PACKET_COST: Final = 3
 """Cost of what takes a dissection of each packet."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FilterField:
+class FilterField(msgspec.Struct, frozen=True, eq=False):
     """A named value of a packet, or a list of them.
 
     Attributes:
@@ -61,8 +61,8 @@ class FilterField:
     limits: tuple[int, int] | None = None
     base: int = 10
     digits: int = 1
-    names: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))
-    words: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    names: Mapping[int, str] = msgspec.field(default_factory=lambda: MappingProxyType({}))
+    words: Mapping[str, int] = msgspec.field(default_factory=lambda: MappingProxyType({}))
     choices: Sequence[str] = ()
     alike: Callable[[str, str], bool] | None = None
     many: bool = False

@@ -7,11 +7,12 @@ dissection of each packet. See ``docs/filters.md`` for the language.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.decode.filters.compare import Misfit, Test, test_of
 from edoras_tools.decode.filters.names import Names, Unknown
@@ -84,7 +85,7 @@ class Where:
         return self._node.mask(PacketRows(self.context, self._begin_ns or 0, packets))
 
 
-class _Test:
+class _Test(msgspec.Struct, frozen=True):
     """What every node of a compiled filter is.
 
     Attributes:
@@ -98,8 +99,7 @@ class _Test:
         raise NotImplementedError
 
 
-@dataclass(frozen=True, slots=True)
-class _Compared(_Test):
+class _Compared(_Test, frozen=True):
     """One field, which may be of several types, against constants.
 
     ``every``: the packet has a value and none of them fails; else one value that passes is enough.
@@ -107,7 +107,6 @@ class _Compared(_Test):
 
     tests: Sequence[tuple[FilterField, Test]]
     every: bool
-    price: int
 
     def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
         hit, failed = np.zeros(len(rows), bool), np.zeros(len(rows), bool)
@@ -120,10 +119,8 @@ class _Compared(_Test):
         return hit & ~failed
 
 
-@dataclass(frozen=True, slots=True)
-class _Present(_Test):
+class _Present(_Test, frozen=True):
     fields: Sequence[FilterField]
-    price: int
 
     def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
         present = np.zeros(len(rows), bool)
@@ -132,22 +129,18 @@ class _Present(_Test):
         return present
 
 
-@dataclass(frozen=True, slots=True)
-class _Not(_Test):
+class _Not(_Test, frozen=True):
     node: _Test
-    price: int
 
     def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
         return ~self.node.mask(rows)
 
 
-@dataclass(frozen=True, slots=True)
-class _Joined(_Test):
+class _Joined(_Test, frozen=True):
     """All of some nodes, or one of them; ``steps`` groups nodes of one price, the cheapest first."""
 
     steps: Sequence[Sequence[_Test]]
     every: bool
-    price: int
 
     def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
         join = np.logical_and if self.every else np.logical_or
@@ -165,14 +158,14 @@ def _compile(node: Expression, text: str, names: Names) -> _Test:
     match node:
         case Negation():
             inner = _compile(node.of, text, names)
-            return _Not(inner, inner.price)
+            return _Not(inner.price, inner)
         case Junction():
             nodes = sorted((_compile(item, text, names) for item in node.of), key=lambda item: item.price)
             steps = [tuple(group) for _, group in groupby(nodes, key=lambda item: item.price)]
-            return _Joined(steps, node.every, nodes[-1].price)
+            return _Joined(nodes[-1].price, steps, node.every)
         case Presence():
             fields = _fields(node.operand, text, names)
-            return _Present(fields, max(field.price for field in fields))
+            return _Present(max(field.price for field in fields), fields)
         case Comparison():
             return _comparison(node, text, names)
 
@@ -231,4 +224,4 @@ def _comparison(node: Comparison, text: str, names: Names) -> _Test:
         place = misfit.value or node
         raise WhereError(text, place.at, place.end, misfit.why)
     every = operand.wrap == "all" or (operand.wrap != "any" and node.operator in {"!=", "not in"})
-    return _Compared(tests, every, max(field.price for field, _ in tests))
+    return _Compared(max(field.price for field, _ in tests), tests, every)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, FilterField

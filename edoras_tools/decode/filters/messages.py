@@ -16,11 +16,11 @@ The rules that this file keeps:
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs.arguments import SERVICES
 from edoras_tools.decode.filters.field import MESSAGE_COST, FilterField

@@ -19,8 +19,9 @@ The field that a value is compared with decides what the value means: see ``comp
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import Final, Literal
+
+import msgspec
 
 from edoras_tools.errors import ConfigError
 
@@ -63,8 +64,7 @@ class WhereError(ConfigError):
         self.end = end
 
 
-@dataclass(frozen=True, slots=True)
-class Value:
+class Value(msgspec.Struct, frozen=True):
     """A constant as it was written: ``text`` without quotes, and where it stood."""
 
     text: str
@@ -73,16 +73,14 @@ class Value:
     quoted: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class ValueRange:
+class ValueRange(msgspec.Struct, frozen=True):
     """All values from ``low`` to ``high``, both included."""
 
     low: Value
     high: Value
 
 
-@dataclass(frozen=True, slots=True)
-class Operand:
+class Operand(msgspec.Struct, frozen=True):
     """A field's name as written, and the function of its values: any, all or len."""
 
     name: str
@@ -91,15 +89,13 @@ class Operand:
     wrap: Wrap = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Presence:
+class Presence(msgspec.Struct, frozen=True):
     """Whether a packet has a field."""
 
     operand: Operand
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
+class Comparison(msgspec.Struct, frozen=True):
     """A field against constants; ``at`` and ``end`` are the operator's place."""
 
     operand: Operand
@@ -109,15 +105,13 @@ class Comparison:
     items: tuple[Value | ValueRange, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Negation:
+class Negation(msgspec.Struct, frozen=True):
     """What does not hold."""
 
     of: Expression
 
 
-@dataclass(frozen=True, slots=True)
-class Junction:
+class Junction(msgspec.Struct, frozen=True):
     """All of some nodes, or one of them."""
 
     of: tuple[Expression, ...]

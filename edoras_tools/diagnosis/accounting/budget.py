@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.cfs import queues
 from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS
@@ -24,8 +26,7 @@ _HOUSEKEEPING_HZ: Final = 10
 _ANY: Final = "0.0.0.0"  # noqa: S104  an address in a mission file
 
 
-@dataclass(frozen=True, slots=True)
-class Budget:
+class Budget(msgspec.Struct, frozen=True):
     """What a route can carry.
 
     Attributes:

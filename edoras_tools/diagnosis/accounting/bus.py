@@ -16,10 +16,10 @@ Rules:
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.cfs import executive_services, queues, sbn, telemetry_output
@@ -75,8 +75,7 @@ _LEAST_FRAGMENTED: Final = 6
 """So many in a row that never became whole were dropped, and not missed by the capture."""
 
 
-@dataclass(slots=True)
-class Part:
+class Part(msgspec.Struct):
     """What is missing from one span of a telemetry stream.
 
     Attributes:
@@ -101,14 +100,14 @@ class Part:
     among: Among
     missing: int = 0
     kinds: tuple[PipeKind, ...] = ()
-    taken: Counter[PipeKind] = field(default_factory=Counter)
+    taken: Counter[PipeKind] = msgspec.field(default_factory=Counter)
     watched: bool = False
     outside: int = 0
     closed: bool = False
     silenced: bool = False
     unled: bool = False
     cause: tuple[LossKind, str, str] | None = None
-    evidence: list[str] = field(default_factory=list)
+    evidence: list[str] = msgspec.field(default_factory=list)
 
 
 GapEnd = Literal["closed", "proxied", "damaged", "untold", "away", "uncertain", "astray"]
@@ -383,10 +382,10 @@ class Telemetry:
         if part.cause is not None:
             kind_, hop, text = part.cause
             part.evidence = [text, *texts.values()]
-            counted = part.taken if kind_ == "route" else Counter()  # that came to its pipe
-            for kind, number in counted.items():
+            at_pipe = part.taken if kind_ == "route" else Counter()  # that came to its pipe
+            for kind, number in at_pipe.items():
                 self._lose(part, kind, number, part.missing, "high")
-            if rest := part.missing - counted.total():
+            if rest := part.missing - at_pipe.total():
                 self._lose(part, kind_, rest, part.missing, "high").hop = hop
             return
         idle = "Telemetry Output was not sending then: it would not have sent them either"

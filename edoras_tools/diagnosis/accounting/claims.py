@@ -8,10 +8,10 @@ traffic is given to none of them.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS
@@ -53,8 +53,7 @@ Place = tuple[int, PipeKind, int]
 """A count: of which instance, of which kind, and in which second of that counter; ``BEFORE`` its first."""
 
 
-@dataclass(slots=True)
-class Counts:
+class Counts(msgspec.Struct):
     """The growth of one instance's loss counters, second by second, less what was told of it.
 
     Attributes:
@@ -67,7 +66,7 @@ class Counts:
 
     times: NDArray[np.int64]
     left: dict[PipeKind, NDArray[np.int64]]
-    first: dict[PipeKind, int] = field(default_factory=dict)
+    first: dict[PipeKind, int] = msgspec.field(default_factory=dict)
     boot_ns: int = 0
     set_back: Sequence[int] = ()
 
@@ -107,8 +106,7 @@ class Counts:
         return np.asarray(rare[first] == rare[last])
 
 
-@dataclass(slots=True)
-class Claim:
+class Claim(msgspec.Struct):
     """Messages that are missing, or may be, and that a counter may have counted.
 
     Attributes:
@@ -133,7 +131,7 @@ class Claim:
     instances: Sequence[int]
     rank: int = 0
     flow: int = 0
-    taken: dict[Place, int] = field(default_factory=dict)
+    taken: dict[Place, int] = msgspec.field(default_factory=dict)
     reserved: int = 0
     doubted: int = 0
 
@@ -208,8 +206,7 @@ class Rival(NamedTuple):
     most: int = 1 << 32
 
 
-@dataclass(slots=True)
-class Shared:
+class Shared(msgspec.Struct):
     """Counts that are losses of several kinds of traffic together: nothing tells how many of each.
 
     Attributes:

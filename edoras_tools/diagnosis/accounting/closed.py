@@ -34,11 +34,12 @@ Applications and links that did not run:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import command_ingest, executive_services, queues, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import BUS, READY_NS, TAIL_NS, WAITS_NS, Fate, Loss, LossKind
@@ -198,8 +199,7 @@ def silences(
     return spans
 
 
-@dataclass(slots=True)
-class Unheard:
+class Unheard(msgspec.Struct):
     """Messages of one stream that were sent to a silent peer.
 
     Attributes:
@@ -213,8 +213,8 @@ class Unheard:
     peer: str
     uncertain: int = 0
     unaccounted: int = 0
-    lost: list[int] = field(default_factory=list)
-    restarted: list[int] = field(default_factory=list)
+    lost: list[int] = msgspec.field(default_factory=list)
+    restarted: list[int] = msgspec.field(default_factory=list)
 
     @property
     def unheard(self) -> list[int]:
@@ -260,8 +260,7 @@ _FINE, _UNCERTAIN, _REFUSED, _SHUT = range(4)
 _CAUSES: Final = {_SHUT: PORT_CLOSED, _REFUSED: REFUSED}
 
 
-@dataclass(frozen=True, slots=True)
-class Unreached:
+class Unreached(msgspec.Struct, frozen=True):
     """Messages of one stream that went to one endpoint that did not get all of them.
 
     Attributes:

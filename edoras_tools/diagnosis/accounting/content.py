@@ -18,9 +18,9 @@ A message that comes out with a later one before it is older than that, too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.fingerprint import brackets, latest_equal
@@ -55,8 +55,7 @@ _LACKING: Final = 0.02
 """A capture that lacks so much of what it should have does not show what waited."""
 
 
-@dataclass(frozen=True, slots=True)
-class WayContent:
+class WayContent(msgspec.Struct, frozen=True):
     """What arrived as something else than was sent, on one way out of cFS.
 
     Attributes:
@@ -81,7 +80,7 @@ class WayContent:
     late: Places
     rounds_ns: int
     longest_ns: int
-    replaced: dict[int, Places] = field(default_factory=dict)
+    replaced: dict[int, Places] = msgspec.field(default_factory=dict)
 
     @property
     def nothing_sent(self) -> bool:

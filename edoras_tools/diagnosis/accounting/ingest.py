@@ -23,12 +23,13 @@ Rules:
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import ceil
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import command_ingest, executive_services
 from edoras_tools.diagnosis.accounting.claims import shares
@@ -70,8 +71,7 @@ _MOSTLY: Final = 0.5
 """More than so many of the samples."""
 
 
-@dataclass(frozen=True, slots=True)
-class Before:
+class Before(msgspec.Struct, frozen=True):
     """Datagrams that were lost before a CI in one span of time.
 
     Attributes:
@@ -96,8 +96,7 @@ class Before:
         return self.start_ns - _LATE_NS * (self.cause in {"socket", "network"})
 
 
-@dataclass(slots=True)
-class Ingest:
+class Ingest(msgspec.Struct):
     """The account of one CI.
 
     Attributes:
@@ -126,13 +125,13 @@ class Ingest:
     first_ns: int
     last_ns: int
     taken: int = 0
-    losses: list[Before] = field(default_factory=list)
+    losses: list[Before] = msgspec.field(default_factory=list)
     waiting: int = 0
     unread: int = 0
     not_captured: int = 0
     unsure: int = 0
     older_until_ns: int = 0
-    ended: list[tuple[int, int]] = field(default_factory=list)
+    ended: list[tuple[int, int]] = msgspec.field(default_factory=list)
     by_kernel: bool = False
 
     def add(self, loss: Before) -> None:
@@ -221,8 +220,7 @@ def _by_kernel(case: Case, to_ci: NDArray[np.intp], endpoints: Collection[int]) 
             yield Ingest(endpoint, NOBODY, mine, *span, number, [before], by_kernel=True)
 
 
-@dataclass(frozen=True, slots=True)
-class _Sample:
+class _Sample(msgspec.Struct, frozen=True):
     """One 0x884: when it was seen and made, what CI had read in all, of which boot and from which address."""
 
     seen_ns: int
@@ -615,8 +613,7 @@ class _Run(NamedTuple):
     unread: int | None
 
 
-@dataclass(slots=True)
-class _Level:
+class _Level(msgspec.Struct):
     """Samples in a row that one number of lost datagrams fits: at least ``low``, at most ``high``."""
 
     first: int

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence  # noqa: TC003  COUNTERS is annota
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services, sbn
@@ -74,8 +75,7 @@ class Among(NamedTuple):
         return int(times[self.rows[0]]), int(times[min(last, len(times) - 1)])
 
 
-@dataclass(slots=True)
-class Loss:
+class Loss(msgspec.Struct):
     """Messages of one route that were lost in one span of time.
 
     Attributes:
@@ -109,7 +109,7 @@ class Loss:
     stream: Stream | None = None
     span: Span | None = None
     of: int | None = None
-    evidence: list[str] = field(default_factory=list)
+    evidence: list[str] = msgspec.field(default_factory=list)
     sender: str = ""
     closed: bool = False
     among: Among | None = None

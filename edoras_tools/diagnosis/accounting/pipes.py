@@ -9,11 +9,12 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Mapping  # noqa: TC003  TICKS is annotated with it
-from dataclasses import dataclass, replace
 from math import ceil
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import command_ingest, executive_services, queues, telemetry_output
 from edoras_tools.cfs.software_bus import STOPS_AFTER
@@ -102,8 +103,7 @@ def _standing(fate: Fate) -> tuple[NDArray[np.bool_], ...]:
     return sure, others & ~sure & ~fate.edge, fate.waits, fate.blind, into_stop, others & fate.edge
 
 
-@dataclass(slots=True)
-class _Own:
+class _Own(msgspec.Struct):
     """Messages of one span of a stream that can have been counted in the same seconds."""
 
     fate: Fate
@@ -326,8 +326,7 @@ def _beside(
     return int(missing[inside].sum()) * 2 > int(missing.sum())
 
 
-@dataclass(frozen=True, slots=True)
-class _Candidate:
+class _Candidate(msgspec.Struct, frozen=True):
     """What a counter may have counted.
 
     Attributes:

@@ -150,8 +150,8 @@ def find_copies(
             apart_ns = int(np.median((when[1:] - when[:-1])[at]))
             # What was sent before and behind it has an identification near its own: then it was sent, too.
             place = conversation.astype(np.int64) << 16 | identification
-            known = order[at[np.argsort(place[order[at]])]]
-            off_ns = time_ns - np.interp(place, place[known], time_ns[known].astype(np.float64))
+            pairs = order[at[np.argsort(place[order[at]])]]
+            off_ns = time_ns - np.interp(place, place[pairs], time_ns[pairs].astype(np.float64))
             out.behind_ns[out.alone & (np.abs(off_ns - apart_ns) < np.abs(off_ns))] = apart_ns
     first = np.zeros(count, bool)
     first[order[np.concatenate(([True], ~near))]] = True

@@ -10,12 +10,12 @@ or values of the type that they carry, or by the numbers that a robot's own stru
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 from zlib import crc32
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import OTHER

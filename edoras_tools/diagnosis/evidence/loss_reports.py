@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.cfs import sbn, software_bus, telemetry_output
@@ -28,8 +28,7 @@ _LEAST_IDLE: Final = 3
 _WIDTHS: Final = {"pipe_overflows": 16, "msg_limits": 16, "no_subscribers": 8, "send_errors": 8}
 
 
-@dataclass(slots=True)
-class Track:
+class Track(msgspec.Struct):
     """The counters of one instance, growing from 0 at its first 0x803 here.
 
     Attributes:
@@ -39,10 +38,10 @@ class Track:
         set_back: steps between two samples in which a counter was set back: nobody has what it had last.
     """
 
-    times: list[int] = field(default_factory=list)
-    totals: dict[str, list[int]] = field(default_factory=dict)
-    older: dict[str, int] = field(default_factory=dict)
-    set_back: list[int] = field(default_factory=list)
+    times: list[int] = msgspec.field(default_factory=list)
+    totals: dict[str, list[int]] = msgspec.field(default_factory=dict)
+    older: dict[str, int] = msgspec.field(default_factory=dict)
+    set_back: list[int] = msgspec.field(default_factory=list)
 
     def growth(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> int:
         """Return by how much a counter grew between two times.
@@ -177,15 +176,14 @@ class ReportedLoss(NamedTuple):
         return bool(sbn.PEER_PIPE.fullmatch(self.pipe))
 
 
-@dataclass
-class LossEvents:
+class LossEvents(msgspec.Struct, dict=True):
     """The events about one loss, in order: how many, and when.
 
     Attributes:
         records: the events, in order.
     """
 
-    records: list[EventRecord] = field(default_factory=list)
+    records: list[EventRecord] = msgspec.field(default_factory=list)
 
     @property
     def count(self) -> int:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import command_ingest, executive_services, telemetry_output
 from edoras_tools.cfs.arguments import APPLICATIONS, ARGUMENTS, arguments_of, command_text
@@ -52,8 +53,7 @@ _CHANGES: Final = np.isin(np.arange(1 << 16), list(APPLICATIONS))
 _TO_COUNTERS: Final = cfe.TELEMETRY_OUTPUT_HOUSEKEEPING, ("command_counter", "command_error_counter")
 
 
-@dataclass(slots=True)
-class Samples:
+class Samples(msgspec.Struct):
     """Columns, a row of the table each, with what a payload held: counters, or which subscriptions.
 
     Taken batch by batch, and joined when they are asked for.
@@ -63,7 +63,7 @@ class Samples:
     """
 
     names: tuple[str, ...]
-    _parts: list[NDArray[np.int64]] = field(default_factory=list)
+    _parts: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
 
     @classmethod
     def of(cls, *names: str) -> Self:
@@ -202,8 +202,7 @@ _SAMPLES: Final = ("housekeeping", "ingest", "commanded", "subscriptions", "beyo
 _RECORDS: Final = ("events", "commands")
 
 
-@dataclass(slots=True)
-class Payloads:
+class Payloads(msgspec.Struct):
     """All of them, in order of capture.
 
     Attributes:
@@ -218,18 +217,18 @@ class Payloads:
         limited: number and member of each field with limits, by struct and path.
     """
 
-    housekeeping: Samples = field(
+    housekeeping: Samples = msgspec.field(
         default_factory=lambda: Samples.of("pipe_overflows", "msg_limits", "no_subscribers", "send_errors")
     )
-    ingest: Samples = field(default_factory=lambda: Samples.of("packets", "errors"))
-    commanded: Samples = field(default_factory=lambda: Samples.of("taken", "refused"))
-    subscriptions: Samples = field(default_factory=lambda: Samples.of("said"))
-    contents: list[SubscriptionMessage] = field(default_factory=list)
-    events: list[EventRecord] = field(default_factory=list)
-    commands: list[CommandRecord] = field(default_factory=list)
-    beyond: Samples = field(default_factory=lambda: Samples.of("field", "value", "red"))
-    limited: dict[str, tuple[int, Member]] = field(default_factory=dict)
-    _content: dict[int, int] = field(default_factory=dict)
+    ingest: Samples = msgspec.field(default_factory=lambda: Samples.of("packets", "errors"))
+    commanded: Samples = msgspec.field(default_factory=lambda: Samples.of("taken", "refused"))
+    subscriptions: Samples = msgspec.field(default_factory=lambda: Samples.of("said"))
+    contents: list[SubscriptionMessage] = msgspec.field(default_factory=list)
+    events: list[EventRecord] = msgspec.field(default_factory=list)
+    commands: list[CommandRecord] = msgspec.field(default_factory=list)
+    beyond: Samples = msgspec.field(default_factory=lambda: Samples.of("field", "value", "red"))
+    limited: dict[str, tuple[int, Member]] = msgspec.field(default_factory=dict)
+    _content: dict[int, int] = msgspec.field(default_factory=dict)
 
     def add(self, batch: PacketBatch, columns: Columns, base: int) -> None:
         """Read what a batch holds.

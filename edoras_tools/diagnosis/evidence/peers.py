@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import Counter
-from dataclasses import dataclass
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
@@ -95,8 +95,7 @@ class PeerRestart(NamedTuple):
 _TIME: Final = attrgetter("time_ns")
 
 
-@dataclass(slots=True)
-class Connection:
+class Connection(msgspec.Struct):
     """A peer as one cFS sees it.
 
     Attributes:

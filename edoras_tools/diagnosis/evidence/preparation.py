@@ -11,10 +11,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.decode.conversations import LEFT_OUT, ConversationKind, Flow
 from edoras_tools.diagnosis.evidence.copies import (
@@ -134,11 +135,11 @@ def prepare(
     sources = names[rows.source[payloads.ingest["row"]]]
     copy, duplicate, perhaps, alone, behind_ns = _doubled(rest.rows, payloads, sources, endpoints, proxied)
     doubled = rest.rows.take(np.flatnonzero(perhaps))
-    left = np.flatnonzero(~copy)
+    single = np.flatnonzero(~copy)
     if behind_ns.any():
         rest.rows = replace(rest.rows, time_ns=rest.rows.time_ns - behind_ns)
-        left = left[np.argsort(rest.rows.time_ns[left], kind="stable")]
-        rest.rows, rest.places = followed(rest.rows.take(left)), rest.places[left]
+        single = single[np.argsort(rest.rows.time_ns[single], kind="stable")]
+        rest.rows, rest.places = followed(rest.rows.take(single)), rest.places[single]
     else:
         rest.keep(~copy)
     stranger = kind[rest.places] == _PLACE[ConversationKind.STRANGER]
@@ -156,10 +157,10 @@ def prepare(
         copies=int(copy.sum()) - len(doubled),
         relayed=int(relayed.sum()),
         passed=lost_there,
-        duplicates=np.flatnonzero(duplicate[left]),
+        duplicates=np.flatnonzero(duplicate[single]),
         damaged=damaged,
         doubled=doubled,
-        perhaps_astray=perhaps_astray | alone[left],
+        perhaps_astray=perhaps_astray | alone[single],
         disordered=disordered,
         unsteady_ns=unsteady_ns,
         translated={
@@ -170,8 +171,7 @@ def prepare(
     )
 
 
-@dataclass(slots=True)
-class _Left:
+class _Left(msgspec.Struct):
     """The rows that are left, and the place of each among all."""
 
     rows: Rows

@@ -39,9 +39,9 @@ them twice.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal, paired
@@ -71,8 +71,7 @@ _TIMES: Final = ("sent ", " times")
 _OVERFLOW: Final = "overflow"
 
 
-@dataclass(slots=True)
-class Proxied:
+class Proxied(msgspec.Struct):
     """What was done to the datagrams of one MsgId on one link, one way.
 
     Attributes:
@@ -84,12 +83,12 @@ class Proxied:
         rules: the rules that struck, as they were written.
     """
 
-    dropped: list[tuple[int, bytes]] = field(default_factory=list)
+    dropped: list[tuple[int, bytes]] = msgspec.field(default_factory=list)
     doubled: int = 0
-    others: Counter[str] = field(default_factory=Counter)
+    others: Counter[str] = msgspec.field(default_factory=Counter)
     start_ns: int = 0
     end_ns: int = 0
-    rules: dict[str, None] = field(default_factory=dict)
+    rules: dict[str, None] = msgspec.field(default_factory=dict)
 
     def counts(self, *, peers: bool) -> list[int]:
         """Return the sequence counts of what was dropped.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
@@ -46,8 +46,7 @@ _SAMPLES: Final = 4
 _ENCAPSULATION: Final = 4
 
 
-@dataclass(frozen=True, slots=True)
-class Rows:
+class Rows(msgspec.Struct, frozen=True):
     """Columns of one length, one element a datagram, in order of capture.
 
     ``source`` and ``destination`` index ``Recorder.endpoints``. The rest is as in ``PacketBatch`` and
@@ -125,7 +124,7 @@ class Rows:
     @classmethod
     def of(cls, tables: Sequence[Any], **columns: NDArray[Any]) -> Self:
         """Return rows with the columns that are given; the rest from ``tables``, later ones first."""
-        rest = [item.name for item in fields(cls) if item.name not in columns]
+        rest = [name for name in cls.__struct_fields__ if name not in columns]
         own = {name: getattr(table, name) for name in rest for table in tables if hasattr(table, name)}
         return cls(**own, **columns)
 
@@ -134,12 +133,12 @@ class Rows:
         """Return rows of messages without packets: columns that are not given are zero; no count counts."""
         count, empty = len(columns["time_ns"]), _none()
         values = {"findings": np.full(count, Finding.SEQUENCE_UNSET, np.uint32), **columns}
-        kinds = {item.name: getattr(empty, item.name).dtype for item in fields(cls)}
+        kinds = {name: getattr(empty, name).dtype for name in cls.__struct_fields__}
         return cls(**{name: values.get(name, np.zeros(count, kind)) for name, kind in kinds.items()})
 
     def take(self, rows: NDArray[Any] | slice) -> Self:
         """Return the rows that an index array, a mask or a slice chooses."""
-        return type(self)(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
+        return type(self)(**{name: getattr(self, name)[rows] for name in self.__struct_fields__})
 
     def way(self, rows: NDArray[Any] | slice = slice(None)) -> Integers:
         """Return the source and the destination of some rows as one number each: i64."""
@@ -307,7 +306,7 @@ class Recorder:
         if not self._parts:
             return _none()
         if len(self._parts) > 1:
-            parts = {item.name: [getattr(part, item.name) for part in self._parts] for item in fields(Rows)}
+            parts = {name: [getattr(part, name) for part in self._parts] for name in Rows.__struct_fields__}
             self._parts.clear()  # so that no more than one column is there twice
             self._parts.append(Rows(**{name: np.concatenate(parts.pop(name)) for name in list(parts)}))
         return _counting(self._parts[0], self._sequences.whole(self._told))
@@ -412,7 +411,7 @@ def followed(rows: Rows) -> Rows:
     absent, size = np.zeros(len(rows), np.uint16), rows.packet_print.itemsize
 
     def make(kind: type[Any], **more: Any) -> Any:
-        return kind(**{item.name: getattr(rows, item.name, absent) for item in fields(kind)} | more)
+        return kind(**{name: getattr(rows, name, absent) for name in kind.__struct_fields__} | more)
 
     batch = make(
         PacketBatch,
@@ -437,4 +436,4 @@ def _none() -> Rows:
     kinds |= {"identification": "u2", "life": "u1", "counted": "?", "streamed": "?", "undelivered": "?"}
     prints = ("tap", *(f"{name}_print" for name in ("bytes", "packet", "body", "value", "stamped", "shared")))
     kinds |= dict.fromkeys(prints, "u8")
-    return Rows(**{item.name: np.zeros(0, kinds.get(item.name, "i8")) for item in fields(Rows)})
+    return Rows(**{name: np.zeros(0, kinds.get(name, "i8")) for name in Rows.__struct_fields__})

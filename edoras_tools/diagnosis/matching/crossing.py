@@ -7,10 +7,11 @@ mission have them: what the bytes tell holds with any mission.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.diagnosis.evidence.fingerprint import paired
 from edoras_tools.diagnosis.evidence.instances import NOBODY
@@ -52,8 +53,7 @@ _PAIRS: Final = 1 << 20
 """Equal fingerprints that are held against each other at once."""
 
 
-@dataclass(frozen=True, slots=True)
-class Latency:
+class Latency(msgspec.Struct, frozen=True):
     """How long messages took, in ms."""
 
     count: int

@@ -7,11 +7,11 @@ a part of it in which it did one thing: it ends where the stream pauses or its r
 from __future__ import annotations
 
 from bisect import bisect_left, insort
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
@@ -42,8 +42,7 @@ _LEAST_ONES: Final = 20
 _MOST_MISSING: Final = 64
 
 
-@dataclass(eq=False)
-class Stream:
+class Stream(msgspec.Struct, eq=False, dict=True):
     """One MsgId of one sender on one link.
 
     Attributes:
@@ -386,8 +385,7 @@ _STEADY: Final = 0.9
 """Of windows of time that have as many messages as the others."""
 
 
-@dataclass(frozen=True, slots=True)
-class Span:
+class Span(msgspec.Struct, frozen=True):
     """Part of a stream.
 
     Attributes:

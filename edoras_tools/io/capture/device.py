@@ -15,10 +15,10 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from contextlib import suppress
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import SourceDefaults

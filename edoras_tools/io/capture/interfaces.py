@@ -8,8 +8,9 @@ import os
 import socket
 import struct
 import sys
-from dataclasses import dataclass
 from typing import Final
+
+import msgspec
 
 from edoras_tools.errors import CaptureError
 
@@ -24,8 +25,7 @@ _IFF_RUNNING: Final = 1 << 6
 _NAME_LENGTH: Final = 16  # IFNAMSIZ
 
 
-@dataclass(frozen=True, slots=True)
-class Interface:
+class Interface(msgspec.Struct, frozen=True):
     """One interface, or all of them.
 
     Attributes:

@@ -33,10 +33,10 @@ import re
 import socket
 import struct
 import time
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.capture import barrier, tpacket

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from typing import IO, TYPE_CHECKING, Any, Protocol
 
+import msgspec
 import numpy as np
 
 from edoras_tools.errors import CaptureError
@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@dataclass(frozen=True, slots=True)
-class TableColumn:
+class TableColumn(msgspec.Struct, frozen=True):
     """A column of a table.
 
     Attributes:
@@ -53,8 +52,7 @@ class TableColumn:
         return self.values.reshape(-1), np.arange(rows + 1, dtype=np.int64) * width
 
 
-@dataclass(frozen=True, slots=True)
-class TableHead:
+class TableHead(msgspec.Struct, frozen=True):
     """The description of a table, for formats that store one.
 
     Attributes:
@@ -65,7 +63,7 @@ class TableHead:
 
     topic: str
     type: str
-    metadata: Mapping[str, str] = field(default_factory=dict)
+    metadata: Mapping[str, str] = msgspec.field(default_factory=dict)
 
 
 class TableWriter(Protocol):

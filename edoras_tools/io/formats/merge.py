@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
 from heapq import heappop, heappush
 from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import SourceDefaults
@@ -71,13 +71,13 @@ class MergedSource(SourceDefaults):
     def statistics(self) -> SourceStatistics:
         """The sums of the sources' statistics; a sum of 0 drops is None where a source does not tell."""
         total = self._statistics
-        for item in fields(SourceStatistics):
-            values = [getattr(source.statistics, item.name) for source in self._sources]
+        for name in SourceStatistics.__struct_fields__:
+            values = [getattr(source.statistics, name) for source in self._sources]
             if isinstance(values[0], list):
-                setattr(total, item.name, [*chain(*values)])
+                setattr(total, name, [*chain(*values)])
             else:
                 added = sum(value or 0 for value in values)
-                setattr(total, item.name, None if None in values and not added else added)
+                setattr(total, name, None if None in values and not added else added)
         return total
 
     @property

@@ -13,13 +13,13 @@ import struct
 from array import array
 from collections import Counter
 from contextlib import closing, suppress
-from dataclasses import replace
 from itertools import pairwise
 from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 import zstandard
 from mcap.opcode import Opcode
+from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.mcap.chunks import CHUNK_BYTES

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from edoras_tools.io import Sink
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from edoras_tools.structs import Structs
 
 
-@dataclass(frozen=True, slots=True)
-class RecordingOptions:
+class RecordingOptions(msgspec.Struct, frozen=True):
     """What a recording contains, and how files are split.
 
     Attributes:

@@ -19,8 +19,9 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+
+import msgspec
 
 from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io import Sink
@@ -93,8 +94,7 @@ class FileSink(Sink, Protocol):
         """Close the file in its present state; nothing more is written."""
 
 
-@dataclass(slots=True)
-class Keep:
+class Keep(msgspec.Struct):
     """How much of a recording in parts is kept, and what was deleted.
 
     Attributes:

@@ -8,10 +8,10 @@ socket does not know have default values (identification 0, time to live 64).
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW, FrameBatch, MadeFrames
 from edoras_tools.wire.arrays.order import by_value

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.io.frames.network import IpPayloads, transport_payloads
 from edoras_tools.wire.arrays.window import gather
@@ -82,8 +83,7 @@ _PIECE_OVERHEAD = 128
 """Memory of a stored piece besides its bytes, so that floods of tiny fragments are limited as well."""
 
 
-@dataclass(slots=True, eq=False)
-class _Partial:
+class _Partial(msgspec.Struct, eq=False):
     """An incomplete datagram.
 
     Attributes:
@@ -96,7 +96,7 @@ class _Partial:
     """
 
     time_ns: int
-    pieces: list[tuple[int, bytes]] = field(default_factory=list)
+    pieces: list[tuple[int, bytes]] = msgspec.field(default_factory=list)
     units: int = 0
     total: int = -1
     size_stored: int = 0

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.wire.arrays.window import PADDING, copy_rows
 
@@ -18,8 +19,7 @@ LINKTYPE_RAW = 101
 """The packet starts with its IP header."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameBatch:
+class FrameBatch(msgspec.Struct, frozen=True, eq=False):
     """Captured frames in columns over one contiguous byte buffer; all arrays have the same length.
 
     Attributes:
@@ -51,8 +51,7 @@ class FrameBatch:
             self.original_length[garbled] = np.iinfo(np.int32).max
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MadeFrames(FrameBatch):
+class MadeFrames(FrameBatch, frozen=True, eq=False):
     """Raw IPv4 frames that were made of datagrams: what their headers say need not be read out of them again.
 
     Attributes:
@@ -66,9 +65,9 @@ def joined_frames(parts: Sequence[FrameBatch]) -> FrameBatch:
     """Join batches, at least one, in one padded buffer."""
     sizes = np.array([0, *(len(part.data) for part in parts)])
     columns = {
-        item.name: np.concatenate([getattr(part, item.name) for part in parts])
-        for item in fields(FrameBatch)
-        if item.name != "data"
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in FrameBatch.__struct_fields__
+        if name != "data"
     }
     columns["offset"] += np.repeat(np.cumsum(sizes)[:-1], [len(part) for part in parts])
     return FrameBatch(
@@ -90,5 +89,5 @@ def frames_at(frames: FrameBatch, rows: NDArray[np.int64] | None) -> FrameBatch:
     if rows is None:
         return frames
     return FrameBatch(
-        frames.data, *(getattr(frames, item.name)[rows] for item in fields(FrameBatch) if item.name != "data")
+        frames.data, *(getattr(frames, name)[rows] for name in FrameBatch.__struct_fields__ if name != "data")
     )

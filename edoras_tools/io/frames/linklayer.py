@@ -19,12 +19,12 @@ All other frames, and those whose IP header is incomplete or damaged, are skippe
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cached_property
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.io.frames.fragments import Beginning, Fragment, Reassembler
 from edoras_tools.io.frames.frame_batch import (

@@ -5,10 +5,11 @@ RFC 791 and RFC 8200. Only packets of one transport protocol are kept, usually U
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.model import Finding
 from edoras_tools.wire.arrays.window import read_at, word_sums
@@ -64,8 +65,7 @@ _EXTENSIONS = (0, 43, _FRAGMENT_HEADER, _AUTHENTICATION_HEADER, 60, 135, 139, 14
 """Hop-by-hop, routing, fragment, authentication, destination options, mobility, HIP, shim6."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class IpPayloads:
+class IpPayloads(msgspec.Struct, frozen=True, eq=False):
     """UDP or TCP, or fragments of it, as IP headers describe it; one element for each packet that was kept.
 
     Attributes:
@@ -96,9 +96,9 @@ class IpPayloads:
     def take(self, mask: NDArray[np.bool_]) -> IpPayloads:
         """Return some of the packets."""
         columns: dict[str, Any] = {}
-        for item in fields(self):
-            value = getattr(self, item.name)
-            columns[item.name] = value[mask] if isinstance(value, np.ndarray) else value
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            columns[name] = value[mask] if isinstance(value, np.ndarray) else value
         return IpPayloads(**columns)
 
 
@@ -221,9 +221,9 @@ def merge_rows(parts: list[tuple[NDArray[np.int64], IpPayloads]]) -> IpPayloads:
     """
     selections = [replace(part, rows=rows if part.rows is None else rows[part.rows]) for rows, part in parts]
     columns = {
-        item.name: np.concatenate([getattr(part, item.name) for part in selections])
-        for item in fields(IpPayloads)
-        if item.name not in {"addresses", "udp"}
+        name: np.concatenate([getattr(part, name) for part in selections])
+        for name in IpPayloads.__struct_fields__
+        if name not in {"addresses", "udp"}
     }
     order = np.argsort(columns["rows"], kind="stable")
     addresses = next((part.addresses for part in selections if part.addresses), ())

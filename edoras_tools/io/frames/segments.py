@@ -10,10 +10,10 @@ IPv4 identification and checksums.
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.io.frames.build import internet_checksum
 from edoras_tools.io.frames.frame_batch import FrameBatch

@@ -24,9 +24,9 @@ Of bytes that came twice with different values, those that came first are used.
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.io.frames.chain import walk_records
@@ -65,8 +65,7 @@ _GAP: Final = np.uint32(Finding.STREAM_GAP)
 _RESENT: Final = np.uint32(Finding.STREAM_RESENT)
 
 
-@dataclass(slots=True, eq=False)
-class _Shared:
+class _Shared(msgspec.Struct, eq=False):
     """What both directions of a connection share.
 
     Attributes:
@@ -81,8 +80,7 @@ class _Shared:
         return self.state is not None and self.state.foreign
 
 
-@dataclass(slots=True, eq=False)
-class _Direction:
+class _Direction(msgspec.Struct, eq=False):
     """One direction of a connection.
 
     Attributes:
@@ -108,8 +106,7 @@ class _Direction:
     sender: NDArray[np.uint8] | None = None
 
 
-@dataclass(slots=True, eq=False)
-class _Pieces:
+class _Pieces(msgspec.Struct, eq=False):
     """Bytes of a direction that are new, in the order of the stream; arrays of one length.
 
     Attributes:
@@ -127,14 +124,13 @@ class _Pieces:
     untrimmed: NDArray[np.bool_]
 
     def part(self, rows: slice) -> _Pieces:
-        return _Pieces(*(getattr(self, item.name)[rows] for item in fields(self)))
+        return _Pieces(*(getattr(self, name)[rows] for name in self.__struct_fields__))
 
     def __len__(self) -> int:
         return len(self.segment)
 
 
-@dataclass(slots=True, eq=False)
-class _Rows:
+class _Rows(msgspec.Struct, eq=False):
     """What was found, a list of arrays for each column of the result.
 
     Attributes:
@@ -149,14 +145,14 @@ class _Rows:
         bytes: how many these are.
     """
 
-    segment: list[NDArray[np.int64]] = field(default_factory=list)
-    offset: list[NDArray[np.int64]] = field(default_factory=list)
-    length: list[NDArray[np.int64]] = field(default_factory=list)
-    sequence: list[NDArray[np.int64]] = field(default_factory=list)
-    whole: list[NDArray[np.bool_]] = field(default_factory=list)
-    findings: list[NDArray[np.uint32]] = field(default_factory=list)
-    direction: list[NDArray[np.int64]] = field(default_factory=list)
-    appended: list[NDArray[np.uint8]] = field(default_factory=list)
+    segment: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
+    offset: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
+    length: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
+    sequence: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
+    whole: list[NDArray[np.bool_]] = msgspec.field(default_factory=list)
+    findings: list[NDArray[np.uint32]] = msgspec.field(default_factory=list)
+    direction: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
+    appended: list[NDArray[np.uint8]] = msgspec.field(default_factory=list)
     bytes: int = 0
 
 
@@ -649,11 +645,9 @@ def _from(base: int | NDArray[np.int64], sequence: NDArray[np.int64]) -> NDArray
 def _batch(segments: Segments, rows: _Rows, ways: list[_Direction]) -> PacketBatch:
     """Return what was found as a batch."""
     column: dict[str, NDArray[Any]] = {
-        item.name: np.concatenate(
-            [np.empty(0, bool if item.name == "whole" else np.int64), *getattr(rows, item.name)]
-        )
-        for item in fields(_Rows)
-        if item.name not in {"appended", "bytes"}
+        name: np.concatenate([np.empty(0, bool if name == "whole" else np.int64), *getattr(rows, name)])
+        for name in _Rows.__struct_fields__
+        if name not in {"appended", "bytes"}
     }
     order = np.argsort(column["segment"], kind="stable")
     column = {name: values[order] for name, values in column.items()}

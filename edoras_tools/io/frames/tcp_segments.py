@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.io.frames.build import internet_checksum, put_words, words_of
@@ -35,8 +35,7 @@ _KEPT_FLAGS: Final = 0xF8
 _FLAGS_AT: Final = 13
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Segments:
+class Segments(msgspec.Struct, frozen=True, eq=False):
     """TCP segments; all arrays have the same length.
 
     Attributes:
@@ -100,8 +99,7 @@ def read_segments(frames: FrameBatch, network: NDArray[np.int64], ip: IpPayloads
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SegmentBytes:
+class SegmentBytes(msgspec.Struct, frozen=True, eq=False):
     """What new segments are to hold; all arrays have the same length.
 
     Attributes:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.io.net.buffer import SLOTS, SPARE, DatagramBuffer
@@ -25,8 +25,7 @@ _LATENCIES: Final = 4096
 assert _LATENCIES >= SLOTS + SPARE
 
 
-@dataclass(slots=True)
-class Direction:
+class Direction(msgspec.Struct):
     """Counters of one direction.
 
     Attributes:
@@ -55,8 +54,8 @@ class Direction:
     overflowed: int = 0
     kernel_drops: int = 0
     unclaimed: int = 0
-    latency: Lateness = field(default_factory=Lateness)
-    _latencies: NDArray[np.int64] = field(default_factory=lambda: np.empty(_LATENCIES, np.int64), repr=False)
+    latency: Lateness = msgspec.field(default_factory=Lateness)
+    _latencies: NDArray[np.int64] = msgspec.field(default_factory=lambda: np.empty(_LATENCIES, np.int64))
     _waiting_latencies: int = 0
 
     def add_latencies(self, latency_ns: NDArray[np.int64]) -> None:

@@ -15,9 +15,9 @@ from __future__ import annotations
 import errno
 import os
 import socket
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.io.net.address import resolve
@@ -49,8 +49,7 @@ _INSTEAD: Final = "choose another with --listen"
 _OR_NONE: Final = f"{_INSTEAD}, or receive no answers: --no-listen (edoras sim: --no-bridges)"
 
 
-@dataclass(slots=True)
-class SendStatistics:
+class SendStatistics(msgspec.Struct):
     """Counters of sent datagrams.
 
     Attributes:
@@ -61,7 +60,7 @@ class SendStatistics:
 
     sent: int = 0
     refused: int = 0
-    errors: dict[str, int] = field(default_factory=dict)
+    errors: dict[str, int] = msgspec.field(default_factory=dict)
 
     def add(self, sent: SendResult) -> None:
         """Add the result of sending some datagrams."""

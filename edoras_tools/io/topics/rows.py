@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.wire.arrays.window import copy_rows, put_rows
@@ -45,8 +45,7 @@ CDR_LE_WORD = 0x00000100
 _WHOLE = np.dtype([*RECORD, ("encapsulation", "<u4")])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Messages:
+class Messages(msgspec.Struct, frozen=True, eq=False):
     """Messages of one kind in columns: a fixed head, then bytes from a buffer.
 
     Attributes:
@@ -147,8 +146,7 @@ def no_messages(channel_id: int, head: np.dtype[np.void]) -> Messages:
     return whole_messages(nowhere, np.zeros(0, head), channel_id, 0, nowhere, nowhere)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Records:
+class Records(msgspec.Struct, frozen=True, eq=False):
     """Messages one after the other; arrays have one element per message.
 
     Attributes:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
@@ -187,7 +187,7 @@ def _merge(groups: NDArray[np.void]) -> NDArray[np.void]:
 HOST_TOPIC: Final = "/edoras/host"
 HOST_TYPE: Final = "edoras_msgs/msg/HostStatistics"
 _COUNTERS: Final = tuple(
-    item.name for item in fields(HostCounters) if item.name not in {"time_ns", "sockets"}
+    name for name in HostCounters.__struct_fields__ if name not in {"time_ns", "sockets"}
 )
 _UNKNOWN: Final = -1
 
@@ -198,7 +198,7 @@ def host_messages(host: HostCounters, channel_id: int, types: TypeStore) -> Mess
     counters = {name: getattr(host, name) for name in _COUNTERS}
     values = {
         "stamp": {"sec": seconds, "nanosec": rest},
-        "sockets": [asdict(item) for item in host.sockets],
+        "sockets": [msgspec.to_builtins(item) for item in host.sockets],
         **{name: _UNKNOWN if value is None else value for name, value in counters.items()},
     }
     return bodies_of([types.encode(HOST_TYPE, values)[4:]], [host.time_ns], channel_id)

@@ -5,12 +5,13 @@ Mission time becomes UTC by the clock of the capture.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.io.topics.cfe import (
@@ -184,8 +185,7 @@ _SOFTWARE_BUS: Final = "/edoras/software_bus"
 STATISTICS_TOPIC: Final = "/edoras/link_statistics"
 
 
-@dataclass(frozen=True, slots=True)
-class Topic:
+class Topic(msgspec.Struct, frozen=True):
     """A topic that messages are written to.
 
     Attributes:
@@ -198,7 +198,7 @@ class Topic:
 
     name: str
     type: str
-    metadata: Mapping[str, str] = field(default_factory=dict)
+    metadata: Mapping[str, str] = msgspec.field(default_factory=dict)
     encoding: str = "cdr"
     schema: tuple[str, bytes] | None = None
 
@@ -220,8 +220,7 @@ HOST_COUNTERS: Final = Topic(HOST_TOPIC, HOST_TYPE)
 """The kernel's counters of this host; only where datagrams are captured live."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PreparedBatch:
+class PreparedBatch(msgspec.Struct, frozen=True, eq=False):
     """What depends on the batches before a batch; all else follows from the batch itself.
 
     Attributes:

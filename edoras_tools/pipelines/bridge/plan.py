@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Literal
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.errors import ConfigError, RouteError
@@ -24,8 +26,7 @@ BridgeKind = Literal["ground", "flight"]
 _DEPTH: Final = 10
 
 
-@dataclass(frozen=True, slots=True)
-class BridgeRequest:
+class BridgeRequest(msgspec.Struct, frozen=True):
     """What the command line requests of all bridges.
 
     Attributes:
@@ -43,8 +44,7 @@ class BridgeRequest:
     enable: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class StationPlan:
+class StationPlan(msgspec.Struct, frozen=True):
     """One bridge to run.
 
     Attributes:
@@ -91,8 +91,7 @@ class StationPlan:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class BridgePlan:
+class BridgePlan(msgspec.Struct, frozen=True):
     """What to run.
 
     Attributes:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import socket
 import time
 from collections import defaultdict
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.errors import EdorasError, RouteError
@@ -43,8 +43,7 @@ _TURNS: Final = 4
 _COUNT_NS: Final = 500_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class BridgeContext:
+class BridgeContext(msgspec.Struct, frozen=True):
     """What all bridges of a process share.
 
     Attributes:

@@ -5,10 +5,10 @@ And counts for ``sniff --stat``: by route, by SBN conversation, by size, by find
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.cfs.names import command_name
@@ -93,8 +93,7 @@ class _Stream(NamedTuple):
     label: str
 
 
-@dataclass(slots=True)
-class _Run:
+class _Run(msgspec.Struct):
     count: int
     first_ns: int
     last_ns: int

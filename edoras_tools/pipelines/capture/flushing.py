@@ -11,10 +11,10 @@ Rules that it keeps:
 from __future__ import annotations
 
 import time
-from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.model import Columns, PacketBatch, concatenate
 from edoras_tools.units import SECOND
@@ -71,12 +71,12 @@ def join(parts: Sequence[tuple[PacketBatch, Columns]]) -> tuple[PacketBatch, Col
         return parts[0]
     shifts = np.cumsum([0, *(len(batch.data) for batch, _ in parts[:-1])]).tolist()
     whole = {}
-    for item in fields(Columns):
-        values = [getattr(columns, item.name) for _, columns in parts]
-        if item.name in OFFSETS:
+    for name in Columns.__struct_fields__:
+        values = [getattr(columns, name) for _, columns in parts]
+        if name in OFFSETS:
             pairs = zip(values, shifts, strict=True)
             values = [np.where(value >= 0, value + shift, value) for value, shift in pairs]
-        whole[item.name] = np.concatenate(values)
+        whole[name] = np.concatenate(values)
     return concatenate([batch for batch, _ in parts]), Columns(**whole)
 
 

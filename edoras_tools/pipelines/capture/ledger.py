@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.cfs.names import message_name
@@ -55,8 +55,7 @@ def _bits(findings: int) -> tuple[tuple[np.uint32, str], ...]:
     return tuple((np.uint32(item), item.label) for item in Finding(findings))
 
 
-@dataclass(slots=True)
-class Account:
+class Account(msgspec.Struct):
     """The counts of one stream: a MsgId (or SBN message type) of a processor of a spacecraft on a link.
 
     Times are ns. ``interval_squares`` is in ns squared, exact, so that it does not depend on the batches.
@@ -79,12 +78,12 @@ class Account:
     newest_ns: int = 0
     interval_squares: int = 0
     longest_ns: int = 0
-    sequences: list[SequenceStream] = field(default_factory=list)
+    sequences: list[SequenceStream] = msgspec.field(default_factory=list)
     bytes_min: int = 1 << 31
     bytes_max: int = 0
     bytes: int = 0
-    findings: dict[str, int] = field(default_factory=dict)
-    codes: Counter[int] = field(default_factory=Counter)
+    findings: dict[str, int] = msgspec.field(default_factory=dict)
+    codes: Counter[int] = msgspec.field(default_factory=Counter)
     pauses: int = 0
     paused_ns: int = 0
     pausing: bool = False
@@ -151,7 +150,7 @@ class Account:
 
 
 _UNSAID: Final = {"link", "spacecraft", "sequences", "findings", "codes", "pauses", "paused_ns", "pausing"}
-_PLAIN: Final = [item.name for item in fields(Account) if item.name not in _UNSAID]
+_PLAIN: Final = [name for name in Account.__struct_fields__ if name not in _UNSAID]
 """The numbers of an account; of a recording that says them there is one spacecraft."""
 _TOTALS: Final = "datagrams", "start_ns", "end_ns", "behind", "behind_ns"
 

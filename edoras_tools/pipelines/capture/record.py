@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
 from time import time_ns
 from typing import TYPE_CHECKING, Any
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.diagnosis.evidence.copies import Repeats
 from edoras_tools.errors import ConfigError, EdorasError, os_errors
@@ -34,8 +36,7 @@ if TYPE_CHECKING:
     from edoras_tools.structs.shapes import LayoutEntry
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
+class Target(msgspec.Struct, frozen=True):
     """What to write.
 
     Attributes:
@@ -68,8 +69,8 @@ class Target:
     replace: bool = False
     transforms: bool = False
     jobs: int = 0
-    on_warning: Callable[[str], None] = field(default=lambda _: None, compare=False, repr=False)
-    on_complete: Callable[[Path], None] = field(default=lambda _: None, compare=False, repr=False)
+    on_warning: Callable[[str], None] = lambda _: None
+    on_complete: Callable[[Path], None] = lambda _: None
 
     @property
     def splits(self) -> bool:
@@ -84,8 +85,7 @@ class Target:
         return ROSBAG2 if self.rosbag2 else written_as(self.path)
 
 
-@dataclass(slots=True, eq=False)
-class CaptureReport:
+class CaptureReport(msgspec.Struct, eq=False):
     """What was recorded.
 
     Attributes:
@@ -102,13 +102,13 @@ class CaptureReport:
 
     ledger: Ledger
     source: Source
-    outputs: list[Path] = field(default_factory=list)
+    outputs: list[Path] = msgspec.field(default_factory=list)
     failure: EdorasError | None = None
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = msgspec.field(default_factory=list)
     unnamed: int = 0
-    losses: list[OutputLoss] = field(default_factory=list)
-    keep: Keep = field(default_factory=Keep)
-    entries: Counter[LayoutEntry] = field(default_factory=Counter)
+    losses: list[OutputLoss] = msgspec.field(default_factory=list)
+    keep: Keep = msgspec.field(default_factory=Keep)
+    entries: Counter[LayoutEntry] = msgspec.field(default_factory=Counter)
 
     @property
     def lost(self) -> int:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import pickle
 from collections import deque
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, fields, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.decode import Dissector
 from edoras_tools.diagnosis.case import Capture
@@ -122,7 +123,7 @@ class _Judges:
 
 def _own(table: _Table) -> _Table:
     """Return a batch or its columns with all arrays but the bytes in memory of this process."""
-    columns = {item.name: getattr(table, item.name) for item in fields(table) if item.name != "data"}
+    columns = {name: getattr(table, name) for name in table.__struct_fields__ if name != "data"}
     arrays: Any = {name: value.copy() for name, value in columns.items() if isinstance(value, np.ndarray)}
     return replace(table, **arrays)
 
@@ -168,8 +169,7 @@ class Pace(NamedTuple):
     jobs: int = 1
 
 
-@dataclass(slots=True)
-class Findings:
+class Findings(msgspec.Struct):
     """The result of an examination.
 
     Attributes:

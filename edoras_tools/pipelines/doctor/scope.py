@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Workbench
 
 
-@dataclass(frozen=True, slots=True)
-class Scope:
+class Scope(msgspec.Struct, frozen=True):
     """What the options of a command select.
 
     Attributes:
@@ -30,8 +29,8 @@ class Scope:
         period: what is examined.
     """
 
-    selection: Selection = field(default_factory=Selection)
-    period: Period = field(default_factory=Period)
+    selection: Selection = msgspec.field(default_factory=Selection)
+    period: Period = msgspec.field(default_factory=Period)
 
 
 class Chosen:

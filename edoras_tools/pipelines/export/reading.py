@@ -12,6 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import msgspec
 import numpy as np
 
 from edoras_tools import doors
@@ -37,8 +38,7 @@ if TYPE_CHECKING:
     Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 
-@dataclass(frozen=True)
-class TopicTable:
+class TopicTable(msgspec.Struct, frozen=True, dict=True):
     """The messages of a topic, a row each; they are read when they are used for the first time.
 
     Attributes:

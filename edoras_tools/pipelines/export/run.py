@@ -5,10 +5,11 @@ from __future__ import annotations
 import queue
 import threading
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
+
+import msgspec
 
 from edoras_tools.errors import CaptureError, ConfigError, os_errors
 from edoras_tools.io.formats.columns import TableFile, TableHead
@@ -32,8 +33,7 @@ waits for a slow write, and gives other processes nothing to do."""
 _OWN = JUDGED | {item.name for item in (*OWN_TOPICS, FAULTS)}
 
 
-@dataclass(frozen=True, slots=True)
-class ExportTarget:
+class ExportTarget(msgspec.Struct, frozen=True):
     """The output of an export.
 
     Attributes:
@@ -107,8 +107,7 @@ class ExportTarget:
         return self.path / name_that_fits(name, self.format.suffix)
 
 
-@dataclass(slots=True)
-class ExportReport:
+class ExportReport(msgspec.Struct):
     """The result of an export.
 
     Attributes:
@@ -117,7 +116,7 @@ class ExportReport:
     """
 
     source: TopicSource
-    files: list[TableFile] = field(default_factory=list)
+    files: list[TableFile] = msgspec.field(default_factory=list)
 
     def summary(self) -> dict[str, Any]:
         """Return the report in the form of ``export --json``."""

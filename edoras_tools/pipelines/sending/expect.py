@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.errors import ConfigError, TruncatedError
 from edoras_tools.pipelines.names import find_packets
@@ -20,8 +21,7 @@ _NOBODY: Final = (0, 0, 0, 0, 0)
 """The origin of a packet whose values are asked for, and nothing else."""
 
 
-@dataclass(slots=True)
-class Expectation:
+class Expectation(msgspec.Struct):
     """One thing that has to come.
 
     Attributes:
@@ -85,8 +85,7 @@ class Expectation:
         self.met = self.met or (counts and value - self._base >= self.growth)
 
 
-@dataclass(slots=True)
-class AwaitedResults:
+class AwaitedResults(msgspec.Struct):
     """All that has to come, and how long to wait for it.
 
     Attributes:
@@ -96,7 +95,7 @@ class AwaitedResults:
 
     items: Sequence[Expectation] = ()
     within_ns: int = 0
-    _structs: Structs = field(default_factory=Structs)
+    _structs: Structs = msgspec.field(default_factory=Structs)
     _running: bool = False
 
     @classmethod

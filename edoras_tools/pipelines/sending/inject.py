@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import edoras_app
 from edoras_tools.cfs.commands import CALLS, ENABLE_OUTPUT, NAMED, Argument, arguments_taken, call
@@ -34,8 +35,7 @@ _MOST: Final = 1 << 17
 """Maximum random messages that are made before the first is sent; a longer run repeats them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Injection:
+class Injection(msgspec.Struct, frozen=True):
     """What to inject.
 
     Attributes:

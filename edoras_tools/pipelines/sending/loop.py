@@ -16,9 +16,9 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from contextlib import nullcontext
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.errors import CaptureError, EdorasError
@@ -57,8 +57,7 @@ _LEAD_NS: Final = 2 * MILLISECOND
 """Time from the start to the first deadline, so that the first datagram is not late."""
 
 
-@dataclass(frozen=True, slots=True)
-class SendSchedule:
+class SendSchedule(msgspec.Struct, frozen=True):
     """What is sent, where and when.
 
     Attributes:
@@ -75,15 +74,14 @@ class SendSchedule:
     target: str
     out: Outgoing
     table: Timetable
-    changes: Changes = field(default_factory=Changes)
+    changes: Changes = msgspec.field(default_factory=Changes)
     passes: int = 1
     paused: bool = False
     linger_ns: int = 0
     follow_ns: int = 0
 
 
-@dataclass(slots=True)
-class SendReport:
+class SendReport(msgspec.Struct):
     """What was sent, and the result.
 
     Attributes:
@@ -110,16 +108,16 @@ class SendReport:
     asked_hz: float | None
     sent: int = 0
     send_errors: int = 0
-    errors: dict[str, int] = field(default_factory=dict)
+    errors: dict[str, int] = msgspec.field(default_factory=dict)
     first_ns: int = 0
     last_ns: int = 0
-    lateness: Lateness = field(default_factory=Lateness)
-    faults: dict[str, int] = field(default_factory=dict)
+    lateness: Lateness = msgspec.field(default_factory=Lateness)
+    faults: dict[str, int] = msgspec.field(default_factory=dict)
     interrupted: bool = False
     signalled: bool = False
     failure: EdorasError | None = None
-    notes: list[str] = field(default_factory=list)
-    losses: list[OutputLoss] = field(default_factory=list)
+    notes: list[str] = msgspec.field(default_factory=list)
+    losses: list[OutputLoss] = msgspec.field(default_factory=list)
     to_ci: bool = False
 
     @property

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs.names import message_name
 from edoras_tools.errors import ConfigError, RouteError
@@ -187,8 +188,7 @@ class Role(StrEnum):
     CAPTURED = "captured"
 
 
-@dataclass(frozen=True, slots=True)
-class SendOptions:
+class SendOptions(msgspec.Struct, frozen=True):
     """How to send.
 
     Attributes:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.errors import CaptureError, ConfigError, WireError
@@ -53,8 +53,7 @@ _MOST_BYTES: Final = 4 << 30
 _STAMP: Final = "header.stamp.sec"
 
 
-@dataclass(frozen=True, slots=True)
-class ReplaySelection:
+class ReplaySelection(msgspec.Struct, frozen=True):
     """Which part of a recording is sent.
 
     Attributes:
@@ -64,9 +63,9 @@ class ReplaySelection:
         count: only the first so many of the rest; 0 for all.
     """
 
-    selection: Selection = field(default_factory=Selection)
+    selection: Selection = msgspec.field(default_factory=Selection)
     routes: Sequence[str] = ()
-    period: Period = field(default_factory=Period)
+    period: Period = msgspec.field(default_factory=Period)
     count: int = 0
 
 

@@ -14,8 +14,9 @@ How many of the datagrams that were sent Command Ingest has read is its own coun
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.cfs import command_ingest
 from edoras_tools.cfs.names import message_name
@@ -32,8 +33,7 @@ _STANDS_STILL: Final = 2
 """Reports that repeat the one before them."""
 
 
-@dataclass(slots=True)
-class IngestCount:
+class IngestCount(msgspec.Struct):
     """Compares CI's count with what was sent to it.
 
     Attributes:
@@ -139,8 +139,7 @@ _INGEST: Final = {
 """A packet of another length is not CI's: this build gives its MsgId to another application."""
 
 
-@dataclass(slots=True)
-class ReceivedEvent:
+class ReceivedEvent(msgspec.Struct):
     """One event, with the number of times that it came."""
 
     app: str

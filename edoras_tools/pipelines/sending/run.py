@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.transmit import Listener, Transmitter
@@ -39,8 +40,7 @@ if TYPE_CHECKING:
     from edoras_tools.wire.msg_id import MsgIds
 
 
-@dataclass(frozen=True, slots=True)
-class Loaded:
+class Loaded(msgspec.Struct, frozen=True):
     """What is to be sent, and notes from reading.
 
     Attributes:

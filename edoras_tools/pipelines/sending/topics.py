@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from edoras_tools.cfs import edoras_app
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
@@ -23,8 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Workbench
 
 
-@dataclass(frozen=True, slots=True)
-class Encoder:
+class Encoder(msgspec.Struct, frozen=True):
     """Makes the packets of one route, as its bridge or its application does.
 
     Attributes:
@@ -41,7 +41,7 @@ class Encoder:
     envelope: EnvelopeFormat
     function_code: int = edoras_app.SET
     headers: cfe.Headers = cfe.STANDARD
-    time: cfe.MissionTime = cfe.MissionTime()  # noqa: RUF009  frozen
+    time: cfe.MissionTime = cfe.MissionTime()
 
     @classmethod
     def of(cls, route: Route, bench: Workbench, function_code: int = edoras_app.SET) -> Encoder:

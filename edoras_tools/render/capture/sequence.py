@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from edoras_tools.render import units
 from edoras_tools.render.severity import Level, explain
@@ -18,8 +19,7 @@ _PLANTUML: Final = re.compile(r"""//|__|\*\*|--|""|[~<]""")
 """Characters with a meaning in the diagram's syntax."""
 
 
-@dataclass(frozen=True, slots=True)
-class SequenceMessage:
+class SequenceMessage(msgspec.Struct, frozen=True):
     """Like packets from one party to another, without a pause.
 
     Attributes:

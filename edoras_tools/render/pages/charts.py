@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from html import escape
 from math import ceil, floor
 from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from edoras_tools.render.plot.figure import tick_texts, ticks
 
@@ -19,8 +20,7 @@ _COUNTED: Final = ("messages", "runs")
 """Units of which there are no halves. The margins hold the large letters that a phone is given."""
 
 
-@dataclass(frozen=True, slots=True)
-class TimeSpan:
+class TimeSpan(msgspec.Struct, frozen=True):
     """What a time axis shows.
 
     Attributes:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.words import plural
 
@@ -31,8 +32,7 @@ DASHES: Final = ("", "7 4", "2 3", "10 3 2 3")
 _WIDE, _NARROW = frozenset("MWmw@%"), frozenset("iljtfrI.,:;'|!()[]/- ")
 
 
-@dataclass(frozen=True, slots=True)
-class PlotLine:
+class PlotLine(msgspec.Struct, frozen=True):
     """Values over time.
 
     Attributes:
@@ -89,8 +89,7 @@ def extremes(
     return np.unique(np.concatenate([order[first], order[last]]))
 
 
-@dataclass(frozen=True, slots=True)
-class Panel:
+class Panel(msgspec.Struct, frozen=True):
     """Lines that share an axis.
 
     Attributes:
@@ -154,8 +153,7 @@ class EventMark(NamedTuple):
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
+class Figure(msgspec.Struct, frozen=True):
     """A plot.
 
     Attributes:
@@ -173,7 +171,7 @@ class Figure:
     span: tuple[float, float]
     marks: Sequence[EventMark] | None = None
     events: int = 0
-    notes: Sequence[str] = field(default_factory=tuple)
+    notes: Sequence[str] = msgspec.field(default_factory=tuple)
     across: str = AXIS
 
     @property

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec.structs import replace
 from rich.text import Text
 
 from edoras_tools.render.plot.figure import Figure, Panel, PlotLine, tick_texts

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+import msgspec
 from rich.table import Table
 from rich.text import Text
 
@@ -19,8 +19,7 @@ _LEAST_NAME: Final = 16
 """The least width of the elastic column, where its content is that wide."""
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
+class Column(msgspec.Struct, frozen=True):
     """One column.
 
     Attributes:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from edoras_tools.ros.cdr import bulk, reader, validity
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     """Gathers a part of a column: different rows, how many values each has, and the values."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ragged:
+class Ragged(msgspec.Struct, frozen=True, eq=False):
     """A column whose rows hold different numbers of values.
 
     Sequences inside sequences are joined: a row holds all of its values in wire order.
@@ -48,8 +47,7 @@ class Ragged:
         return self.values[self.offsets[row] : self.offsets[row + 1]]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MessageColumns:
+class MessageColumns(msgspec.Struct, frozen=True, eq=False):
     """Many messages of one type, a row each.
 
     Attributes:
@@ -69,8 +67,7 @@ class MessageColumns:
         return len(self.valid)
 
 
-@dataclass(frozen=True, slots=True)
-class TopicBlock:
+class TopicBlock(msgspec.Struct, frozen=True):
     """Messages of one topic, one row each.
 
     Attributes:
@@ -88,7 +85,7 @@ class TopicBlock:
     message: MessageColumns
     publish_ns: NDArray[np.int64] | None = None
     sequence: NDArray[np.unsignedinteger] | None = None
-    present: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    present: Mapping[str, NDArray[np.bool_]] = msgspec.field(default_factory=dict)
     recording: NDArray[np.object_] | None = None
 
     def __len__(self) -> int:

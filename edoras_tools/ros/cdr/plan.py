@@ -18,9 +18,10 @@ These are usual:
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.types.schema import PLACEHOLDER, PRIMITIVES, STRINGS, Definition, MessageField, Shape
@@ -46,8 +47,7 @@ _MOST_COUNTED: Final = 256
 """Elements above which the excess of a sequence counts as unlimited."""
 
 
-@dataclass(frozen=True, slots=True)
-class Leaf:
+class Leaf(msgspec.Struct, frozen=True):
     """A primitive, or a fixed array of one, inside a run.
 
     Attributes:
@@ -70,8 +70,7 @@ class Leaf:
         return self.offset + self.size * (1 if self.count is None else self.count)
 
 
-@dataclass(frozen=True, slots=True)
-class PrimitiveRun:
+class PrimitiveRun(msgspec.Struct, frozen=True):
     """Primitives at fixed offsets from a start aligned to ``alignment``.
 
     Attributes:
@@ -86,8 +85,7 @@ class PrimitiveRun:
     structs: tuple[struct.Struct, struct.Struct]
 
 
-@dataclass(frozen=True, slots=True)
-class Text:
+class Text(msgspec.Struct, frozen=True):
     """A string: its length as u32, then the characters.
 
     Attributes:
@@ -101,8 +99,7 @@ class Text:
     width: int
 
 
-@dataclass(frozen=True, slots=True)
-class Repeat:
+class Repeat(msgspec.Struct, frozen=True):
     """One plan several times: an array whose length is fixed, or a sequence that starts with a count as u32.
 
     Attributes:
@@ -120,8 +117,7 @@ class Repeat:
 PlanStep = PrimitiveRun | Text | Repeat
 
 
-@dataclass(frozen=True)
-class CdrPlan:
+class CdrPlan(msgspec.Struct, frozen=True, dict=True):
     """The CDR layout of a type.
 
     Attributes:

@@ -12,8 +12,9 @@ Rules that it keeps:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Generic, Literal, Protocol, TypeVar
+
+import msgspec
 
 from edoras_tools.cfs import limits
 from edoras_tools.sessions.bridge.packets import Envelope, PacketWriter, find_packet
@@ -31,8 +32,7 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 
 
-@dataclass(frozen=True, slots=True)
-class Limit:
+class Limit(msgspec.Struct, frozen=True):
     """The limit of a lane.
 
     Attributes:
@@ -191,8 +191,7 @@ class LinkSession(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class BridgeOptions:
+class BridgeOptions(msgspec.Struct, frozen=True):
     """How a bridge writes and reads packets.
 
     Attributes:
@@ -208,8 +207,7 @@ class BridgeOptions:
     max_rate_total: float | None = None
 
 
-@dataclass(slots=True)
-class Traffic:
+class Traffic(msgspec.Struct):
     """What happened to the messages of one route.
 
     Attributes:
@@ -220,7 +218,7 @@ class Traffic:
 
     received: int = 0
     sent: int = 0
-    refused: dict[str, int] = field(default_factory=dict)
+    refused: dict[str, int] = msgspec.field(default_factory=dict)
 
     def refuse(self, reason: str) -> None:
         """Count one that is refused.

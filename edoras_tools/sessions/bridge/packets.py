@@ -6,8 +6,9 @@ An envelope whose length exceeds the packet is refused; one whose length is shor
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from edoras_tools.cfs import edoras_app
 from edoras_tools.sessions.sequence import MODULUS
@@ -143,8 +144,7 @@ class Envelope:
         return data[at : at + length]
 
 
-@dataclass(frozen=True, slots=True)
-class PacketPlace:
+class PacketPlace(msgspec.Struct, frozen=True):
     """A space packet in a datagram.
 
     Attributes:

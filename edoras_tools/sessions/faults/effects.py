@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import msgspec
 
 from edoras_tools.sessions.faults.bytes import CONTENT, Chance, Struck, sequence_ahead
 from edoras_tools.sessions.faults.chance import fraction
@@ -21,8 +22,7 @@ _HEADERS: Final = 28
 _SALT_JITTER: Final = 1
 
 
-@dataclass(slots=True, eq=False)
-class Pending:
+class Pending(msgspec.Struct, eq=False):
     """A datagram while it passes through the rules.
 
     Attributes:

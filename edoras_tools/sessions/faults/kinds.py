@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import msgspec
 
 from edoras_tools.sessions.faults import values as read
 
@@ -43,8 +44,7 @@ class Option(NamedTuple):
     doc: str
 
 
-@dataclass(frozen=True, slots=True)
-class FaultKind:
+class FaultKind(msgspec.Struct, frozen=True):
     """One kind of fault.
 
     Attributes:
@@ -59,7 +59,7 @@ class FaultKind:
     stage: Stage
     doc: str
     value: str = "p"
-    options: Mapping[str, Option] = field(default_factory=dict)
+    options: Mapping[str, Option] = msgspec.field(default_factory=dict)
 
 
 def _one_of(*words: str) -> Callable[[str], str]:

@@ -16,10 +16,10 @@ A ``FaultPlan`` is frozen: rules and a seed. A ``FaultMachine`` is one run of it
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from edoras_tools.errors import ConfigError
@@ -72,8 +72,7 @@ class Delivery(NamedTuple):
     to_cfs: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class FaultPlan:
+class FaultPlan(msgspec.Struct, frozen=True):
     """The faults to inject.
 
     Attributes:

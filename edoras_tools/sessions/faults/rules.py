@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
+
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import table
 from edoras_tools.sessions.faults import values as read
@@ -22,8 +24,7 @@ DIRECTIONS: Final = {"cfs": True, "ground": False, "bridge": False}
 """``to=``: towards cFS, or away from it; ``ground`` and ``bridge`` both mean away."""
 
 
-@dataclass(frozen=True, slots=True)
-class RuleScope:
+class RuleScope(msgspec.Struct, frozen=True):
     """Which datagrams a rule looks at; empty is all.
 
     Attributes:
@@ -41,8 +42,7 @@ class RuleScope:
     where: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Schedule:
+class Schedule(msgspec.Struct, frozen=True):
     """Which of them it strikes.
 
     Attributes:
@@ -84,8 +84,8 @@ class Rule:
 
     kind: FaultKind
     values: Mapping[str, Any] = field(hash=False)
-    scope: RuleScope = RuleScope()
-    schedule: Schedule = Schedule()
+    scope: RuleScope = RuleScope()  # noqa: RUF009  frozen
+    schedule: Schedule = Schedule()  # noqa: RUF009  frozen
     text: str = ""
     enabled: bool = True
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.model import NO_MSG_ID, Link
@@ -32,8 +32,7 @@ def datagram_msg_id(payload: bytes, link: Link, msg_ids: MsgIds = VERSION_1) -> 
     return msg_ids.of(payload, at) if at >= 0 else NO_MSG_ID
 
 
-@dataclass(slots=True)
-class ActiveRule:
+class ActiveRule(msgspec.Struct):
     """A rule of this run.
 
     Attributes:
@@ -71,8 +70,7 @@ class ActiveRule:
         return self.matches is None or self.matches(payload, link)
 
 
-@dataclass(slots=True)
-class StreamCounter:
+class StreamCounter(msgspec.Struct):
     """A rule's count of the datagrams of one stream, link and direction, and the key of its random choices.
 
     Attributes:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.cfs import limits
 from edoras_tools.cfs import sbn as facts
@@ -26,8 +28,7 @@ class PolledReading(NamedTuple):
     length_modulus: int
 
 
-@dataclass(frozen=True, slots=True)
-class Habits:
+class Habits(msgspec.Struct, frozen=True):
     """How a peer behaves.
 
     Attributes:

@@ -4,13 +4,13 @@ import random
 import shutil
 import struct
 import subprocess
-from dataclasses import replace
 from io import BytesIO
 from math import isnan
 
 import numpy as np
 import pytest
 from c_structs import HEAD, draw, program
+from msgspec.structs import replace
 
 from edoras_tools.addons.debug_info.dwarf import DebugInfo
 from edoras_tools.structs import Structs

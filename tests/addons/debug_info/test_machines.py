@@ -2,10 +2,10 @@
 
 import shutil
 import subprocess
-from dataclasses import replace
 from io import BytesIO
 
 import pytest
+from msgspec.structs import replace
 
 from edoras_tools.addons.debug_info.dwarf import DebugInfo
 from edoras_tools.structs import Structs

@@ -5,11 +5,11 @@ import socket
 import struct
 import threading
 import time
-from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from places import MISSIONS
 from waiting import PATIENCE_S
 

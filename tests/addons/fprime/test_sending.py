@@ -2,10 +2,10 @@
 
 import json
 import socket
-from dataclasses import replace
 
 import pytest
 from fprime_session import CAPTURE, DICTIONARY, HOME, SESSION, SUPPORT, ask, own, why_not
+from msgspec.structs import replace
 from rewriting import datagrams, write
 from scapy.layers.inet import UDP
 from scapy.utils import rdpcap

@@ -3,11 +3,11 @@
 import re
 import struct
 from contextlib import closing
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from made_system import write
+from msgspec.structs import replace
 from places import ROOT
 
 from edoras_tools.addons.lab.emulator import WireDatagram

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import random
 import time
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 from effort import every
+from msgspec.structs import replace
 from waiting import HOST, arrived_at, free_ports, receive, until
 
 from edoras_tools.addons.lab.emulator import Served, Simulation

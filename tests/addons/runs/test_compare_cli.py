@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import replace
 from io import StringIO
 from itertools import count
 from xml.etree.ElementTree import parse
 
 import pytest
+from msgspec.structs import replace
 from places import CAPTURES, MISSIONS, ROOT
 from rewriting import datagrams, write
 from rich.console import Console

@@ -1,10 +1,10 @@
 """Two captures of the same traffic held against each other."""
 
 from contextlib import closing
-from dataclasses import replace
 
 import pytest
 from merging import merge
+from msgspec.structs import replace
 from places import CAPTURES, MISSIONS, ROOT
 
 from edoras_tools.addons.lab.emulator import Simulation

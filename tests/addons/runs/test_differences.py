@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from edoras_tools.addons.runs.differences import DifferenceLimits, RunSummary, compare_runs
 

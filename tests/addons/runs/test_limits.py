@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from edoras_tools.addons.runs.expectations import Unit, parse_bound
 from edoras_tools.addons.runs.figures import Figures

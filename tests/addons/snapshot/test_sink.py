@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from places import ROOT
 
 from edoras_tools.addons.snapshot.sink import SnapshotPlan, SnapshotSink, record_snapshots

@@ -2,12 +2,12 @@
 
 import re
 from contextlib import closing
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from effort import every
+from msgspec.structs import replace
 from places import ROOT
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector

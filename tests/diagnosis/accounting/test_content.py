@@ -2,10 +2,10 @@
 
 import random
 import struct
-from dataclasses import replace
 
 import pytest
 import truth
+from msgspec.structs import replace
 from places import CAPTURES
 from rewriting import datagrams, write
 

@@ -1,5 +1,4 @@
 import random
-from dataclasses import replace
 
 import mutations
 import numpy as np
@@ -7,6 +6,7 @@ import pytest
 import truth
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from places import CAPTURES
 from rewriting import datagrams, write
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import struct
 from contextlib import closing
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from places import ROOT
 
 from edoras_tools.decode import ColumnDecoder, Context

@@ -6,10 +6,10 @@ import os
 import signal
 import threading
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from waiting import until
 
 from edoras_tools.errors import CaptureError

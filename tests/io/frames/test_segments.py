@@ -89,7 +89,7 @@ def test_what_is_one_datagram_or_no_udp_stays():
     frames = captured(b"x" * 200, b"y" * 10)
     broken = np.array(frames.data)
     broken[frames.offset[1]] = 0
-    frames = FrameBatch(broken, *(getattr(frames, name) for name in FrameBatch.__slots__[1:]))
+    frames = FrameBatch(broken, *(getattr(frames, name) for name in FrameBatch.__struct_fields__[1:]))
     parts = cut(frames, np.array([200, 4]), np.array([20, 20]))
     assert parts.length.tolist() == frames.length.tolist()
     assert cut(frames, np.zeros(2, int), np.zeros(2, int)) is frames

@@ -1,12 +1,12 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from edoras_tools.io.topics.cfe import event_messages, software_bus_messages
 from edoras_tools.io.topics.rows import RECORD_BYTES
@@ -26,14 +26,14 @@ def packets(*payloads, msg_id=0x0808, link=TO, header=16):
     offset = np.cumsum(length, dtype=np.int64) - length
     count = len(payloads)
     blank = {
-        item.name: np.zeros(count, dtype=np.int64)
-        for item in fields(PacketBatch)
-        if item.name not in {"data", "ipv6"}
+        name: np.zeros(count, dtype=np.int64)
+        for name in PacketBatch.__struct_fields__
+        if name not in {"data", "ipv6"}
     }
     batch = PacketBatch(
         **blank | {"data": np.frombuffer(data, dtype=np.uint8), "time_ns": np.full(count, NOW)}
     )
-    columns = Columns(**{item.name: np.zeros(count, dtype=np.int64) for item in fields(Columns)})
+    columns = Columns(**{name: np.zeros(count, dtype=np.int64) for name in Columns.__struct_fields__})
     return batch, replace(
         columns,
         link=np.full(count, link, dtype=np.uint8),

@@ -3,12 +3,12 @@ from __future__ import annotations
 import itertools
 from collections import defaultdict
 from contextlib import closing
-from dataclasses import replace
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from msgspec.structs import replace
 
 from edoras_tools.io.formats.mcap.reader import McapSource
 from edoras_tools.io.formats.mcap.writer import McapSink

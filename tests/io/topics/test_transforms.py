@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from rosbags.typesys import Stores, get_typestore
 
 from edoras_tools.io.topics.rows import lay_out
@@ -68,7 +69,7 @@ def test_names_of_any_length_are_padded_right(capture, types, frame):
     batch, columns = batch.take(slice(row, row + 1)), columns.take(slice(row, row + 1))
     data = np.concatenate([batch.data, np.frombuffer(cdr, np.uint8)])
     columns.cdr_offset[:], columns.cdr_length[:] = len(batch.data), len(cdr)
-    object.__setattr__(batch, "data", data)
+    batch = replace(batch, data=data)
     messages = list(Transforms(rover.mission, types).messages(batch, columns, CHANNEL))
     assert len(messages) == bool(frame)
     if frame:

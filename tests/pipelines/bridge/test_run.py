@@ -7,10 +7,10 @@ import socket
 import threading
 import time
 from contextlib import ExitStack
-from dataclasses import replace
 from itertools import count
 
 import pytest
+from msgspec.structs import replace
 from places import MISSIONS
 from waiting import HOST, PATIENCE_S, free_ports, until
 

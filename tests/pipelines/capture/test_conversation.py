@@ -1,12 +1,12 @@
 """Conversations: who is named how, and which packets make one run."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from places import ROOT
 
 from edoras_tools.decode.filters.rows import ColumnRows

@@ -121,7 +121,7 @@ def test_times_of_nanoseconds_keep_them(captures):
     bench, rows = rows_of(captures, "a_rover")
     batch = rows.batch
     shifted = type(batch)(
-        **{key: getattr(batch, key) for key in batch.__slots__} | {"time_ns": batch.time_ns + 1}
+        **{key: getattr(batch, key) for key in batch.__struct_fields__} | {"time_ns": batch.time_ns + 1}
     )
     finer = ColumnRows(bench.columns.context, rows.begin_ns + 2, shifted, rows.columns)
     time, utc = texts(bench, finer, "time,utc")

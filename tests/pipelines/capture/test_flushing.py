@@ -1,10 +1,10 @@
 """Nothing that was taken waits long for the file, whoever is behind."""
 
-from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from edoras_tools.model import Columns
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing, Waiting
@@ -113,7 +113,7 @@ def test_small_batches_wait_for_each_other(patient, step_ms, size, written, batc
     one = batches[0].take(slice(0, 2))
     one = replace(one, data=np.zeros(size, np.uint8))
     for _ in range(8):
-        waiting.add(one, Columns(**{item.name: np.zeros(2, int) for item in fields(Columns)}))
+        waiting.add(one, Columns(**{name: np.zeros(2, int) for name in Columns.__struct_fields__}))
         if not waiting.waits:
             taken.append(len(waiting.take()[0]) // 2)
         now += step_ms * MS

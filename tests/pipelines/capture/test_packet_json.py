@@ -46,7 +46,7 @@ def batch_of(template, payloads):
     """Return the first row of a batch once for each payload."""
     ends = np.array(list(accumulate(map(len, payloads))))
     batch = template.take(np.zeros(len(payloads), np.int64))
-    columns = {name: getattr(batch, name) for name in batch.__slots__}
+    columns = {name: getattr(batch, name) for name in batch.__struct_fields__}
     columns["data"] = np.frombuffer(b"".join(payloads), np.uint8)
     columns["length"] = np.array(list(map(len, payloads)), np.int32)
     columns["offset"] = columns["frame_offset"] = ends - columns["length"]

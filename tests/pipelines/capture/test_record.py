@@ -8,13 +8,13 @@ import sys
 import threading
 import time
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import typer
 from mcap.reader import make_reader
+from msgspec.structs import replace
 from places import ROOT
 
 from edoras_tools.cli import endings
@@ -293,7 +293,7 @@ TARGETS = [
 ]
 
 
-@pytest.mark.parametrize(("target", "words"), TARGETS, ids=str)
+@pytest.mark.parametrize(("target", "words"), TARGETS)
 def test_targets(target, words, tmp_path):
     target = replace(target, path=tmp_path / target.path)
     if words is None:

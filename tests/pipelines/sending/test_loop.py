@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from itertools import chain
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from places import SAMPLES
 
 from edoras_tools.addons.lab.emulator import Simulation

@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.render.capture import hexdump

@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from edoras_tools.decode.lines import line_of
 from edoras_tools.model import NO_MSG_ID, Finding, Peer

@@ -1,8 +1,7 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 
 from edoras_tools.errors import WireError
 from edoras_tools.model import Finding, Layer, LayerField

@@ -11,8 +11,10 @@ Rules:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.cdr.plan import CdrPlan, PlanStep, PrimitiveRun, Repeat, Text
@@ -50,8 +52,7 @@ _KINDS: Final[dict[BasicKind, Encoding]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class PacketItem:
+class PacketItem(msgspec.Struct, frozen=True):
     """One value at a fixed place behind the items before it.
 
     Attributes:
@@ -75,8 +76,7 @@ class PacketItem:
     member: Member | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class StringItem:
+class StringItem(msgspec.Struct, frozen=True):
     """A CDR string: its length as u32, then so many bytes, the last of which is NUL.
 
     Attributes:
@@ -91,8 +91,7 @@ class StringItem:
 Items = tuple["PacketItem | StringItem", ...]
 
 
-@dataclass(frozen=True, slots=True)
-class GroundPacket:
+class GroundPacket(msgspec.Struct, frozen=True):
     """One packet.
 
     Attributes:

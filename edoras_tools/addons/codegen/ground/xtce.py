@@ -6,9 +6,10 @@ choose the container of what follows, whose padding they decide. Strings of more
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 from xml.etree import ElementTree as ET
+
+from msgspec.structs import replace
 
 from edoras_tools.addons.codegen.ground.packets import (
     REMAINDERS,

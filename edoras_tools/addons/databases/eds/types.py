@@ -6,9 +6,10 @@ in the C structs of a cFS that is built without data sheets: each at a multiple 
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import prod
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from edoras_tools.addons.databases.documents import Node, SheetError
 from edoras_tools.addons.databases.placement import (

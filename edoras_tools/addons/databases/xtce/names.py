@@ -5,8 +5,10 @@ from __future__ import annotations
 import posixpath
 from collections import defaultdict
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.addons.databases.documents import Node, SheetError
 
@@ -31,8 +33,7 @@ _SETS: Final = (
 """Where each kind of thing is declared."""
 
 
-@dataclass(frozen=True, slots=True)
-class Declared:
+class Declared(msgspec.Struct, frozen=True):
     """Something that is declared.
 
     Attributes:

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.addons.databases.documents import Node, Notes, SheetError, parse_document
 from edoras_tools.addons.databases.placement import DataType, Placement, c_name
@@ -106,8 +108,7 @@ class _Slot(NamedTuple):
         return self.bit + self.data_type.whole_bits
 
 
-@dataclass(slots=True)
-class _Content:
+class _Content(msgspec.Struct):
     """What is known of a packet.
 
     Attributes:
@@ -119,11 +120,11 @@ class _Content:
         odd: whether a condition is no equality.
     """
 
-    slots: list[_Slot] = field(default_factory=list)
+    slots: list[_Slot] = msgspec.field(default_factory=list)
     own: int | None = None
     stop: tuple[Node, str] | None = None
     more: bool = False
-    values: dict[str, int] = field(default_factory=dict)
+    values: dict[str, int] = msgspec.field(default_factory=dict)
     odd: bool = False
 
     @property

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from math import prod
 from typing import TYPE_CHECKING, Final
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.addons.databases.documents import Node, SheetError
 from edoras_tools.addons.databases.placement import (
@@ -51,8 +53,7 @@ _HIGHEST: Final = 1e300
 _MOST_POWER: Final = 32
 
 
-@dataclass(frozen=True, slots=True)
-class MemberPlace:
+class MemberPlace(msgspec.Struct, frozen=True):
     """A member of an aggregate.
 
     Attributes:

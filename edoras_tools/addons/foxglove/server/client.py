@@ -16,12 +16,12 @@ from __future__ import annotations
 import json
 import logging
 from collections import deque
-from dataclasses import dataclass
 from http import HTTPStatus
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import parse_qs
 
+import msgspec
 import numpy as np
 from websockets.exceptions import NegotiationError
 from websockets.frames import Frame, Opcode
@@ -64,8 +64,7 @@ _SILENT: Final = logging.getLogger("edoras_tools.websocket")
 _SILENT.disabled = True  # Python would print reports of loggers without a handler: every failed handshake.
 
 
-@dataclass(slots=True)
-class _Piece:
+class _Piece(msgspec.Struct):
     """Bytes to send: an answer, or frames with messages.
 
     Attributes:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Final
 from urllib.parse import urlsplit
+
+import msgspec
 
 from edoras_tools.errors import ConfigError
 
@@ -19,8 +20,7 @@ _FOXGLOVE: Final = ("https://*.foxglove.dev", "file://")
 _ORIGIN: Final = re.compile(r"null|[a-z][a-z0-9+.-]*://[^\s/@?#\\]*")
 
 
-@dataclass(frozen=True, slots=True)
-class OriginCheck:
+class OriginCheck(msgspec.Struct, frozen=True):
     """Which web pages may connect: Foxglove's, those served by this machine, and more origins by name.
 
     Programs send no origin, and need none.

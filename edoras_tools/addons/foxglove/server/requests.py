@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
+
+import msgspec
 
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.ros.types.schema import full_name
@@ -15,8 +16,7 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
 
 
-@dataclass(frozen=True, slots=True)
-class PlaybackRequest:
+class PlaybackRequest(msgspec.Struct, frozen=True):
     """A client's request.
 
     Attributes:
@@ -30,8 +30,7 @@ class PlaybackRequest:
     seek_ns: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class PlaybackState:
+class PlaybackState(msgspec.Struct, frozen=True):
     """The state of playback.
 
     Attributes:

@@ -18,11 +18,12 @@ import threading
 import time
 from collections import Counter, deque
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlencode
 
+import msgspec
 import numpy as np
 
 from edoras_tools.addons.foxglove.server import page, protocol
@@ -82,8 +83,7 @@ class ServerOptions:
     token: str = field(default="", repr=False)
 
 
-@dataclass(slots=True, eq=False)
-class _Connection:
+class _Connection(msgspec.Struct, eq=False):
     """A socket and its client.
 
     Attributes:
@@ -411,7 +411,7 @@ class FoxgloveServer:
         playback = None
         if player is not None:
             times = dict(zip(("start_ns", "end_ns"), player.range_ns, strict=True))
-            playback = {**asdict(player.state), **times, "waiting": player.waiting}
+            playback = {**msgspec.to_builtins(player.state), **times, "waiting": player.waiting}
         topics = zip(self._channels, self._counts.tolist(), strict=False)
         return {
             "schema": 1,

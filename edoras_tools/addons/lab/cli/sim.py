@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from time import time_ns
 from typing import Annotated, Any, NamedTuple
 
+from msgspec.structs import replace
 from typer import Argument, Option
 
 from edoras_tools.cli import options

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import threading
 from collections import defaultdict, deque
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.graph import TopicState
@@ -21,31 +22,27 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Subscription:
+class _Subscription(msgspec.Struct, frozen=True, eq=False):
     node: LocalGraph
     qos: Qos
     heard: Callable[[bytes], None]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Publisher:
+class _Publisher(msgspec.Struct, frozen=True, eq=False):
     node: LocalGraph
     qos: Qos
     last: deque[bytes]
 
 
-@dataclass(slots=True, eq=False)
-class _Topic:
+class _Topic(msgspec.Struct, eq=False):
     type_name: str = ""
     subscriptions: tuple[_Subscription, ...] = ()
     publishers: tuple[_Publisher, ...] = ()
 
 
-@dataclass(slots=True, eq=False)
-class _Domain:
-    topics: dict[str, _Topic] = field(default_factory=lambda: defaultdict(_Topic))
-    lock: threading.RLock = field(default_factory=threading.RLock)
+class _Domain(msgspec.Struct, eq=False):
+    topics: dict[str, _Topic] = msgspec.field(default_factory=lambda: defaultdict(_Topic))
+    lock: threading.RLock = msgspec.field(default_factory=threading.RLock)
 
 
 _DOMAINS: Final[dict[int, _Domain]] = defaultdict(_Domain)

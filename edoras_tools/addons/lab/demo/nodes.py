@@ -5,11 +5,12 @@ from __future__ import annotations
 import heapq
 import threading
 import time
-from dataclasses import dataclass, field
 from itertools import count
 from math import atan2, dist
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools import doors
 from edoras_tools.addons.lab.emulator.bridges import GroundOperator
@@ -91,8 +92,7 @@ _TRACK: Final = 400
 _QOS: Final = Qos()
 
 
-@dataclass(slots=True)
-class RobotState:
+class RobotState(msgspec.Struct):
     """What the ground station knows about a robot.
 
     Attributes:
@@ -106,7 +106,7 @@ class RobotState:
     place: tuple[float, ...] = ()
     start: tuple[float, ...] = ()
     way: float = 0.0
-    track: list[tuple[float, float]] = field(default_factory=list)
+    track: list[tuple[float, float]] = msgspec.field(default_factory=list)
     updates: int = 0
 
     def take(self, values: Mapping[str, Any]) -> None:

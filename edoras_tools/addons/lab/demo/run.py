@@ -7,10 +7,11 @@ import tempfile
 import time
 from collections import Counter, deque
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools import doors
 from edoras_tools.addons.lab.demo.nodes import (
@@ -105,8 +106,7 @@ STATE_HZ: Final = 250.0
 """The rate at which Gazebo publishes poses."""
 
 
-@dataclass(frozen=True, slots=True)
-class DemoPlan:
+class DemoPlan(msgspec.Struct, frozen=True):
     """What to run.
 
     Attributes:
@@ -130,7 +130,7 @@ class DemoPlan:
     max_rate: float = 30.0
     ros: str = "local"
     domain: int = 0
-    options: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, str] = msgspec.field(default_factory=dict)
     distro: str = USUAL_DISTRO
     live: Endpoint | None = None
     replace: bool = False

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Final
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator import MISSIONS, Scenario
 from edoras_tools.cfs.profile import Ports, SimProfile
@@ -31,8 +33,7 @@ _TO_LIMIT: Final = 20
 """Packets of one state that may wait in Telemetry Output: half a second at 30 Hz, and a reserve."""
 
 
-@dataclass(frozen=True, slots=True)
-class Lane:
+class Lane(msgspec.Struct, frozen=True):
     """One robot and its four topics.
 
     Attributes:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
 from time import time_ns
 from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from edoras_tools.addons.lab.emulator import BOOT_NS, Served, Simulation
 from edoras_tools.addons.lab.emulator.source import SimulatedSource
@@ -28,8 +29,7 @@ SAMPLES: Final = files("edoras_tools.samples")
 _COMMAND_RATE_HZ: Final = 10.0
 
 
-@dataclass(frozen=True, slots=True)
-class Tour:
+class Tour(msgspec.Struct, frozen=True):
     """The results of the tour.
 
     Attributes:

@@ -8,8 +8,9 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.sessions.bridge.packets import Envelope, find_packet
 from edoras_tools.sessions.pacing import Lateness
@@ -28,8 +29,7 @@ _SBN_HEADER: Final = sbn.HEADER.size
 _ENVELOPE: Final = Envelope(envelope.DEFAULT)
 
 
-@dataclass(slots=True)
-class _Times:
+class _Times(msgspec.Struct):
     """Times of one message, monotonic ns; 0 if it did not pass that point."""
 
     begin: int

@@ -11,9 +11,10 @@ traffic is judged by. Its rules:
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Final, Generic, TypeVar
+
+import msgspec
 
 from edoras_tools.cfs.queues import NO_LIMIT, QueueEnd, admission
 
@@ -24,8 +25,7 @@ _Message = TypeVar("_Message")
 LOST: Final = frozenset({QueueEnd.MSG_LIMIT, QueueEnd.PIPE_OVERFLOW, QueueEnd.SOCKET_FULL, QueueEnd.CLOSED})
 
 
-@dataclass(slots=True, eq=False)
-class Fifo(Generic[_Message]):
+class Fifo(msgspec.Struct, Generic[_Message], eq=False):
     """A queue that messages enter and leave one at a time.
 
     Attributes:
@@ -38,9 +38,9 @@ class Fifo(Generic[_Message]):
     """
 
     depth: int
-    limits: dict[int, int] = field(default_factory=dict)
-    messages: deque[tuple[int, _Message]] = field(default_factory=deque)
-    waiting: Counter[int] = field(default_factory=Counter)
+    limits: dict[int, int] = msgspec.field(default_factory=dict)
+    messages: deque[tuple[int, _Message]] = msgspec.field(default_factory=deque)
+    waiting: Counter[int] = msgspec.field(default_factory=Counter)
     on_change: Callable[[int, QueueEnd], object] | None = None
 
     def put(self, message: _Message, msg_id: int = 0) -> QueueEnd:
@@ -76,8 +76,7 @@ class Fifo(Generic[_Message]):
         return len(self.messages)
 
 
-@dataclass(slots=True)
-class QueueArrival:
+class QueueArrival(msgspec.Struct):
     """A packet or datagram at one pipe or socket.
 
     Attributes:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, sin
 from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from edoras_tools.addons.lab.emulator import messages
 from edoras_tools.addons.lab.emulator.routes import DEMO_ROUTES, SystemRoutes
@@ -39,8 +40,7 @@ def command_packet(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class GroundOperator:
+class GroundOperator(msgspec.Struct, frozen=True):
     """The commands that the ground sends.
 
     Attributes:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from edoras_tools.cfs import event_services, executive_services, software_bus
 from edoras_tools.cfs.event_services import EventText, EventType
@@ -12,8 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
-@dataclass(frozen=True, slots=True)
-class CoreApp:
+class CoreApp(msgspec.Struct, frozen=True):
     """What tells the five apart.
 
     Attributes:
@@ -44,7 +44,7 @@ class CoreApp:
     no_op_text: str = "No-op Cmd Rcvd:  "
     bad_length_id: int | None = None
     bad_length_msg_id: str = "0x{msg_id:04X}"
-    packets: Mapping[int, tuple[int, int]] = field(default_factory=dict)
+    packets: Mapping[int, tuple[int, int]] = msgspec.field(default_factory=dict)
 
     @property
     def initialized(self) -> EventText:

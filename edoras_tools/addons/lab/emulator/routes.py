@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, Literal
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator.messages import JOINT_STATE, POSE, POSE_STAMPED, TWIST
 from edoras_tools.cfs.profile import FLIGHT_BRIDGE, TO_TABLE, SbnPeerConfig, SimProfile
@@ -21,8 +23,7 @@ if TYPE_CHECKING:
 Scenario = Literal["rover", "arm", "two-rovers", "two-arms"]
 
 
-@dataclass(frozen=True, slots=True)
-class SystemRoutes:
+class SystemRoutes(msgspec.Struct, frozen=True):
     """MsgIds as on the bus, types and envelopes.
 
     Attributes:
@@ -41,7 +42,7 @@ class SystemRoutes:
     telemetry: Sequence[int]
     states: Sequence[int] = ()
     flight: Sequence[int] = ()
-    envelopes: Mapping[int, EnvelopeFormat] = field(default_factory=dict)
+    envelopes: Mapping[int, EnvelopeFormat] = msgspec.field(default_factory=dict)
     bridge: Peer = FLIGHT_BRIDGE
     store: TypeStore | None = None
 

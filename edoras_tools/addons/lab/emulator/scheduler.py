@@ -21,8 +21,9 @@ from __future__ import annotations
 import heapq
 import random
 from collections import deque
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
+
+import msgspec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
@@ -39,30 +40,26 @@ class Waitable(Protocol):
     def __len__(self) -> int: ...
 
 
-@dataclass(frozen=True, slots=True)
-class Receive:
+class Receive(msgspec.Struct, frozen=True):
     """Wait for an item; the ``yield`` returns it, or None after the time-out."""
 
     queue: Waitable
     timeout_ns: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Sleep:
+class Sleep(msgspec.Struct, frozen=True):
     """Wait for so many ns (``OS_TaskDelay``): a loop with it drifts by the time that its body takes."""
 
     ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class SleepUntil:
+class SleepUntil(msgspec.Struct, frozen=True):
     """Wait for a point in time (a timer): a loop with it keeps an exact period."""
 
     time_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class Work:
+class Work(msgspec.Struct, frozen=True):
     """Use a processor for about so many ns, then let others run."""
 
     ns: int

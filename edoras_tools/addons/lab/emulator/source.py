@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import replace
 from importlib.resources import as_file, files
 from threading import Event
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator import BOOT_NS, MISSIONS, Scenario, Simulation
 from edoras_tools.addons.lab.emulator.simulation import WireDatagram

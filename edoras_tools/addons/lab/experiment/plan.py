@@ -19,9 +19,10 @@ Paths are relative to the plan. All errors of a file are reported at once, with 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.addons.lab.emulator import SCENARIOS
 from edoras_tools.cfs.profile import constant_names
@@ -43,8 +44,7 @@ _KEYS: Final = (
 _FORM: Final = "a plan names a scenario or a target, settings and runs"
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
+class Cell(msgspec.Struct, frozen=True):
     """One combination of a scenario and settings.
 
     Attributes:
@@ -62,8 +62,7 @@ class Cell:
         return ",".join([self.scenario or "target", *values])
 
 
-@dataclass(frozen=True, slots=True)
-class ExperimentPlan:
+class ExperimentPlan(msgspec.Struct, frozen=True):
     """What is to be tried, and how often.
 
     Attributes:
@@ -85,7 +84,7 @@ class ExperimentPlan:
     missions: Sequence[Path] = ()
     replay: Path | None = None
     to: str = "ci"
-    settings: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    settings: Mapping[str, Sequence[float]] = msgspec.field(default_factory=dict)
     duration_ns: int = 30 * SECOND
     least: int = 5
     most: int = 5
@@ -100,7 +99,11 @@ class ExperimentPlan:
 
     def as_json(self) -> dict[str, Any]:
         """Return what decides about a run; how many there are may change when a plan is resumed."""
-        return {name: value for name, value in asdict(self).items() if name not in {"least", "most", "width"}}
+        return {
+            name: value
+            for name, value in msgspec.to_builtins(self).items()
+            if name not in {"least", "most", "width"}
+        }
 
 
 def load_plan(path: Path) -> ExperimentPlan:

@@ -12,11 +12,12 @@ from __future__ import annotations
 import json
 import random
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import cached_property, partial
 from importlib.resources import as_file, files
 from math import inf
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator import BOOT_NS, MISSIONS, Simulation
 from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of, with_limit

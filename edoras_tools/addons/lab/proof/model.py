@@ -17,11 +17,12 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator import Scenario, Simulation
 from edoras_tools.addons.lab.emulator.account import LOST, socket
@@ -126,8 +127,7 @@ class ModelInput(NamedTuple):
     published: Published
 
 
-@dataclass(frozen=True, slots=True)
-class ModelRun:
+class ModelRun(msgspec.Struct, frozen=True):
     """What the emulated cFS did.
 
     Attributes:
@@ -216,8 +216,7 @@ class AdviceProof(NamedTuple):
         return {**values, "kept": self.keeps_promise}
 
 
-@dataclass(frozen=True, slots=True)
-class CaptureProof:
+class CaptureProof(msgspec.Struct, frozen=True):
     """What the model says of a capture.
 
     Attributes:
@@ -235,8 +234,8 @@ class CaptureProof:
     not_modelled: str = ""
     advices: Sequence[AdviceProof] = ()
     hosts: tuple[Host, Host] = (_ASSUMED[0], _ASSUMED[1])
-    run: ModelRun = field(default_factory=lambda: ModelRun({}, Counter()))
-    lost_ns: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    run: ModelRun = msgspec.field(default_factory=lambda: ModelRun({}, Counter()))
+    lost_ns: Mapping[str, Sequence[int]] = msgspec.field(default_factory=dict)
 
     @property
     def explained(self) -> bool:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.addons.lab.proof.model import BEFORE_NS, CaptureProof, Stimulus, prove, window
 from edoras_tools.cfs import telemetry_output

@@ -6,8 +6,10 @@ or requested, and which came back altered.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.cfs import command_ingest
 from edoras_tools.cfs.queues import application_pipe
@@ -32,8 +34,7 @@ _PREDICTED: Final = frozenset({"ci_cut", "ground_bridge_buffer", "flight_bridge_
 _GAPS_ONLY: Final = frozenset({"lost_after_cfs", "unexplained_gap"})
 
 
-@dataclass(frozen=True, slots=True)
-class StepOutcome:
+class StepOutcome(msgspec.Struct, frozen=True):
     """What happened to the messages of a step.
 
     Attributes:
@@ -212,8 +213,7 @@ def _first_verdict(diagnosis: Diagnosis, rule: str) -> tuple[str, str] | None:
     return (verdict.hop or "", verdict.reason) if verdict else None
 
 
-@dataclass(frozen=True, slots=True)
-class SweepStep:
+class SweepStep(msgspec.Struct, frozen=True):
     """One step, at one rate and one size.
 
     Attributes:
@@ -244,8 +244,7 @@ class SweepStep:
         }
 
 
-@dataclass(slots=True)
-class Sweep:
+class Sweep(msgspec.Struct):
     """The result.
 
     Attributes:
@@ -258,11 +257,11 @@ class Sweep:
     """
 
     plan: SweepPlan
-    steps: list[SweepStep] = field(default_factory=list)
+    steps: list[SweepStep] = msgspec.field(default_factory=list)
     watched: bool = False
     interrupted: bool = False
     failure: EdorasError | None = None
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = msgspec.field(default_factory=list)
 
     def value(self, step: SweepStep) -> float:
         """Return a step's rate or size, whichever is swept."""

@@ -6,8 +6,10 @@ is under way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator.simulation import WireDatagram
 from edoras_tools.cfs import command_ingest
@@ -46,8 +48,7 @@ def _ends(link: Link) -> tuple[Endpoint, Endpoint]:
     return Endpoint("127.0.0.1", 50000), Endpoint("127.0.0.1", 1234)
 
 
-@dataclass(frozen=True, slots=True)
-class Mark:
+class Mark(msgspec.Struct, frozen=True):
     """The counts at one moment.
 
     Attributes:

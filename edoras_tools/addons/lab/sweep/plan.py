@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.addons.lab.emulator import Scenario, messages
 from edoras_tools.addons.lab.emulator.apps import generator
@@ -29,8 +30,7 @@ if TYPE_CHECKING:
 _GROWTH: Final = 2
 
 
-@dataclass(slots=True)
-class Bisection:
+class Bisection(msgspec.Struct):
     """A search for the highest whole number that is good.
 
     >>> search = Bisection(1, 100)
@@ -50,8 +50,8 @@ class Bisection:
     first: int
     last: int
     precision: float = 0.0
-    good: int | None = field(default=None, init=False)
-    bad: int | None = field(default=None, init=False)
+    good: int | None = None
+    bad: int | None = None
 
     def __post_init__(self) -> None:
         """Check once.
@@ -87,8 +87,7 @@ _POSE_BYTES: Final = 100
 _ECHO_LIMIT: Final = 32
 
 
-@dataclass(frozen=True, slots=True)
-class SweepPlan:
+class SweepPlan(msgspec.Struct, frozen=True):
     """What to do.
 
     Attributes:

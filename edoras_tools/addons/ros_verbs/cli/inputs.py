@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
+from msgspec.structs import replace
 from typer import BadParameter, Option
 
 from edoras_tools.cli import options

@@ -5,9 +5,10 @@ Read leniently: a list that is cut, or never ends, is read as far as it goes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, Literal
+
+import msgspec
 
 from edoras_tools.addons.rtps.wire.headers import GUID_BYTES
 from edoras_tools.middleware.names import ros_name
@@ -52,8 +53,7 @@ _RELIABLE: Final = 2
 STATUS_NAMES: Final = {1: "disposed", 2: "unregistered"}
 
 
-@dataclass(frozen=True, slots=True)
-class Announcement:
+class Announcement(msgspec.Struct, frozen=True):
     """What a participant says of itself or of an endpoint; empty or None where it does not say.
 
     Attributes:

@@ -7,9 +7,9 @@ a result, so that the list grows from its top while the filter runs.
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.pipelines.capture.flushing import ROW_BYTES, join
@@ -27,8 +27,7 @@ _SMALL: Final = 16_384
 """Blocks of a live capture are joined up to this many packets."""
 
 
-@dataclass(slots=True, eq=False)
-class PacketBlock:
+class PacketBlock(msgspec.Struct, eq=False):
     """Some packets.
 
     Attributes:

@@ -26,10 +26,11 @@ assumed. Only differences of times are used, so that a capture shifted by any ti
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.evidence.clocks.lines import (
@@ -246,8 +247,7 @@ class Alignment(NamedTuple):
         return f"{way} by {seconds(offset, 3)}, {low:.4f} to {high:.4f} s, {drift}, measured by {self.by}"
 
 
-@dataclass(frozen=True, slots=True)
-class _Told:
+class _Told(msgspec.Struct, frozen=True):
     """What pairs tell: the lines they leave, by what, where the offset is likely, what frames both hold."""
 
     pairs: Sequence[Ordered]
@@ -255,8 +255,8 @@ class _Told:
     by: str
     loose_ns: int = 0
     near: Sequence[int] = ()
-    shared: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
-    here: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
+    shared: Integers = msgspec.field(default_factory=lambda: np.zeros(0, np.int64))
+    here: Integers = msgspec.field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
     def of(cls, pairs: Sequence[Ordered], by: str, loose_ns: int = 0) -> _Told | None:

@@ -11,10 +11,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.units import MICROSECOND, SECOND
 
@@ -180,8 +181,7 @@ def constant_offset(orders: Sequence[Ordered]) -> tuple[int, int]:
     return low, high
 
 
-@dataclass(frozen=True, slots=True)
-class ClockLines:
+class ClockLines(msgspec.Struct, frozen=True):
     """All lines that agree with what was captured.
 
     Attributes:

@@ -7,10 +7,10 @@ length, else that of the cFS.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.evidence.instances import Instances

@@ -10,10 +10,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.model import NO_MSG_ID
@@ -47,8 +48,7 @@ EVERY: Final = -1
 """The system of what is of no cFS."""
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
+class Change(msgspec.Struct, frozen=True):
     """A subject gets into a state.
 
     Attributes:

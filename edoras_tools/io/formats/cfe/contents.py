@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.cfs import sbn
@@ -47,8 +47,7 @@ _SBN_BYTES: Final = (
 _LARGEST: Final = 64 << 20
 
 
-@dataclass(frozen=True, slots=True)
-class CfeFile:
+class CfeFile(msgspec.Struct, frozen=True):
     """A file of cFE.
 
     Attributes:
@@ -61,8 +60,8 @@ class CfeFile:
 
     path: Path
     header: dict[str, Any]
-    head: dict[str, Any] = field(default_factory=dict)
-    entries: list[dict[str, Any]] = field(default_factory=list)
+    head: dict[str, Any] = msgspec.field(default_factory=dict)
+    entries: list[dict[str, Any]] = msgspec.field(default_factory=list)
     markers: NDArray[np.int64] | None = None
 
     @property

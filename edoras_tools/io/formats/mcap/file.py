@@ -6,10 +6,10 @@ All records except messages, chunks and their indexes use the record classes of 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
 from itertools import chain, pairwise
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -54,8 +54,7 @@ LEVEL = -1
 """zstd level: an eighth faster than 1 for a twentieth more bytes; still faster levels compress much worse."""
 
 
-@dataclass(slots=True, eq=False)
-class Summary:
+class Summary(msgspec.Struct, eq=False):
     """The contents of the data section; becomes the summary section.
 
     Attributes:
@@ -68,14 +67,14 @@ class Summary:
         end_ns: largest log time.
     """
 
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
+    schemas: dict[int, Schema] = msgspec.field(default_factory=dict)
+    channels: dict[int, Channel] = msgspec.field(default_factory=dict)
     chunks: int = 0
     chunk_bytes: int = 0
-    chunk_indexes: bytearray = field(default_factory=bytearray)
-    attachments: list[AttachmentIndex] = field(default_factory=list)
-    metadata: list[MetadataIndex] = field(default_factory=list)
-    counts: dict[int, int] = field(default_factory=dict)
+    chunk_indexes: bytearray = msgspec.field(default_factory=bytearray)
+    attachments: list[AttachmentIndex] = msgspec.field(default_factory=list)
+    metadata: list[MetadataIndex] = msgspec.field(default_factory=list)
+    counts: dict[int, int] = msgspec.field(default_factory=dict)
     start_ns: int | None = None
     end_ns: int = 0
 
@@ -152,8 +151,7 @@ class Summary:
         return end + summary + record_bytes(footer) + MAGIC
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PackedChunks:
+class PackedChunks(msgspec.Struct, frozen=True, eq=False):
     """Chunks, each followed by its message indexes, as they stand in a file; n chunks.
 
     Attributes:

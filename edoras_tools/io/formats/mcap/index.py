@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 import numpy as np
 from mcap.opcode import Opcode
 
@@ -73,8 +73,7 @@ def chunk_head(content: bytes | memoryview) -> ChunkHead | None:
     return None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ChunkMessages:
+class ChunkMessages(msgspec.Struct, frozen=True, eq=False):
     """The messages of the chunks that a buffer was divided into; n chunks.
 
     Attributes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from mcap.data_stream import ReadDataStream
@@ -11,6 +10,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import breakup_chunk
+from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.mcap.index import RECORD_HEAD

@@ -8,10 +8,11 @@ frames get 1970-01-01.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.io.formats.pcapng import LISTENED
 from edoras_tools.io.formats.records import LARGEST_FRAME, SEARCHED, RecordSource
@@ -30,8 +31,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.stream import Window
 
 
-@dataclass(frozen=True, slots=True)
-class TimeScale:
+class TimeScale(msgspec.Struct, frozen=True):
     """The unit and offset of an interface's timestamps.
 
     Attributes:

@@ -8,11 +8,11 @@ message.
 from __future__ import annotations
 
 from contextlib import ExitStack, closing
-from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError, NoDatagramsError
 from edoras_tools.io import SourceDefaults

@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import socket
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 from waiting import HOST, PATIENCE_S, free_ports, until
 
 from edoras_tools.addons.lab.emulator import Served, Simulation, serve

@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 from places import ROOT
 
 from edoras_tools.addons.lab.emulator import BOOT_NS, MISSIONS, SCENARIOS, Simulation, messages

@@ -6,9 +6,9 @@ import os
 import re
 import signal
 import socket
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 from places import MISSIONS
 from waiting import HOST, free_ports
 

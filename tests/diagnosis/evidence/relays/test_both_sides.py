@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import random
-from dataclasses import replace
 
 import mutations
 import pytest
 import truth
 from effort import long_but
+from msgspec.structs import replace
 from places import ROOT
 from rewriting import datagrams, write
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 
 import pytest
 from effort import long_but
+from msgspec.structs import replace
 from places import ROOT
 from rewriting import datagrams, write
 

@@ -260,7 +260,7 @@ def test_indexes_find_every_message_and_time_range(tmp_path, types, mission, inf
 @pytest.mark.parametrize("finding", [bit for bit in Finding if bit & NO_MESSAGE])
 def test_no_ros_message_where_it_is_not_whole(tmp_path, types, mission, info, made_up, finding):
     batch, columns = made_up(4, [100] * 20)
-    values = {name: getattr(columns, name) for name in Columns.__slots__}
+    values = {name: getattr(columns, name) for name in Columns.__struct_fields__}
     values["findings"] = np.full(20, finding, dtype=np.uint32)
     path = tmp_path / "a.mcap"
     record(path, mission, types, info, [(batch, Columns(**values))])

@@ -3,12 +3,12 @@ from __future__ import annotations
 import io
 import os
 from contextlib import closing
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from places import CAPTURES
 from scapy.utils import RawPcapReader
 

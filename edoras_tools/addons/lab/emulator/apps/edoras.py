@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import msgspec
 
 from edoras_tools.addons.lab.emulator import messages
 from edoras_tools.addons.lab.emulator.messages import FixedStruct
@@ -151,8 +152,7 @@ class SingleRobotApp:
             cfs.send(own, robot, data)
 
 
-@dataclass(slots=True)
-class _Channel:
+class _Channel(msgspec.Struct):
     """The two messages of one robot, kept in structs of fixed size."""
 
     command: FixedStruct

@@ -7,8 +7,9 @@ behaves in this way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from edoras_tools.addons.lab.emulator.account import Fifo
 from edoras_tools.addons.lab.emulator.messages import bus_id, command_length, from_link
@@ -22,8 +23,7 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
 
 
-@dataclass(frozen=True, slots=True)
-class Ingested:
+class Ingested(msgspec.Struct, frozen=True):
     """One datagram read.
 
     Attributes:

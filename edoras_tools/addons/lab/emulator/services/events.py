@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping  # noqa: TC003  Application's annotations are read by people and tools
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator.messages import link_id
 from edoras_tools.cfs import event_services as facts
@@ -21,8 +23,7 @@ _COST: Final = 1000
 _LONGEST_TEXT: Final = 121  # char[122], the last one NUL
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
+class Event(msgspec.Struct, frozen=True):
     """What an application reports.
 
     Attributes:
@@ -37,7 +38,7 @@ class Event:
     event_id: int
     event_type: EventType
     text: str
-    values: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str, Any] = msgspec.field(default_factory=dict)
 
     @classmethod
     def of(cls, event: EventText, **values: object) -> Self:
@@ -53,8 +54,7 @@ class Event:
         return f"{self.app} {self.event_id}: {self.message}"
 
 
-@dataclass(slots=True)
-class Application:
+class Application(msgspec.Struct):
     """The state of one application in Event Services.
 
     Attributes:
@@ -73,7 +73,7 @@ class Application:
     stop_after: Mapping[int, int]
     tokens: int
     credited_ns: int
-    counts: dict[int, int] = field(default_factory=dict)
+    counts: dict[int, int] = msgspec.field(default_factory=dict)
     sent: int = 0
     squelched: int = 0
     enabled: bool = True

@@ -11,8 +11,9 @@ Rules, as in the flight code:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import msgspec
 
 from edoras_tools.addons.lab.emulator.core_apps import CORE
 from edoras_tools.cfs import executive_services as facts
@@ -27,8 +28,7 @@ if TYPE_CHECKING:
 _FIRST_ID: Final = 0x110001
 
 
-@dataclass(slots=True, eq=False)
-class LoadedApp:
+class LoadedApp(msgspec.Struct, eq=False):
     """An application and what belongs to it.
 
     Attributes:
@@ -52,10 +52,10 @@ class LoadedApp:
     runs: bool = False
     request: str = ""
     has_left: bool = False
-    tasks: list[Any] = field(default_factory=list)
-    pipes: list[str] = field(default_factory=list)
+    tasks: list[Any] = msgspec.field(default_factory=list)
+    pipes: list[str] = msgspec.field(default_factory=list)
     more_pipes: Callable[[], Iterable[str]] = tuple
-    ports: list[int] = field(default_factory=list)
+    ports: list[int] = msgspec.field(default_factory=list)
 
 
 class Flight(Protocol):

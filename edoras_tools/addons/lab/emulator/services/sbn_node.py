@@ -6,8 +6,10 @@ receive buffer: a short datagram is read together with the rest of the last one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
+
+import msgspec
+from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator.messages import bus_id, from_link, link_id, to_link, whole_packet
 from edoras_tools.addons.lab.emulator.services.events import Event
@@ -44,16 +46,14 @@ _HEARTBEATS: Final = 4
 """How many the TCP module sends at each wake-up while nothing else is sent."""
 
 
-@dataclass(frozen=True, slots=True)
-class PeerDatagram:
+class PeerDatagram(msgspec.Struct, frozen=True):
     """A datagram for a peer."""
 
     peer: SbnPeerConfig
     data: bytes
 
 
-@dataclass(slots=True)
-class Actions:
+class Actions(msgspec.Struct):
     """What a call asks its caller to do, each list in order.
 
     Attributes:
@@ -63,9 +63,9 @@ class Actions:
         failed: the receive task ends after this datagram; the next :meth:`SbnNode.service` starts it again.
     """
 
-    sends: list[PeerDatagram] = field(default_factory=list)
-    publish: list[bytes] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)
+    sends: list[PeerDatagram] = msgspec.field(default_factory=list)
+    publish: list[bytes] = msgspec.field(default_factory=list)
+    events: list[Event] = msgspec.field(default_factory=list)
     failed: bool = False
 
     def say(self, event: EventText, **values: object) -> None:
@@ -79,8 +79,7 @@ class Actions:
         self.failed = True
 
 
-@dataclass(slots=True)
-class PeerState:
+class PeerState(msgspec.Struct):
     """A peer as this side sees it.
 
     Attributes:

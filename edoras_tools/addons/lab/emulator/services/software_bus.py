@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from edoras_tools.addons.lab.emulator.account import Fifo
 from edoras_tools.addons.lab.emulator.services.events import Event
@@ -34,8 +35,7 @@ HOP: Final = "software bus"
 """Where what has no subscriber ends."""
 
 
-@dataclass(slots=True, eq=False)
-class Pipe(Fifo[bytes]):
+class Pipe(Fifo[bytes], eq=False):
     """The packets that an application waits for.
 
     Attributes:
@@ -47,8 +47,7 @@ class Pipe(Fifo[bytes]):
     ignores: str = ""
 
 
-@dataclass(slots=True)
-class Counters:
+class Counters(msgspec.Struct):
     """What the software bus counts, as in its housekeeping packet."""
 
     commands: int = 0
@@ -60,8 +59,7 @@ class Counters:
     msg_limits: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Publication:
+class Publication(msgspec.Struct, frozen=True):
     """The result for one packet.
 
     Attributes:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from ipaddress import AddressValueError, IPv4Address
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from edoras_tools.addons.lab.emulator.messages import bus_id, whole_packet
 from edoras_tools.addons.lab.emulator.services.events import Event
@@ -21,8 +22,7 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(msgspec.Struct, frozen=True):
     """What a command led to.
 
     Attributes:

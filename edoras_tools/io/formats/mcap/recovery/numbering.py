@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 from mcap.records import Channel, Schema
 
@@ -84,8 +85,7 @@ class Definitions:
         return schema if isinstance(schema, Schema) else None
 
 
-@dataclass(slots=True)
-class Stretch:
+class Stretch(msgspec.Struct):
     """What one reading of a file learns of a stretch without a damaged place, for the next reading.
 
     Attributes:
@@ -93,8 +93,8 @@ class Stretch:
         fits: of each channel without a record, whether all its messages are as our recorder would write them.
     """
 
-    proved: dict[tuple[type, int], Schema | Channel | None] = field(default_factory=dict)
-    fits: dict[int, bool] = field(default_factory=dict)
+    proved: dict[tuple[type, int], Schema | Channel | None] = msgspec.field(default_factory=dict)
+    fits: dict[int, bool] = msgspec.field(default_factory=dict)
 
     def learn(self, record: Schema | Channel) -> None:
         """Add a record of a chunk whose checksum is right."""

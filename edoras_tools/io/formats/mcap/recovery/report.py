@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
 
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
 from edoras_tools.mission.report import printable
@@ -16,8 +17,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary
 
 
-@dataclass(eq=False, slots=True)
-class FilePart:
+class FilePart(msgspec.Struct, eq=False):
     """What is known about one file while it is read.
 
     Attributes:
@@ -41,12 +41,12 @@ class FilePart:
     start: int = 0
     listed: int = 0
     others: int = 0
-    claimed: set[int] = field(default_factory=set)
+    claimed: set[int] = msgspec.field(default_factory=set)
     gaps: bool = False
     ended: bool = False
     checked: bool = False
     gap_bytes: int = 0
-    names: Counter[str] = field(default_factory=Counter)
+    names: Counter[str] = msgspec.field(default_factory=Counter)
     loose: int = 0
     last_ns: int | None = None
 
@@ -117,8 +117,7 @@ class LostStretch(NamedTuple):
         return f"byte {self.start:,}: {self.bytes:,} bytes{count}{_times(self)}: {self.reason}"
 
 
-@dataclass(frozen=True, slots=True)
-class Recovery:
+class Recovery(msgspec.Struct, frozen=True):
     """The report of a recovery.
 
     Attributes:
@@ -139,7 +138,7 @@ class Recovery:
     """
 
     whole: bool
-    messages: dict[str, int] = field(default_factory=dict)
+    messages: dict[str, int] = msgspec.field(default_factory=dict)
     chunks: int = 0
     salvaged: int = 0
     kept_bytes: int = 0
@@ -149,8 +148,8 @@ class Recovery:
     left_out: int = 0
     lost: bool = False
     lost_messages: int | None = 0
-    losses: list[LostStretch] = field(default_factory=list)
-    reasons: list[str] = field(default_factory=list)
+    losses: list[LostStretch] = msgspec.field(default_factory=list)
+    reasons: list[str] = msgspec.field(default_factory=list)
     unit: str = "messages"
 
     def text(self, *, written: bool) -> str:

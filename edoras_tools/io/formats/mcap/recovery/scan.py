@@ -16,9 +16,9 @@ Rules that the search keeps:
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 from mcap.opcode import Opcode
 
@@ -64,8 +64,7 @@ _INSIDE: Final = 3
 _NEAR_NS: Final = 86400 * 10**9
 
 
-@dataclass(slots=True)
-class Piece:
+class Piece(msgspec.Struct):
     """A range of the file that was identified.
 
     Attributes:
@@ -89,7 +88,7 @@ class Piece:
     walked: Walked | None = None
     proof: Proof = Proof.NONE
     record_end: int = 0
-    entries: Entries = field(default_factory=dict)
+    entries: Entries = msgspec.field(default_factory=dict)
     indexed: bool = True
 
 

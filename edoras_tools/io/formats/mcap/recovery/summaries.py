@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, ChunkIndex, Footer, MetadataIndex, Schema, Statistics
 
@@ -29,8 +29,7 @@ ChunkKey = tuple[int, int, int, int]
 """What identifies a chunk: first and last log time, compressed and uncompressed size."""
 
 
-@dataclass(eq=False, slots=True)
-class FoundSummary:
+class FoundSummary(msgspec.Struct, eq=False):
     """An intact summary, or a placeholder for one that is missing.
 
     Attributes:
@@ -51,11 +50,11 @@ class FoundSummary:
     end: int = 0
     proven: bool = False
     complete: bool = False
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
+    schemas: dict[int, Schema] = msgspec.field(default_factory=dict)
+    channels: dict[int, Channel] = msgspec.field(default_factory=dict)
     statistics: Statistics | None = None
-    names: Counter[str] = field(default_factory=Counter)
-    chunks: dict[ChunkKey, list[ChunkIndex]] = field(default_factory=dict)
+    names: Counter[str] = msgspec.field(default_factory=Counter)
+    chunks: dict[ChunkKey, list[ChunkIndex]] = msgspec.field(default_factory=dict)
 
     def owns(self, place: int) -> bool:
         """Return whether a position is certainly in the file of this summary."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 from mcap.opcode import Opcode
 
@@ -33,8 +33,7 @@ Entries = dict[int, "NDArray[np.void]"]
 """The contents of a message index: log times and offsets of each channel, ``INDEX_ENTRY``."""
 
 
-@dataclass(frozen=True, slots=True)
-class Walked:
+class Walked(msgspec.Struct, frozen=True):
     """Consecutive records.
 
     Attributes:

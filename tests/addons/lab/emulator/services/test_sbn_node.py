@@ -1,12 +1,11 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator.services.sbn_node import Actions, SbnNode
 from edoras_tools.addons.lab.emulator.services.software_bus import SoftwareBus
