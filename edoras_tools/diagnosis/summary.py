@@ -251,8 +251,8 @@ def _promising(result: Diagnosis, problems: Sequence[tuple[Problem, Sequence[Row
         cured = sum(other.lost or 0 for other in alike)
         keys = {_route(row) for row in rows}
         lost = sum(row.all_lost + row.unaccounted for row in result.balance if _route(row) in keys)
-        left = item.left if (item.left or 0) < (item.lost or 0) else None  # a promise of more is none
-        yield replace(item, left=left, of=sent_of(result, rows) if lost <= cured else cured)
+        rest = item.left if (item.left or 0) < (item.lost or 0) else None  # a promise of more is none
+        yield replace(item, left=rest, of=sent_of(result, rows) if lost <= cured else cured)
 
 
 def _more(reason: str, own: Sequence[Verdict]) -> str:

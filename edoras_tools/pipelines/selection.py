@@ -167,7 +167,7 @@ class Selection(msgspec.Struct, frozen=True):
     where: str = ""
     announced: bool = False
     _filter: Where | None = None
-    _named: Callable[[int], Sequence[PacketKinds]] | None = None
+    _packets_by_craft: Callable[[int], Sequence[PacketKinds]] | None = None
 
     def __bool__(self) -> bool:
         return bool(self.links or self.msg_ids or self.topics or self.notable or self.where)
@@ -192,9 +192,9 @@ class Selection(msgspec.Struct, frozen=True):
                 "--link and --msg-id select datagrams, and the recording has only messages: use --topic, "
                 "--where, --start and --end"
             )
-        named = cache(partial(self._packets_named, context))
-        named(FIRST_SPACECRAFT)  # its errors are those of every other
-        selection = replace(self, _named=named)
+        by_craft = cache(partial(self._packets_named, context))
+        by_craft(FIRST_SPACECRAFT)  # its errors are those of every other
+        selection = replace(self, _packets_by_craft=by_craft)
         if not self.where:
             return selection
         from edoras_tools.decode.filters.filter import Where
@@ -217,7 +217,7 @@ class Selection(msgspec.Struct, frozen=True):
 
     def packets_of(self, spacecraft: int) -> Sequence[PacketKinds]:
         """Return the packets of a spacecraft that are named, of what :meth:`over` returned."""
-        return self._named(spacecraft) if self._named else ()
+        return self._packets_by_craft(spacecraft) if self._packets_by_craft else ()
 
     def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
         """Return which rows are selected, without regard to the filter."""
@@ -277,7 +277,7 @@ class Selection(msgspec.Struct, frozen=True):
 
     def rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
         """Return the indices of the selected rows; only what :meth:`over` returns can tell them."""
-        assert self._named or not self, "over() finds what names stand for, and the filter"
+        assert self._packets_by_craft or not self, "over() finds what names stand for, and the filter"
         rows = np.flatnonzero(self.mask(batch, columns))
         return rows if self._filter is None else rows[self._filter.mask(batch, columns, rows)]
 

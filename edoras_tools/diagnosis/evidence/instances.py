@@ -318,13 +318,13 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     return [np.sort(rows_of[of_name == index]) for index in np.unique(of_name).tolist()]
 
 
-def _hand_on_unseen(rows: Rows, output: Places, label: Places, seen: Mask) -> None:
+def _hand_on_unseen(rows: Rows, output: Places, label: Places, on_sbn: Mask) -> None:
     """Give what the capture lacks on SBN to the peer whose counts leave room for it, and not its sender's.
 
     Args:
         output: rows that a Telemetry Output sent.
         label: who made each; those of a peer that were not seen before become its own.
-        seen: which were seen on SBN before.
+        on_sbn: which were seen on SBN before.
     """
     made_ns, count = rows.mission_time_ns[output], rows.sequence_count[output].astype(np.int64)
     _, kind = numbered(rows.source[output], rows.msg_id[output])
@@ -339,9 +339,9 @@ def _hand_on_unseen(rows: Rows, output: Places, label: Places, seen: Mask) -> No
         fits = (first > 0) & (last < len(own)) & (ahead > 0) & (ahead < step) & (step < MODULUS // 2)
         return np.where(fits, np.abs(ahead - share * step), np.inf)
 
-    for _, pair in groups(kind * (int(label.max()) + 1) + label, np.flatnonzero(seen)):
+    for _, pair in groups(kind * (int(label.max()) + 1) + label, np.flatnonzero(on_sbn)):
         for most in (1, np.inf):  # those first of which it is sure: they stand among its sender's
-            other = np.flatnonzero(~seen & (kind == kind[pair[0]]) & (label != label[pair[0]]))
+            other = np.flatnonzero(~on_sbn & (kind == kind[pair[0]]) & (label != label[pair[0]]))
             far = astray(other, pair)
             own = np.isfinite(far) & (far <= most) & (far <= astray(other, other) + 1)
             label[other[own]] = label[pair[0]]

@@ -10,6 +10,7 @@ from effort import examples
 from field_filters import compared
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from places import CAPTURES, ROOT
 from rewriting import Udp, datagrams, write
 from streams import segments_of, write_segments
@@ -79,7 +80,7 @@ def links_of(path, config, *, filters=False):
 
 @pytest.mark.parametrize("kind", MAKERS)
 def test_frames_and_their_packets_are_rows_that_both_readers_agree_on(kind, tmp_path):
-    maker = Maker(**vars(MAKERS[kind]))
+    maker = replace(MAKERS[kind])
     path, count = captured(tmp_path, maker)
     bench, rows = rows_of(path, mission(tmp_path, maker, link="to"))
     link, batch = rows.column("link"), rows.batch
@@ -101,7 +102,7 @@ def test_frames_and_their_packets_are_rows_that_both_readers_agree_on(kind, tmp_
 @pytest.mark.parametrize("kind", MAKERS)
 def test_frames_in_tcp_streams_are_those_of_datagrams(kind, cuts, server):
     """Either end may listen; segments are cut anywhere."""
-    maker = Maker(**vars(MAKERS[kind]))
+    maker = replace(MAKERS[kind])
     frames = [frame for frame, _ in maker.carry(PACKETS)]
     ends = {"source": ("10.0.0.2", 40000), "destination": GROUND}
     if server:
@@ -131,7 +132,7 @@ def test_a_stream_that_lost_a_segment_goes_on_with_the_next_whole_frame(fecf, tm
 
 @pytest.mark.parametrize("kind", MAKERS)
 def test_filters_find_the_fields_that_the_tree_has(kind, tmp_path):
-    maker = Maker(**vars(MAKERS[kind]))
+    maker = replace(MAKERS[kind])
     path, _ = captured(tmp_path, maker)
     bench, rows = rows_of(path, mission(tmp_path, maker))
     assert compared(bench, rows, FRAMES.layouts)
