@@ -758,9 +758,7 @@ class BeforeCi:
         long_ns = _LONG * int(np.median(np.diff(errors_ns))) if len(errors_ns) > 1 else 0
         both = (item for item in pairwise(errors_ns.tolist()) if item[1] - item[0] > 2 * long_ns)
         spans = [(start + long_ns, end - long_ns) for start, end in both]
-        for fate, own in (
-            item for item in may if not item[0].seen
-        ):  # else what did not come out was not read
+        for fate, own in (item for item in may if not item[0].seen):  # else CI read only what came out
             inside = own & overlapping(fate.stream.time_ns, fate.stream.time_ns, spans)
             number += (part := fate.claim(np.flatnonzero(inside)))
             fate.ends["crowded"] += part

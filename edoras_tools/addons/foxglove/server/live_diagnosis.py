@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.balance import WaySum
     from edoras_tools.diagnosis.examination import Diagnosis, Examination
     from edoras_tools.diagnosis.ledger import Row
+    from edoras_tools.diagnosis.missing import Missing
     from edoras_tools.diagnosis.summary import Problem
     from edoras_tools.model import Columns, Link, PacketBatch, SourceStatistics
 
@@ -212,7 +213,14 @@ def _problem(problem: Problem, diagnosis: Diagnosis) -> dict[str, Any]:
     """Return a problem with the latest of the messages that were lost by it."""
     about = {(item.link, item.msg_id) for item in problem.verdicts if item.msg_id is not None}
     every = diagnosis.parts.get(problem.spacecraft, diagnosis).missing if problem.lost else ()
-    lost = [item for item in every if (item.link, item.msg_id) in about]
+    shared = (item for item in problem.verdicts if item.lost and item.msg_id is None)
+    spans = [(item.link or "", item.start_ns, item.end_ns) for item in shared]
+
+    def tells(item: Missing) -> bool:
+        times = (link == item.link and at <= item.until_ns and item.time_ns <= end for link, at, end in spans)
+        return (item.link, item.msg_id) in about or any(times)
+
+    lost = [*filter(tells, every)]
     return {
         **problem.as_json(),
         "promise": problem.promise or None,

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import threading
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from edoras_tools.decode import Context
 from edoras_tools.diagnosis.balance import WaySum
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.diagnosis.ledger import Row
+from edoras_tools.diagnosis.missing import Missing
+from edoras_tools.model import NO_MSG_ID
 
 LOST = 92
 
@@ -162,6 +165,17 @@ def test_it_pauses_less_where_nothing_comes_any_more(quiet_s, judges, diagnosis,
         else:
             waiting.until(lambda least=before: (item.ask() or {"datagrams": 0})["datagrams"] > least)
         before = item.ask()["datagrams"]
+
+
+def test_a_loss_that_names_no_msg_id_lists_the_messages_of_its_time():
+    verdict = SimpleNamespace(link=None, msg_id=None, lost=1, start_ns=10, end_ns=20, evidence=())
+    problem = SimpleNamespace(verdicts=[verdict], lost=1, spacecraft=None, promise="", as_json=dict)
+    entries = [
+        Missing(link, NO_MSG_ID, None, 1, at, at + 5, None, None, None, "lost on the software bus")
+        for link, at in (("", 0), ("", 12), ("to", 12), ("", 30))
+    ]
+    found = live_diagnosis._problem(problem, SimpleNamespace(parts={}, missing=entries))
+    assert [(item["link"], item["time_ns"]) for item in found["messages"]] == [("", 12)]
 
 
 def test_what_several_links_share_is_a_flow_without_ends():
