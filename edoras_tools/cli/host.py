@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 import time
 
-import msgspec
 import typer
+from msgspec.structs import asdict
 
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
@@ -35,7 +35,8 @@ def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> No
     counters = read_host(links, time.time_ns())
     hints, share = list(advice(counters)), steal(counters)
     if json:
-        print_json({**msgspec.to_builtins(counters), "steal": share, "advice": hints})
+        sockets = [asdict(item) for item in counters.sockets]
+        print_json({**asdict(counters), "sockets": sockets, "steal": share, "advice": hints})
     else:
         sys.stdout.writelines(f"{line}\n" for line in host_lines(counters, links, share, hints))
     if any(item.drops for item in counters.sockets):

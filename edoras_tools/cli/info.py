@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
+from msgspec.structs import asdict
 from typer import Exit, Option
 
 from edoras_tools.cli import options
@@ -87,7 +87,7 @@ def _verify(files: list[Path], printing: options.PrintOptions, decoding: options
             report = repair(path, None, topics=topics, progress=progress)
         lost |= report.lost
         if printing.json:
-            print_json({"source": str(path), **msgspec.to_builtins(report)})
+            print_json({"source": str(path), **asdict(report)})
         else:
             sys.stdout.write(f"{path}: {report.text(written=False)}\n")
     if lost:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
+from msgspec.structs import asdict
 from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
@@ -49,7 +49,7 @@ def recover(
             file, target, topics=recordings.known_topics(config), unproved=unproved, progress=progress
         )
     if json:
-        print_json({**msgspec.to_builtins(report), "output": None if report.whole else str(target)})
+        print_json({**asdict(report), "output": None if report.whole else str(target)})
     else:
         sys.stdout.write(f"{report.text(written=True)}\n")
     if report.lost:

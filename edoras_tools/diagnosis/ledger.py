@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, get_args
 
 import msgspec
 import numpy as np
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT
@@ -342,7 +342,7 @@ class _Hop(msgspec.Struct):
             else:
                 sums[entry.ending] += entry.number
         return Row(
-            **{name: getattr(traffic, name) for name in traffic.__struct_fields__},
+            **asdict(traffic),
             hop=self.name,
             came=self.out + self.ended - self.duplicated,
             out=self.out,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import numpy as np
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from edoras_tools.diagnosis.accounting.losses import Among
 from edoras_tools.diagnosis.ledger import LedgerEntry
@@ -80,8 +80,7 @@ class Missing(msgspec.Struct, frozen=True):
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --list-lost json``."""
-        values = {name: getattr(self, name) for name in self.__struct_fields__}
-        return {**values, "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}"}
+        return {**asdict(self), "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}"}
 
 
 def missing(case: Case, most: int = ALL) -> list[Missing]:

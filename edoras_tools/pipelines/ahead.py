@@ -18,12 +18,13 @@ import pickle
 from contextlib import closing
 from typing import TYPE_CHECKING, Any, Final
 
+from msgspec.structs import asdict
+
 from edoras_tools.decode.columns import Begun
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io import SourceOver
 from edoras_tools.io.processes import Workers, portable
 from edoras_tools.io.processors import jobs_for
-from edoras_tools.model import Columns, PacketBatch, SourceStatistics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from edoras_tools.decode import ColumnDecoder
     from edoras_tools.io import Source
     from edoras_tools.io.processes import Desk
+    from edoras_tools.model import Columns, PacketBatch
 
     _Answer = tuple[PacketBatch | None, Columns | Begun | None, bytes, Exception | None]
     """A batch, its columns, what is known after it, pickled; at the end why there are no more."""
@@ -170,7 +172,7 @@ class _Reader:
         """Return what is known so far; pickled, because it is kept longer than the batch."""
         context, statistics = self._decoder.context, self._source.statistics
         notes = context.notes[self._notes :]  # all: what comes later may change one
-        counts = {name: getattr(statistics, name) for name in SourceStatistics.__struct_fields__}
+        counts = asdict(statistics)
         detected = context.detected
         change = None if detected == self._detected else detected
         self._detected = detected

@@ -107,7 +107,7 @@ class GroundCounts(LinkEvidence):
 def _columns(start: NDArray[np.int64], end: NDArray[np.int64], word: NDArray[np.integer[Any]]) -> Columns:
     """Return space packets as the follower takes them: the first word of each stands for a MsgId."""
     none = np.zeros(len(start), np.int64)
-    blank: dict[str, NDArray[Any]] = dict.fromkeys((name for name in Columns.__struct_fields__), none)
+    blank: dict[str, NDArray[Any]] = dict.fromkeys(Columns.__struct_fields__, none)
     unset = (word[:, 1] == 0) * np.uint32(Finding.SEQUENCE_UNSET)
     return Columns(
         **blank

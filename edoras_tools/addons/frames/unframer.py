@@ -469,7 +469,7 @@ def _followed(
     groups = [(index, at) for index, at in by_value(which) if index != _NONE]
     for index, at in groups:
         sequence[at] = channels[index].unwrapped(count[at])
-    blank: dict[str, NDArray[Any]] = dict.fromkeys((name for name in Columns.__struct_fields__), none)
+    blank: dict[str, NDArray[Any]] = dict.fromkeys(Columns.__struct_fields__, none)
     columns = Columns(
         **blank
         | {

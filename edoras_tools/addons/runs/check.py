@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import msgspec
+from msgspec.structs import asdict
 
 from edoras_tools.addons.runs.expectations import LOSS_KEYS
 from edoras_tools.addons.runs.figures import Figures, Parts
@@ -149,7 +150,7 @@ class CheckReport(msgspec.Struct, frozen=True):
             "seconds": self.seconds,
             "passed": not self.failed,
             "failed": self.failed,
-            "results": [msgspec.to_builtins(item) for item in self.results],
+            "results": [asdict(item) for item in self.results],
         }
 
 

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import numpy as np
+from msgspec.structs import asdict
 
 from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, CheckResult
 from edoras_tools.addons.runs.limits import MODEL_WORTH, field_limit
@@ -128,7 +129,7 @@ class Point(msgspec.Struct, frozen=True):
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``compare --json``."""
-        values = {name: json_value(getattr(self, name)) for name in self.__struct_fields__}
+        values = {name: json_value(value) for name, value in asdict(self).items()}
         return {name: value for name, value in values.items() if name != "differs"}
 
     def result(self) -> CheckResult:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import msgspec
 import numpy as np
+from msgspec.structs import asdict
 
 from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import BUS, COUNTERS, Among
@@ -305,7 +306,8 @@ class TopicRates(msgspec.Struct, frozen=True):
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``hz --json``."""
-        return {**msgspec.to_builtins(self), "msg_id": f"0x{self.msg_id:04x}"}
+        hops = [asdict(item) for item in self.hops]
+        return {**asdict(self), "msg_id": f"0x{self.msg_id:04x}", "hops": hops}
 
 
 def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRates:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import msgspec
 import numpy as np
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from edoras_tools.addons.trace.rounds import Rounds, rounds_into, rounds_out
 from edoras_tools.diagnosis.accounting.losses import Among
@@ -130,12 +130,13 @@ class MessageTrace(msgspec.Struct, frozen=True):
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``trace --json``."""
         return {
-            **msgspec.to_builtins(self),
+            **asdict(self),
             "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}",
             "steps": [
-                {**msgspec.to_builtins(step), "after_ns": after_ns}
+                {**asdict(step), "after_ns": after_ns}
                 for step, after_ns in zip(self.steps, self.after_ns, strict=True)
             ],
+            "ended": asdict(self.ended),
             "delay_witness": None if self.delay_ns is None else self.delay_witness,
             "usual": self.usual.as_json() if self.usual else None,
             "also": [item.as_json() for item in self.also],

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Final
 
-import msgspec
 import numpy as np
+from msgspec.structs import asdict
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.io.topics.cfe import stamp
@@ -198,7 +198,7 @@ def host_messages(host: HostCounters, channel_id: int, types: TypeStore) -> Mess
     counters = {name: getattr(host, name) for name in _COUNTERS}
     values = {
         "stamp": {"sec": seconds, "nanosec": rest},
-        "sockets": [msgspec.to_builtins(item) for item in host.sockets],
+        "sockets": [asdict(item) for item in host.sockets],
         **{name: _UNKNOWN if value is None else value for name, value in counters.items()},
     }
     return bodies_of([types.encode(HOST_TYPE, values)[4:]], [host.time_ns], channel_id)

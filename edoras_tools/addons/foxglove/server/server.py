@@ -25,6 +25,7 @@ from urllib.parse import urlencode
 
 import msgspec
 import numpy as np
+from msgspec.structs import asdict
 
 from edoras_tools.addons.foxglove.server import page, protocol
 from edoras_tools.addons.foxglove.server.origins import OriginCheck
@@ -411,7 +412,7 @@ class FoxgloveServer:
         playback = None
         if player is not None:
             times = dict(zip(("start_ns", "end_ns"), player.range_ns, strict=True))
-            playback = {**msgspec.to_builtins(player.state), **times, "waiting": player.waiting}
+            playback = {**asdict(player.state), **times, "waiting": player.waiting}
         topics = zip(self._channels, self._counts.tolist(), strict=False)
         return {
             "schema": 1,

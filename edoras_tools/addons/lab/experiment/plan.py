@@ -23,6 +23,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+from msgspec.structs import asdict
 
 from edoras_tools.addons.lab.emulator import SCENARIOS
 from edoras_tools.cfs.profile import constant_names
@@ -99,11 +100,7 @@ class ExperimentPlan(msgspec.Struct, frozen=True):
 
     def as_json(self) -> dict[str, Any]:
         """Return what decides about a run; how many there are may change when a plan is resumed."""
-        return {
-            name: value
-            for name, value in msgspec.to_builtins(self).items()
-            if name not in {"least", "most", "width"}
-        }
+        return {name: value for name, value in asdict(self).items() if name not in {"least", "most", "width"}}
 
 
 def load_plan(path: Path) -> ExperimentPlan:

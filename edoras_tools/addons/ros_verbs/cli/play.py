@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import msgspec
+from msgspec.structs import asdict
 from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options
@@ -91,10 +91,7 @@ def play(
         ("sent", "rate_achieved_hz", "duration_s", "lateness_us", "errors", "notes"),
     )
     if json:
-        topics = [
-            {"topic": item.topic, "type": item.type, **msgspec.to_builtins(item.qos)}
-            for item in loaded.topics
-        ]
+        topics = [{"topic": item.topic, "type": item.type, **asdict(item.qos)} for item in loaded.topics]
         figures = {key: summary[key] for key in (*names, "interrupted")}
         print_json({"graph": name, "total": report.total, **figures, "topics": topics})
     elif not quiet:

@@ -32,7 +32,8 @@ def test_cells_are_every_scenario_with_every_setting(plan):
 
 def test_paths_are_relative_to_the_plan(plan, tmp_path):
     (tmp_path / "drive.pcap").write_bytes(b"")
-    assert plan("target: 10.0.0.5:1234\nreplay: drive.pcap\n").replay == tmp_path / "drive.pcap"
+    read = plan("target: 10.0.0.5:1234\nreplay: drive.pcap\n")
+    assert read.replay == read.as_json()["replay"] == tmp_path / "drive.pcap"
 
 
 @pytest.mark.parametrize(
