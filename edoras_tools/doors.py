@@ -15,7 +15,9 @@ from importlib import import_module
 from importlib.util import find_spec
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.errors import ConfigError
 
@@ -38,7 +40,7 @@ for an option, as ``sniff --tui``, and one add-on of another."""
 _ADDONS: Final = "edoras_tools.addons"
 
 
-class Addition(NamedTuple):
+class Addition(msgspec.Struct, frozen=True):
     """One thing that an add-on or an installed package adds.
 
     Attributes:
@@ -166,9 +168,10 @@ def _kinds(paths: tuple[str, ...]) -> frozenset[str]:
             kinds |= KINDS.keys() if path.exists() else set()
             continue
         try:
-            for file in path.glob("*-info/entry_points.txt"):
-                text = file.read_bytes()
-                kinds |= {kind for kind in KINDS if f"edoras.{kind}".encode() in text}
+            for folder in path.iterdir():
+                if folder.name.endswith("-info") and (file := folder / "entry_points.txt").is_file():
+                    text = file.read_bytes()
+                    kinds |= {kind for kind in KINDS if f"edoras.{kind}".encode() in text}
         except OSError:
             return frozenset(KINDS)
     return frozenset(kinds)

@@ -112,7 +112,7 @@ UNKNOWABLE: Final = (
 NO_FINDINGS = Finding(0)
 
 
-class Transport(NamedTuple):
+class Transport(msgspec.Struct, frozen=True):
     """How the messages of a link travel.
 
     Attributes:
@@ -240,7 +240,7 @@ class Peer(NamedTuple):
         return f"{self.spacecraft_id}:{self.processor_id}"
 
 
-class Datagram(NamedTuple):
+class Datagram(msgspec.Struct, frozen=True):
     """One captured datagram, whole, or one message of a TCP stream.
 
     Attributes:
@@ -448,7 +448,7 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
         return type(self)(**{name: getattr(self, name)[rows] for name in self.__struct_fields__})
 
 
-class LayerField(NamedTuple):
+class LayerField(msgspec.Struct, frozen=True):
     """One named value of a layer and the bytes it was read from.
 
     Attributes:
@@ -468,7 +468,7 @@ class LayerField(NamedTuple):
     doc: str = ""
 
 
-class Layer(NamedTuple):
+class Layer(msgspec.Struct, frozen=True):
     """One dissected header or body.
 
     Attributes:
@@ -490,7 +490,7 @@ class Layer(NamedTuple):
         return {item.name: item.value for item in self.fields}
 
 
-class RosMessage(NamedTuple):
+class RosMessage(msgspec.Struct, frozen=True):
     """A decoded ROS message.
 
     Attributes:
@@ -546,7 +546,7 @@ class Decoded(msgspec.Struct, frozen=True):
         return next((item for item in self.layers if item.name == name), None)
 
 
-class CutDatagram(NamedTuple):
+class CutDatagram(msgspec.Struct, frozen=True):
     """A datagram that never became whole: its first fragment came, and later ones did not.
 
     Attributes:

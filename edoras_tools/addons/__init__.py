@@ -10,13 +10,15 @@ write one.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
-class ListedCommand(NamedTuple):
+class ListedCommand(msgspec.Struct, frozen=True):
     """A command of an add-on, as ``edoras --help`` lists it, also where the folder is absent.
 
     Attributes:
@@ -32,7 +34,7 @@ class ListedCommand(NamedTuple):
     before: str = ""
 
 
-class Addon(NamedTuple):
+class Addon(msgspec.Struct, frozen=True):
     """A row of the table; places are ``module:name`` in the folder, ``:name`` in its ``__init__.py``.
 
     Attributes:

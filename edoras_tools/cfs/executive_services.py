@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
+
+import msgspec
 
 from edoras_tools.cfs.event_services import EventText, EventType
 
@@ -85,7 +87,7 @@ RESTARTED_APP: Final = EventText(NAME, RESTARTED, "Restart Application {name} Co
 RELOADED_APP: Final = EventText(NAME, RELOADED, "Reload Application {name} Completed, AppID={number:d}")
 
 
-class Ending(NamedTuple):
+class Ending(msgspec.Struct, frozen=True):
     """A command that ends an application.
 
     Attributes:

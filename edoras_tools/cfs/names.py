@@ -5,10 +5,12 @@ From the cFE, CI_LAB, TO_LAB and SBN sources; only what they fix is listed. ``No
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
+
+import msgspec
 
 
-class Command(NamedTuple):
+class Command(msgspec.Struct, frozen=True):
     """One function code of an app.
 
     Attributes:

@@ -110,7 +110,7 @@ def duration(text: str) -> int:
     return int(value)
 
 
-_CLOCK = re.compile(
+_CLOCK = (
     r"(?:(\d{4}-\d\d-\d\d)(?:[T ]|$))?(?:(\d\d?):(\d\d)(?::(\d\d)(\.\d{1,9})?)?)?"
     r"( ?[A-Za-z][\w/+-]*|[+-]\d\d:?\d\d)?"
 )
@@ -134,7 +134,7 @@ def moment(text: str) -> tuple[str, int]:
         The text of a clock time, which ``at`` reads when its zone is known, else an empty one; and ns.
     """
     text = text.strip()
-    match = _CLOCK.fullmatch(text)
+    match = re.fullmatch(_CLOCK, text)
     if match and any(match.groups()[:2]) and not text.isdecimal():
         from edoras_tools.older import UTC
 
@@ -160,7 +160,7 @@ def at(text: str, zone: tzinfo | None) -> ClockTime:
 
     from edoras_tools.pipelines.selection import ClockTime
 
-    match = _CLOCK.fullmatch(text)
+    match = re.fullmatch(_CLOCK, text)
     assert match, "moment() accepted it"
     day, hour, minute, second, fraction, own = match.groups()
     clock = [int(item or 0) for item in (hour, minute, second)]

@@ -18,7 +18,9 @@ import stat
 import sys
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.words import did_you_mean, listed
@@ -47,7 +49,7 @@ COMMAND_LINE_ONLY: Final = (
 _LARGEST: Final = 1 << 18
 
 
-class SettingsFile(NamedTuple):
+class SettingsFile(msgspec.Struct, frozen=True):
     """A settings file.
 
     Attributes:

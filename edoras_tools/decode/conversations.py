@@ -19,7 +19,7 @@ programs use 1234 too, and a CI may use another port. The rules, in this order:
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -242,7 +242,7 @@ def foreign(flows: Iterable[Flow]) -> list[str]:
     ]
 
 
-class Unnamed(NamedTuple):
+class Unnamed(msgspec.Struct, frozen=True):
     """Traffic of a port that looks like a link's, and that no option names."""
 
     port: int

@@ -16,7 +16,9 @@ from contextlib import contextmanager, suppress
 from glob import escape
 from itertools import count
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, ClassVar, Final, NamedTuple
+from typing import IO, TYPE_CHECKING, ClassVar, Final
+
+import msgspec
 
 from edoras_tools.errors import CaptureError, ConfigError, os_errors
 
@@ -318,7 +320,7 @@ def _is_for_all(folder: Path) -> bool:
     return bool(mode & stat.S_ISVTX and mode & (stat.S_IWGRP | stat.S_IWOTH))
 
 
-class Patience(NamedTuple):
+class Patience(msgspec.Struct, frozen=True):
     """How a recorder behaves while the disk is full.
 
     Attributes:

@@ -10,8 +10,9 @@ Rules that every link keeps:
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 
+import msgspec
 import numpy as np
 
 from edoras_tools import doors
@@ -57,7 +58,7 @@ _DOUBLES: Final = (
 )
 
 
-class Form(NamedTuple):
+class Form(msgspec.Struct, frozen=True):
     """One kind of datagram of a link, recognised by its length and by the doubles that it starts with.
 
     Attributes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import msgspec
 from msgspec.structs import replace
@@ -159,7 +159,7 @@ class TransferLink(msgspec.Struct, frozen=True):
     line: int = 0
 
 
-class StoredTopic(NamedTuple):
+class StoredTopic(msgspec.Struct, frozen=True):
     """A topic whose messages EDORAS's ``data_transfer`` writes to a file, for CFDP.
 
     Attributes:
@@ -195,7 +195,7 @@ class RecordedTopic(msgspec.Struct, frozen=True):
     unread: str = ""
 
 
-class FramedPort(NamedTuple):
+class FramedPort(msgspec.Struct, frozen=True):
     """One of ``frames``: a port of CCSDS transfer frames.
 
     Attributes:

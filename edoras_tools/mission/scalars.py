@@ -23,12 +23,10 @@ _SPECIALS = {
 }
 _SPECIALS |= dict.fromkeys((".nan", ".NaN", ".NAN"), math.nan)
 # The whole text must match, after the white space that strtol and strtod skip. ASCII digits only, as in C.
-_INTEGER = re.compile(r"[ \t-\r]*([+-]?)(?:0[xX]([0-9a-fA-F]+)|(0[0-7]*)|([1-9][0-9]*))")
-_DECIMAL = re.compile(r"[ \t-\r]*[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-_HEXADECIMAL = re.compile(
-    r"[ \t-\r]*[+-]?0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)(?:[pP][+-]?[0-9]+)?"
-)
-_NOT_FINITE = re.compile(r"[ \t-\r]*([+-]?)(?i:(inf|infinity)|nan(?:\([0-9a-z_]*\))?)")
+_INTEGER = r"[ \t-\r]*([+-]?)(?:0[xX]([0-9a-fA-F]+)|(0[0-7]*)|([1-9][0-9]*))"
+_DECIMAL = r"[ \t-\r]*[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_HEXADECIMAL = r"[ \t-\r]*[+-]?0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)(?:[pP][+-]?[0-9]+)?"
+_NOT_FINITE = r"[ \t-\r]*([+-]?)(?i:(inf|infinity)|nan(?:\([0-9a-z_]*\))?)"
 
 
 def read_scalar(text: str, *, quoted: bool = False) -> bool | int | float | str:
@@ -54,7 +52,7 @@ def read_scalar(text: str, *, quoted: bool = False) -> bool | int | float | str:
 
 
 def _integer(text: str) -> int | None:
-    match = _INTEGER.fullmatch(text)
+    match = re.fullmatch(_INTEGER, text)
     if match is None:
         return None
     sign, hexadecimal, octal, decimal = match.groups()
@@ -69,16 +67,16 @@ def _integer(text: str) -> int | None:
 def _float(text: str) -> float | None:
     if text in _SPECIALS:
         return _SPECIALS[text]
-    if match := _NOT_FINITE.fullmatch(text):
+    if match := re.fullmatch(_NOT_FINITE, text):
         sign = -1.0 if match[1] == "-" else 1.0
         return math.copysign(math.inf if match[2] else math.nan, sign)
-    if _HEXADECIMAL.fullmatch(text):
+    if re.fullmatch(_HEXADECIMAL, text):
         mantissa = re.split("[pP]", text.lstrip(" \t\n\v\f\r"))[0].lstrip("+-")[2:]
         try:
             value = float.fromhex(text)
         except OverflowError:
             return None
-    elif _DECIMAL.fullmatch(text):
+    elif re.fullmatch(_DECIMAL, text):
         mantissa = re.split("[eE]", text)[0]
         value = float(text)
     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import date, datetime, time, timedelta, tzinfo
 from functools import cache, partial
-from typing import TYPE_CHECKING, Final, NamedTuple, overload
+from typing import TYPE_CHECKING, Final, overload
 
 import msgspec
 import numpy as np
@@ -34,7 +34,7 @@ _BEFORE_NS: Final = 3600 * SECOND
 is of the next day."""
 
 
-class ClockTime(NamedTuple):
+class ClockTime(msgspec.Struct, frozen=True):
     """A time of the clock.
 
     Attributes:

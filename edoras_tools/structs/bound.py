@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from edoras_tools.errors import ConfigError
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.structs.shapes import Key, Member, Struct, StructLayout
 
 
-class Encoded(NamedTuple):
+class Encoded(msgspec.Struct, frozen=True):
     """Messages one after the other.
 
     Attributes:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
 from msgspec.structs import replace
 
 from edoras_tools.links import ROWS, table
@@ -113,7 +114,7 @@ def _empty(layout: StructLayout, member: Member) -> bool:
     return member.count > 0 and str(member.type) in layout.structs
 
 
-class Described(NamedTuple):
+class Described(msgspec.Struct, frozen=True):
     """A field of a message, and the C member it is read from.
 
     Attributes:

@@ -8,10 +8,11 @@ strided copies over all packets; nothing runs in Python per packet.
 from __future__ import annotations
 
 from itertools import takewhile
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.types.schema import PRIMITIVES
@@ -29,7 +30,7 @@ HEAD: Final = np.dtype([(item.name, "<u" + str(_SIZES[PRIMITIVES[item.type]])) f
 """The message's header, which is put in front of the struct's bytes before they are converted."""
 
 
-class Copy(NamedTuple):
+class Copy(msgspec.Struct, frozen=True):
     """Bytes that are copied, with or without a change of byte order.
 
     Attributes:
@@ -45,7 +46,7 @@ class Copy(NamedTuple):
     turn: int
 
 
-class Bits(NamedTuple):
+class Bits(msgspec.Struct, frozen=True):
     """A bit-field or a boolean, read from a few bytes.
 
     Attributes:
@@ -89,7 +90,7 @@ class Block(msgspec.Struct):
     constants: dict[int, bytes] = msgspec.field(default_factory=dict)
 
 
-class StructText(NamedTuple):
+class StructText(msgspec.Struct, frozen=True):
     """Characters up to the first NUL.
 
     Attributes:
@@ -101,7 +102,7 @@ class StructText(NamedTuple):
     size: int
 
 
-class StructLeaf(NamedTuple):
+class StructLeaf(msgspec.Struct, frozen=True):
     """A single value or an array of basic values in a packet, for display.
 
     Attributes:
@@ -300,7 +301,7 @@ class StructPlan:
             # One copy goes on over bytes that are written after all copies.
             joins = target == end or (turn == 1 and target - end == self._later(end))
             if joins and source - last.source == target - last.target:
-                copies[-1] = last._replace(size=target - last.target + size)
+                copies[-1] = replace(last, size=target - last.target + size)
                 return
         copies.append(Copy(source, target, size, turn))
 

@@ -29,7 +29,7 @@ CHECKSUM_SEED: Final = 0xFF
 EPOCH_S: Final = 315_532_800
 """Usual epoch of mission time, 1980-01-01, in seconds since 1970; consoles print mission time from it."""
 USUAL_TICKS: Final = 1 << 16
-_MISSION_TIME: Final = re.compile(r"(?:(big|little)(?:, |$))?(?:1/(\d{1,5}) s(?:, |$))?(?:since (\S+))?")
+_MISSION_TIME: Final = r"(?:(big|little)(?:, |$))?(?:1/(\d{1,5}) s(?:, |$))?(?:since (\S+))?"
 
 COMMAND: Final = Layout(
     "cfe_command",
@@ -165,7 +165,7 @@ class MissionTime(msgspec.Struct, frozen=True):
         Raises:
             ConfigError: it is not of that form.
         """
-        match, moment = _MISSION_TIME.fullmatch(text), None
+        match, moment = re.fullmatch(_MISSION_TIME, text), None
         parts: Any = match.groups() if match else (None, "0", None)
         order, ticks, epoch = parts
         try:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import re
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal
 
+import msgspec
 import numpy as np
 
 from edoras_tools.errors import ConfigError, TruncatedError
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-class EnvelopeFormat(NamedTuple):
+class EnvelopeFormat(msgspec.Struct, frozen=True):
     """The words of an envelope, and their byte order.
 
     Attributes:
@@ -96,7 +97,7 @@ class EnvelopeFormat(NamedTuple):
         words: list[tuple[str, int]] = []
         orders, crc = set[str](), 0
         for item in text.lower().split(","):
-            match = _WORD.fullmatch(item.strip())
+            match = re.fullmatch(_WORD, item.strip())
             if match is None or crc:
                 raise ConfigError(f"envelope: {item.strip()!r} is no word of it; {_FORM}")
             name, bits, own, check_bits, check_own = match.groups()
@@ -153,7 +154,7 @@ class EnvelopeFormat(NamedTuple):
         return not self.crc or int.from_bytes(sent, self.byte_order) == self.check(data[offset:end])
 
 
-_WORD: Final = re.compile(r"(length|capacity|spare) *: *u(8|16|32|64)(be|le)?|crc *: *crc(16|32)(be|le)")
+_WORD: Final = r"(length|capacity|spare) *: *u(8|16|32|64)(be|le)?|crc *: *crc(16|32)(be|le)"
 _FORM: Final = "write e.g. length: u16be, capacity: u16be, spare: u8, crc: crc16be; the CRC is last"
 
 

@@ -7,7 +7,9 @@ the IP packet that they quote has no options (IPv4) and no extension headers (IP
 from __future__ import annotations
 
 import ipaddress
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools.wire.layout import Field, Layout
 
@@ -93,7 +95,7 @@ QUOTED_UDP: Final = Layout(
 _UDP: Final = 17
 
 
-class ErrorForm(NamedTuple):
+class ErrorForm(msgspec.Struct, frozen=True):
     """One of the two forms of an error.
 
     Attributes:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import msgspec
 import numpy as np
@@ -59,7 +59,7 @@ class Field(msgspec.Struct, frozen=True):
         return f"{name} ({number})" if name else number
 
 
-class Slot(NamedTuple):
+class Slot(msgspec.Struct, frozen=True):
     """Where a field lies in its header.
 
     Attributes:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+from msgspec.structs import asdict
 
 from edoras_tools.errors import TruncatedError
 from edoras_tools.wire.layout import Field, Layout
@@ -73,7 +76,7 @@ PROTO: Final = Layout(
 )
 
 
-class Subscription(NamedTuple):
+class Subscription(msgspec.Struct, frozen=True):
     """One entry of a SUB or UNSUB."""
 
     msg_id: int
@@ -120,7 +123,7 @@ class MessageHead:
 
 def emit_subscriptions(subscriptions: Iterable[Subscription], *, ident: str = IDENT) -> bytes:
     """Write the payload of a SUB or UNSUB."""
-    entries = [SUBSCRIPTION.emit(item._asdict()) for item in subscriptions]
+    entries = [SUBSCRIPTION.emit(asdict(item)) for item in subscriptions]
     return SUBSCRIPTIONS.emit({"ident": ident, "count": len(entries)}) + b"".join(entries)
 
 

@@ -5,7 +5,9 @@ Their headers, and what a mission lays down of them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal
+
+import msgspec
 
 from edoras_tools.wire.arrays.crc import CRC16_BYTES
 from edoras_tools.wire.layout import Field, Layout
@@ -129,7 +131,7 @@ NO_FIRST: Final = -1
 """``FrameFields.first`` of a frame in which no packet starts."""
 
 
-class FrameFormat(NamedTuple):
+class FrameFormat(msgspec.Struct, frozen=True):
     """What the bytes of a frame do not say themselves.
 
     Attributes:

@@ -148,7 +148,10 @@ def test_sbn_datagrams():
     )
     assert len(raw) == 11 + 50 + 12
     assert sbn.HEADER.parse(raw) == {"msg_size": 62, "msg_type": 1, "processor_id": 3, "spacecraft_id": 0x42}
-    assert sbn.parse_subscriptions(raw[11:]) == (sbn.IDENT, ((0x82A, 0, 0), (0x82B, 1, 2)))
+    assert sbn.parse_subscriptions(raw[11:]) == (
+        sbn.IDENT,
+        (sbn.Subscription(0x82A), sbn.Subscription(0x82B, 1, 2)),
+    )
     with pytest.raises(TruncatedError, match="needs 62 bytes, 61 are there"):
         sbn.parse_subscriptions(raw[11:-1])
     with pytest.raises(FieldError, match="32768 exceeds"):

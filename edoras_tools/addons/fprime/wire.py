@@ -13,6 +13,7 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 from msgspec.structs import replace
 
@@ -108,7 +109,7 @@ TELEMETRY_FRAME: Final = Layout("fprime_tm", headers.TM.title, *(slot.field for 
 LINK_LAYOUTS: Final = (FRAME, COMMAND_FRAME, TELEMETRY_FRAME, SPACE_PACKET, PACKET, *ENTRY_HEADERS.values())
 
 
-class FrameShape(NamedTuple):
+class FrameShape(msgspec.Struct, frozen=True):
     """A kind of frame.
 
     Attributes:
@@ -169,7 +170,7 @@ class PacketPlaces(NamedTuple):
         return PacketPlaces(*(column[mask] for column in self))
 
 
-class Frames(NamedTuple):
+class Frames(msgspec.Struct, frozen=True):
     """Many datagrams of one frame each; arrays have one element a datagram.
 
     Attributes:

@@ -6,8 +6,9 @@ Both give the same series for every field.
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
@@ -38,7 +39,7 @@ class ValueKind(Enum):
     STRUCT = "a group of fields"
 
 
-class Series(NamedTuple):
+class Series(msgspec.Struct, frozen=True):
     """The values of a field in ``rows`` packets.
 
     Attributes:

@@ -7,8 +7,9 @@ import stat
 import zlib
 from os import fstat
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
+import msgspec
 import numpy as np
 
 from edoras_tools.errors import CaptureError, os_errors
@@ -257,7 +258,7 @@ class Window:
 _COPIED_BYTES: Final = 1 << 20
 
 
-class SettledFile(NamedTuple):
+class SettledFile(msgspec.Struct, frozen=True):
     """A regular file.
 
     Attributes:

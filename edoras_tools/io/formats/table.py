@@ -7,7 +7,9 @@ fits.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from edoras_tools import doors
 from edoras_tools.older import StrEnum
@@ -20,7 +22,7 @@ LONGEST_MAGIC: Final = 8
 """Bytes by which a file's format is told."""
 
 
-class Format(NamedTuple):
+class Format(msgspec.Struct, frozen=True):
     """One format.
 
     Attributes:

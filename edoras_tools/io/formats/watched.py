@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import msgspec
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 _LOOK_S: Final = 1.0
 
 
-class OutputLoss(NamedTuple):
+class OutputLoss(msgspec.Struct, frozen=True):
     """A file that was moved, deleted or changed by others, while it was written or later.
 
     Attributes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import numpy as np
@@ -103,7 +103,7 @@ class _Partial(msgspec.Struct, eq=False):
     ports: tuple[int, int] = (0, 0)
 
 
-class Fragment(NamedTuple):
+class Fragment(msgspec.Struct, frozen=True):
     """One captured fragment of a UDP datagram.
 
     Attributes:
@@ -124,7 +124,7 @@ class Fragment(NamedTuple):
     data: bytes
 
 
-class Beginning(NamedTuple):
+class Beginning(msgspec.Struct, frozen=True):
     """The first fragment of a datagram that never became whole.
 
     Attributes:

@@ -8,7 +8,9 @@ from __future__ import annotations
 import re
 import struct
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
+
+import msgspec
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.types.schema import (
@@ -39,7 +41,7 @@ _TRUTH: Final = {"true": True, "1": True, "false": False, "0": False}
 _MOST: Final = 2**32 - 1
 
 
-class Section(NamedTuple):
+class Section(msgspec.Struct, frozen=True):
     """One definition of a joined text: its type in full, its text, and the line where that starts."""
 
     name: str

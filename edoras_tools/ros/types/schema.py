@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import re
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -43,7 +45,7 @@ class Shape(Enum):
     SEQUENCE = "sequence"
 
 
-class MessageField(NamedTuple):
+class MessageField(msgspec.Struct, frozen=True):
     """One field of a message.
 
     Attributes:
@@ -71,7 +73,7 @@ class MessageField(NamedTuple):
         return short_name(self.type) + bound + count
 
 
-class Constant(NamedTuple):
+class Constant(msgspec.Struct, frozen=True):
     """A named value of a message definition; it is not sent."""
 
     name: str
@@ -79,7 +81,7 @@ class Constant(NamedTuple):
     value: Any
 
 
-class Definition(NamedTuple):
+class Definition(msgspec.Struct, frozen=True):
     """One message definition.
 
     Attributes:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import msgspec
 
 from edoras_tools.model import NO_MSG_ID, Link
 
 
-class Fault(NamedTuple):
+class Fault(msgspec.Struct, frozen=True):
     """One fault of one datagram, as it is recorded.
 
     Attributes:

@@ -28,6 +28,7 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
+from msgspec.structs import replace
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, os_errors
@@ -393,7 +394,7 @@ def _beginning_with(
     end = data + head.length
     raw = records + zstandard.ZstdDecompressor().decompress(stretch[data:end].data, head.size)
     packed = zstandard.ZstdCompressor(level=LEVEL, write_checksum=True).compress(raw)
-    head = head._replace(size=len(raw), crc=crc32(raw), length=len(packed))
+    head = replace(head, size=len(raw), crc=crc32(raw), length=len(packed))
     index, at = stretch[end:].copy(), 0
     while at < len(index):
         entries = at + INDEX_HEAD.itemsize

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -40,7 +40,7 @@ CHUNK_HEAD_BYTES: Final = CHUNK_HEAD.size + 16 + 8
 _LENGTH: Final = struct.Struct("<Q")
 
 
-class ChunkHead(NamedTuple):
+class ChunkHead(msgspec.Struct, frozen=True):
     """A chunk's record up to its data.
 
     Attributes:
