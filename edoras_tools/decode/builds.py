@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import distinct_rows
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
 from edoras_tools.wire.msg_id import VERSION_1
@@ -144,15 +144,15 @@ class Fitting:
         fits = self._starts[at] = np.zeros(len(length), bool)
         for item in ENVELOPE_FORMATS:
             fits |= holds(body, length, item)
-        for value, members in by_value(self._msg_id):
-            if value == cfe.EVENT_MSG_ID:
-                name = body[members, :4]
-                exact = (length[members] >= cfe.EVENT.size - 2) & (length[members] <= cfe.EVENT.size)
-                fits[members] = exact & (name >= ord(" ")).all(axis=1) & (name < 127).all(axis=1)
-            elif structs.has[value] and not VERSION_1.is_command(value):
-                for size, some in by_value(length[members]):
-                    bound = structs.find(value, None, size)
-                    fits[members[some]] = bound is not None and bool(bound.fits(size))
+        event = self._msg_id == cfe.EVENT_MSG_ID
+        name = body[event, :4]
+        exact = (length[event] >= cfe.EVENT.size - 2) & (length[event] <= cfe.EVENT.size)
+        fits[event] = exact & (name >= ord(" ")).all(axis=1) & (name < 127).all(axis=1)
+        rows = np.flatnonzero(structs.has[self._msg_id] & ~VERSION_1.is_command(self._msg_id) & ~event)
+        _, first, which = distinct_rows(self._msg_id[rows].astype(np.int64) << 32 | self._length[rows])
+        pairs = zip(self._msg_id[rows[first]].tolist(), length[rows[first]].tolist(), strict=True)
+        known = ((structs.find(msg_id, None, size), size) for msg_id, size in pairs)
+        fits[rows] = np.array([bound is not None and bool(bound.fits(size)) for bound, size in known])[which]
         return fits
 
 

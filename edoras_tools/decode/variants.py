@@ -249,10 +249,11 @@ class Variants:
     def _first(self, sample: _Kept, conversation: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the first kind that explains each packet; what a plain command shows; ``_NOTHING``."""
         first = np.full(len(sample.length), _NOTHING)
-        fitting = self._fitting(sample)
+        left = np.arange(len(first))
         for number, headers in enumerate(cfe.TOLD):
-            if (left := first == _NOTHING).any():
-                first[left & fitting.by(headers)] = number
+            fits = self._fitting(sample.take(left)).by(headers)
+            first[left[fits]] = number
+            left = left[~fits]
         timed = np.flatnonzero((first == _EXTENDED) & ~_commands(sample))
         for _, members in by_value(conversation[timed]):
             first[timed[members[~_goes_on(sample.take(timed[members]))]]] = _NOTHING
