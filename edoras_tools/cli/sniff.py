@@ -143,7 +143,7 @@ def print_packets(blocks: Iterable[list[str]], header: str, *, flush: bool) -> i
     for block in blocks:
         if header and block and not count:
             out.write(f"{header}\n")
-        out.writelines(f"{text}\n" for text in block)
+        out.write("\n".join([*block, ""]))
         if block and (flush or not count):
             out.flush()
         count += len(block)
@@ -377,7 +377,7 @@ def _listed(
         marks = [fault and f"{Level.ERROR.mark} {fault}  " for fault in faults]
         yield [
             packet_list.line(
-                line._replace(text=mark + line.text) if mark else line,
+                replace(line, text=mark + line.text) if mark else line,
                 values=(clean(line.type.rpartition("/")[2]),) if typed else (),
             )
             for line, mark in zip(lines.of(rows), marks, strict=True)

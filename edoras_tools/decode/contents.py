@@ -79,21 +79,25 @@ class Contents(Generic[Content]):
         for places, own in () if few else rows.by_spacecraft():
             for place, content in zip(places.tolist(), self._of_columns(own), strict=True):
                 contents[place] = content
+        bound = rows.context.structs.of_port(rows.datagram("destination_port")).tolist()
         return [
-            self._dissected(rows, place) if content is None else content
-            for place, content in zip(rows.indices().tolist(), contents, strict=True)
+            self._dissected(rows, place, port) if content is None else content
+            for place, port, content in zip(rows.indices().tolist(), bound, contents, strict=True)
         ]
 
-    def _dissected(self, rows: ColumnRows, place: int) -> Content:
-        """Dissect one packet; where it has no space packet, the same bytes are dissected once."""
+    def _dissected(self, rows: ColumnRows, place: int, bound: int) -> Content:
+        """Dissect one packet; where it has no space packet, the same bytes are dissected once.
+
+        Args:
+            bound: ``Structs.of_port`` of its destination.
+        """
         batch, columns = rows.batch, rows.columns
         if columns.packet_offset[place] >= 0 or batch.recorded is not None:
             return self._of_packet(self._dissector.dissect(batch[place]))
         start = int(batch.offset[place])
         payload = batch.data[start : start + int(batch.length[place])].tobytes()
-        bound = rows.context.structs.of_port(batch.destination_port[place])
         kind = int(columns.link[place]) << 8 | int(columns.spacecraft[place])
-        key = kind, int(columns.findings[place]), int(bound), payload
+        key = kind, int(columns.findings[place]), bound, payload
         content = self._kept.get(key)
         if content is None:
             if len(self._kept) >= _MOST_KEPT:

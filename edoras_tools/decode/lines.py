@@ -7,8 +7,9 @@ are dissected, too.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
 
 from edoras_tools.cfs.arguments import ARGUMENTS, argument_words
@@ -45,7 +46,7 @@ _OTHERWISE: Final = Finding.CAPTURE_CUT | Finding.SBN_LEGACY_HEADER
 """Findings of packets whose columns do not tell what is there."""
 
 
-class PacketLine(NamedTuple):
+class PacketLine(msgspec.Struct, frozen=True):
     """What a line shows of a packet.
 
     Attributes:
@@ -77,7 +78,7 @@ class PacketLine(NamedTuple):
     type: str = ""
 
 
-class _Content(NamedTuple):
+class _Content(msgspec.Struct, frozen=True):
     """What a line says of a packet's content; see ``PacketLine``."""
 
     kind: str
@@ -96,7 +97,9 @@ def line_of(decoded: Decoded) -> PacketLine:
         decoded.link,
         datagram.source,
         datagram.destination,
-        *content[:3],
+        content.kind,
+        content.msg_id,
+        content.name,
         len(datagram.payload),
         decoded.findings,
         content.text,

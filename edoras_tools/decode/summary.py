@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import msgspec
@@ -98,6 +99,7 @@ def _unit_of(decoded: Decoded) -> LinkProtocol | None:
     return next(own, None)
 
 
+@lru_cache(maxsize=4096)
 def packet_text(msg_id: int, function_code: int | None) -> str:
     """Return what is said of a packet without a message.
 

@@ -146,7 +146,7 @@ class PacketList:
     ) -> None:
         self._names = names
         self._paint = palette.Paint(colour)
-        self._time_format = time_format
+        self._time_format, self._relative = time_format, time_format is TimeFormat.RELATIVE
         self._at_least = Level.NOTE if verbose else Level.WARNING
         self._first_ns = begin_ns
         self._previous_ns: int | None = None
@@ -205,29 +205,32 @@ class PacketList:
         size, paint, kind, msg_id = self._widths, self._paint, packet.kind, packet.msg_id
         name = packet.name or (self._names or {}).get(msg_id, "")
 
-        number = f"{packet.number:>{size.number}}"
+        gap, number = size.gap, str(packet.number).rjust(size.number)
         before = number
         if size.time:
-            before += f"{size.gap}{self._time(packet.time_ns):>{size.time}}"
+            before += gap + self._time(packet.time_ns).rjust(size.time)
         if size.endpoints:
-            before += size.gap + self._route(packet.source, packet.destination)
-        middle = self._identity(packet.link, kind, msg_id, name)
-        before += size.gap * bool(middle)
-        after = size.gap + f"{packet.length:>{size.length}}" if size.length else ""
+            before += gap + self._route(packet.source, packet.destination)
+        if middle := self._identity(packet.link, kind, msg_id, name):
+            before += gap
+        after = gap + str(packet.length).rjust(size.length) if size.length else ""
 
         # A number or a length beyond its column is shown whole, and the message gives the room.
-        room = size.info - (len(number) - size.number) - max(0, len(after) - len(size.gap) - size.length)
-        after += "".join(size.gap + self._cell(value, place) for place, value in enumerate(values))
+        room = size.info - (len(number) - size.number)
+        if after:
+            room -= len(after) - len(gap) - size.length
+        for place, value in enumerate(values):
+            after += gap + self._cell(value, place)
         badge, badge_width = self._badge(packet.findings, room)
         # For a packet of which only the name is known, the column of names shows everything.
         summary = clean(packet.text) if packet.text != name else ""
         summary = clip(summary, room - badge_width)
         if not self._paint.colour:
-            return f"{before}{middle}{after}{size.gap}{badge}{summary}".rstrip()
+            return f"{before}{middle}{after}{gap}{badge}{summary}".rstrip()
         colour = palette.layer("ros") if packet.type else packet.link.colour
         return (
             f"{paint(before, palette.DIM)}{paint(middle, colour)}"
-            f"{paint(after, palette.DIM)}{size.gap}{badge}{summary}"
+            f"{paint(after, palette.DIM)}{gap}{badge}{summary}"
         ).rstrip()
 
     def _identity(self, link: Link, kind: str, msg_id: int, name: str) -> str:
@@ -255,16 +258,14 @@ class PacketList:
             self._first_ns = time_ns
         previous, self._previous_ns = self._previous_ns, time_ns
         width = self._widths.time
-        match self._time_format:
-            case TimeFormat.RELATIVE:
-                return f"{(time_ns - self._first_ns) / 1e9:.6f}"[:width]
-            case TimeFormat.DELTA:
-                return f"{(time_ns - (time_ns if previous is None else previous)) / 1e9:.6f}"[:width]
-            case TimeFormat.EPOCH:
-                return f"{time_ns // 1_000_000_000}.{time_ns // 1000 % 1_000_000:06}"[:width]
-            case TimeFormat.UTC:
-                moment = units.utc(time_ns)
-                return moment[:width] if width == len(moment) else moment[11 : 11 + width]
+        if self._relative:  # to look at an enumeration takes as long as to write the number
+            return f"{(time_ns - self._first_ns) / 1e9:.6f}"[:width]
+        if self._time_format is TimeFormat.DELTA:
+            return f"{(time_ns - (time_ns if previous is None else previous)) / 1e9:.6f}"[:width]
+        if self._time_format is TimeFormat.EPOCH:
+            return f"{time_ns // 1_000_000_000}.{time_ns // 1000 % 1_000_000:06}"[:width]
+        moment = units.utc(time_ns)
+        return moment[:width] if width == len(moment) else moment[11 : 11 + width]
 
     def _route(self, source: Endpoint, destination: Endpoint) -> str:
         key = id(source), id(destination)  # to hash them takes as long as the rest of a line
