@@ -240,7 +240,7 @@ class Peer(NamedTuple):
         return f"{self.spacecraft_id}:{self.processor_id}"
 
 
-class Datagram(msgspec.Struct, frozen=True):
+class Datagram(NamedTuple):
     """One captured datagram, whole, or one message of a TCP stream.
 
     Attributes:
@@ -448,7 +448,7 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
         return type(self)(**{name: getattr(self, name)[rows] for name in self.__struct_fields__})
 
 
-class LayerField(msgspec.Struct, frozen=True):
+class LayerField(NamedTuple):
     """One named value of a layer and the bytes it was read from.
 
     Attributes:
@@ -468,7 +468,7 @@ class LayerField(msgspec.Struct, frozen=True):
     doc: str = ""
 
 
-class Layer(msgspec.Struct, frozen=True):
+class Layer(NamedTuple):
     """One dissected header or body.
 
     Attributes:
