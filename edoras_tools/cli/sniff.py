@@ -373,7 +373,7 @@ def _listed(
 
     lines = PacketLines(context)
     for rows in blocks:
-        faults = checksum_faults(rows.batch, rows.selection)
+        faults = checksum_faults(rows.batch.take(rows.selection))
         marks = [fault and f"{Level.ERROR.mark} {fault}  " for fault in faults]
         yield [
             packet_list.line(

@@ -140,12 +140,12 @@ def network_headers(batch: PacketBatch) -> tuple[NDArray[np.int64], NDArray[np.u
     )
 
 
-def checksum_faults(batch: PacketBatch, some: NDArray[np.intp] | slice = slice(0, None)) -> list[str]:
-    """Return which checksums of some datagrams are wrong, in words; nothing where they do not tell."""
+def checksum_faults(batch: PacketBatch) -> list[str]:
+    """Return which checksums of datagrams are wrong, in words; nothing where they do not tell."""
     codes = np.zeros(len(batch), np.uint8)
     if batch.recorded is None:  # else they are messages without frames
         codes = wrong_checksums(batch, network_headers(batch)[0])
-    return [CHECKSUMS[code] for code in codes[some].tolist()]
+    return [CHECKSUMS[code] for code in codes.tolist()]
 
 
 def checksum_fault(datagram: Datagram) -> str:
