@@ -8,7 +8,8 @@ The rules:
   whose count jumps beyond the window, or restarts, at more than every fourth packet.
 3. One stream may carry packets of several senders that count each for themselves, as Telemetry Output does
    with what another processor sends through it. Each count is followed as a strand. A packet that has a time
-   belongs to a strand of the same boot: capture time less packet time is then the same, within 3 s.
+   belongs to a strand of the same boot: capture time less packet time is then the same, within 3 s. Of none,
+   it may still be the next of a strand, or fill a hole: it was delayed, or a clock was set.
 4. A packet is the first of these that fits; among strands, the one that moved last comes first:
 
    a. a duplicate of the packet before: the same count, the same bytes;
@@ -22,9 +23,9 @@ The rules:
    h. the first of a new strand: a restart, or another sender where the strand before it goes on afterwards.
 
 5. What looked like a jump was another sender's packet if counts go on at the beginning of the hole: by three
-   packets while the strand goes on behind the hole too, or by one packet where the hole is larger than the
-   window. The hole then lies between two strands, and nothing is missing in it. Three such packets also tell
-   that (f) was (h).
+   packets while the strand goes on behind the hole too, or never did, as behind a damaged count; or by one
+   packet where the hole is larger than the window. The hole then lies between two strands, and nothing is
+   missing in it. Three such packets also tell that (f) was (h).
 6. How packets are cut into batches changes nothing.
 
 Counts that go up by one are taken as runs; Python looks at a packet only where the count jumps.
@@ -303,7 +304,7 @@ class SequenceStream(msgspec.Struct, eq=False):
     def _jumped(self, strands: list[_Strand], packet: _Packet, out: _Told) -> None:
         """Take a packet that is not the next of any strand."""
         decided = (
-            self._late(strands, packet, out, missed=True)
+            self._late(strands or self._strands, packet, out, missed=True)
             or self._again(strands, packet, out)
             or self._ahead(strands, packet, out, WINDOW)
             or self._late(strands, packet, out, missed=False)
@@ -324,14 +325,15 @@ class SequenceStream(msgspec.Struct, eq=False):
                     self._divide(strand, hole, position, packet, out)
                     return True
                 continue
-            if position == hole.first or not missed:
+            if position <= hole.first + 1 or not missed:
                 again = strand.behind_steps and position == strand.behind
                 strand.behind_steps = strand.behind_steps + 1 if again else 1
                 strand.front = strand.front if again else 0
             else:
                 strand.behind_steps = 0
             strand.behind = position + 1
-            goes_on = strand.behind_steps >= _GOES_ON and (not missed or strand.front >= _GOES_ON - 1)
+            ahead = strand.front >= _GOES_ON - 1 or hole.end == strand.last
+            goes_on = strand.behind_steps >= _GOES_ON and (ahead or not missed)
             if goes_on and hole.end - position > _LEAST_HOLE:
                 self._divide(strand, hole, position, packet, out)
                 return True

@@ -115,6 +115,7 @@ ONE_SENDER = [
     ("two senders, the other ahead", [40, 100, 41, 101, 42, 102, 43, 103], (0, 0, 0, 0)),
     ("two senders far apart", [100, 5000, 101, 5001, 102], (0, 0, 0, 0)),
     ("two senders far apart, one loses", [100, 5000, 103, 5001, 104], (2, 0, 0, 0)),
+    ("a damaged count", [*range(5), 5 + 128, *range(6, 12)], (1, 0, 0, 0)),
     ("three senders", [n + k for k in range(5) for n in (1, 500, 9000)], (0, 0, 0, 0)),
     ("never counts", [7, 7, 7, 7], (0, 0, 0, 0)),
     ("no count at all", [n * n * 7919 % MODULUS for n in range(60)], (0, 0, 0, 0)),
@@ -147,6 +148,12 @@ def test_times_tell_senders_apart():
 def test_a_clock_that_is_set_does_not_end_a_count():
     assert told([*packets_of([5, 6], boot=10), *packets_of([7, 8], boot=90)]) == (0, 0, 0, 0)
     assert told([*packets_of([500, 501], boot=10), *packets_of([2, 3], boot=90)]) == (0, 0, 0, 1)
+
+
+def test_one_that_was_held_back_for_long_still_fills_its_hole():
+    """A cFS that stood still sends what waited seconds late, and a capture may put the newest first."""
+    held = [*packets_of([9], boot=10), *packets_of([6, 7, 8], boot=13.5), *packets_of([10, 11], boot=10)]
+    assert told([*packets_of([4, 5], boot=10), *held]) == (0, 0, 3, 0)
 
 
 def test_each_sender_and_each_receiver_of_copies_has_a_stream():
