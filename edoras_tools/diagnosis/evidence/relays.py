@@ -29,10 +29,10 @@ The same datagrams may be on both sides of an address translation, as a Docker h
 A relay takes datagrams at an address of its own and sends them anew. A capture of both its sides has each of
 them twice.
 
-11. If nearly all that one conversation brings came before to the address of its sender, or to one that never
-    says anything, and at least eight did, it is behind a relay. It is kept, with the senders of what is in
-    front of that, which is left out. A relay may be at one address with those whose datagrams it takes: then
-    what they are sent has to pass it, too.
+11. If most of what one conversation brings came before to the address of its sender, or to one that never
+    says anything, and at least eight did, it is behind a relay: a capture may lack many in front of it. It is
+    kept, with the senders of what is in front of that, which is left out. A relay may be at one address with
+    those whose datagrams it takes: then what they are sent has to pass it, too.
 12. What went into the relay and did not come out is lost there; what came out again is a copy.
 """
 
@@ -252,6 +252,8 @@ _CLOCKS_NS: Final = 50 * MILLISECOND
 LONGEST_NS: Final = 10 * SECOND
 """Nothing is under way between two points for longer."""
 _LATE_NS: Final = 100 * MILLISECOND
+_MOSTLY: Final = 0.5
+"""Of what left a relay so much is seen before it, where a capture misses much, too."""
 
 
 class Segment(NamedTuple):
@@ -414,13 +416,17 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint], unsteady_ns: int = 0
             and int(host[rows.destination[behind[0]]]) in leaving
             and (item := _relayed(rows, endpoints[relay], before, behind, early_ns)) is not None
         ]
-    # Within the slack of two clocks each side may be behind the other: the later one is.
-    both = _both_ways(rows, host, relayed)
-    by_first = {(int(item.before[0]), int(item.behind[0])): item for item in both}
+
+    # Within the slack of two clocks each side may be behind the other: the later one is. Where times are
+    # wrong, the one of which the other has more.
+    def rank(item: RelayedWay) -> float:
+        return float((item.made_of >= 0).mean()) if unsteady_ns else item.delay_ns(rows)
+
+    by_first = {(int(item.before[0]), int(item.behind[0])): item for item in _both_ways(rows, host, relayed)}
     return [
         item
         for (before, behind), item in by_first.items()
-        if (behind, before) not in by_first or item.delay_ns(rows) > by_first[behind, before].delay_ns(rows)
+        if (behind, before) not in by_first or rank(item) > rank(by_first[behind, before])
     ]
 
 
@@ -442,6 +448,6 @@ def _relayed(
     into, out = ((rows.bytes_print[own], rows.time_ns[own]) for own in (before, behind))
     made_of = latest_equal(*into, out[0], out[1] + early_ns)
     made_of[out[1] - into[1][made_of] > LONGEST_NS] = -1
-    if (made_of >= 0).sum() < max(_LEAST_DATAGRAMS, _NEARLY_ALL * len(behind)):
+    if (made_of >= 0).sum() < max(_LEAST_DATAGRAMS, _MOSTLY * len(behind)):
         return None
     return RelayedWay(relay, before, behind, made_of, pair_up(*into, *out, early_ns))
