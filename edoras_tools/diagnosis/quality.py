@@ -70,7 +70,7 @@ _ALONE: Final = _ANSWERED | {"sequence_counts"}
 """Kinds that check a datagram also where others that were sent beside it are missing."""
 _HIDING: Final = frozenset({"identifications", "ci_counts"})
 """Kinds that show too few: by bursts, or by what was lost behind the tap, which hides as many."""
-_CHANCE: Final = 0.001
+_CHANCE: Final = 0.01
 _TICK_NS: Final = MILLISECOND
 """The shortest clock tick of a Linux kernel."""
 _ALIKE: Final = 0.5
