@@ -571,8 +571,8 @@ def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
         sources = {"in": _NOT_LOST, "out": "number of datagrams on the robot link"}
         way.hop(APPLICATION, sources, onward=((ROBOT.label, NO_MSG_ID),))
         way.end("unaccounted", fate.ends["unaccounted"])
-        way.end("uncertain", fate.ends["elsewhere"])
-        way.end("waiting", way.left - fate.reached)
+        way.end("uncertain", min(fate.ends["elsewhere"], max(0, way.left - fate.reached)))
+        way.end("waiting", max(0, way.left - fate.reached))
     if fate.seen:
         _applied(case, fate, way)
 

@@ -162,7 +162,7 @@ class Telemetry:
     def __init__(self, case: Case) -> None:
         self._case, self._counts = case, case.loss_counts
         self.ends: defaultdict[int, Counter[GapEnd]] = defaultdict(Counter)
-        self._unled: dict[tuple[int, int], list[tuple[int, int]]] = {}
+        self._unled: dict[tuple[int, int], tuple[list[tuple[int, int]], ...]] = {}
         self.silenced: list[tuple[Stream, int, Among]] = []
         self.losses: list[Loss] = []
         self.parts: list[Part] = []
@@ -220,13 +220,14 @@ class Telemetry:
             self.ends[id(stream)]["away"] = int(gaps.number[away].sum())
         gaps = gaps.take(~away)
         closed = closed_at(case, stream, gaps.at)
-        silences = case.silences_of(stream.sender) if stream.link.only_from_cfs else ()
-        silenced = silenced_at(stream, gaps.at, silences) & ~closed
         way = stream.sender, stream.receiver
         if hop is None and way not in self._unled:
             self._unled[way] = unled_silences(case, stream)
-        unled = silenced_at(stream, gaps.at, self._unled[way] if hop is None else ())
-        unled &= ~(closed | silenced)
+        unled_ns, retold_ns = self._unled[way] if hop is None else ([], [])
+        closed |= silenced_at(stream, gaps.at, retold_ns)
+        silences = case.silences_of(stream.sender) if stream.link.only_from_cfs else ()
+        silenced = silenced_at(stream, gaps.at, silences) & ~closed
+        unled = silenced_at(stream, gaps.at, unled_ns) & ~(closed | silenced)
         closed |= silenced | unled
         for index in np.flatnonzero(closed).tolist():
             own = gaps.take(np.array([index]))
@@ -470,11 +471,10 @@ class Telemetry:
         total = part.taken.total()
         rest = part.missing - total
         likeliest = max(part.taken, key=lambda kind: part.taken[kind], default=None)
-        more = max(0, min(rest, part.outside))
-        if part.kinds and likeliest is not None:
-            # Where no count was seen, a pipe that was full before and after was full.
+        more = max(0, min(rest, part.outside)) if part.kinds and likeliest is not None else 0
+        if likeliest is not None:  # where no count was seen, a pipe that was full before and after was full
             part.taken[likeliest] += more
-            rest -= more
+        rest -= more
         of = part.span.count + part.missing
         grown = [self._grown(part, name) for name in COUNTERS.values()]
         part.evidence.append(

@@ -65,6 +65,9 @@ if TYPE_CHECKING:
 _SILENT_WAKES: Final = 5
 _STOPS_NS: Final = 3 * SECOND
 """After a command that stops them, packets come for so long, also over a slow network."""
+_SLACK_NS: Final = SECOND // 200
+"""A capture's time is so late."""
+_FEW: Final = 3
 _BRIEF: Final = 10
 """A stop that lasts less than this part of a gap is not why most of it is missing."""
 
@@ -135,18 +138,21 @@ def one_sided(case: Case, stream: Stream) -> bool:
     return not among(rows.link, lambda link: link.only_to_cfs).any()
 
 
-def unled_silences(case: Case, stream: Stream) -> list[tuple[int, int]]:
-    """Return when nothing at all came on a stream's way, where nothing tells whether it was to be sent."""
-    if not one_sided(case, stream):
-        return []
-    if stream.link.peers:
-        rows = case.rows
-        own = (rows.source == stream.sender) & (rows.destination == stream.receiver)
-        times = rows.time_ns[own & (rows.msg_id != NO_MSG_ID)]
-    else:
-        times = _sent_by(case, stream.sender)
+def unled_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Return when nothing at all came on a stream's way, where nothing tells whether it was to be sent.
+
+    And when Telemetry Output sent nothing, and fewer MsgIds after it: it was told to, if that is here or not.
+    """
+    led, output = not one_sided(case, stream), stream.link.only_from_cfs
+    rows = case.rows
+    own = (rows.source == stream.sender) & (rows.destination == stream.receiver)
+    times = _sent_by(case, stream.sender) if output else rows.time_ns[own & (rows.msg_id != NO_MSG_ID)]
     silent = np.flatnonzero(np.diff(times) > _SILENT_WAKES * case.profile.to_wake_ns)
-    return [(int(times[at]), int(times[at + 1])) for at in silent.tolist()]
+    spans = list(zip(times[silent].tolist(), times[silent + 1].tolist(), strict=True))
+    ends = [item.time_ns[-1] for item in case.streams if item.sender == stream.sender and len(item) >= _FEW]
+    late = [span for span in spans if output and case.end_ns - span[1] > _STOPS_NS]
+    retold = [span for span in late if sum(span[0] - _STOPS_NS < when <= span[0] for when in ends) > 1]
+    return ([], retold) if led else (spans, [])
 
 
 def _sent_by(case: Case, sender: int) -> NDArray[np.int64]:
@@ -415,14 +421,6 @@ def _falls_silent(case: Case, app: str, span: StateSpan) -> bool:
     return False
 
 
-class _Cause(NamedTuple):
-    """Why nothing got through for a time."""
-
-    kind: LossKind
-    hop: str
-    text: str
-
-
 class Stops:
     """What was sent while applications did not run or peers did not listen, and what nobody can follow.
 
@@ -432,7 +430,7 @@ class Stops:
 
     def __init__(self, case: Case, fates: Sequence[Fate]) -> None:
         self._case = case
-        self._causes: list[_Cause] = []
+        self._causes: list[tuple[LossKind, str, str]] = []
         self.losses: list[Loss] = []
         self._fates = [fate for fate in fates if not fate.stream.is_housekeeping]
         gone = [item for item in case.outages if item.app not in _LINKS]
@@ -455,10 +453,11 @@ class Stops:
             if own:
                 self._unfollowed(fate, own)
 
-    def _add(self, fate: Fate, rows: NDArray[np.bool_], cause: _Cause) -> None:
+    def mark(self, fate: Fate, rows: NDArray[np.bool_], kind: LossKind, hop: str, text: str) -> None:
+        """Mark messages that one more cause lost, but for those that a counter has as lost at a pipe."""
         if rows.any():
             fate.stop[rows] = len(self._causes)
-            self._causes.append(cause)
+            self._causes.append((kind, hop, text))
 
     def _mark(self, fate: Fate, item: Outage) -> None:
         """Mark the messages that an application that was stopped did not take (rule 8)."""
@@ -483,8 +482,8 @@ class Stops:
         again = np.zeros(len(times), bool)
         if item.end_ns is not None and until_ns > item.end_ns + TAIL_NS:
             again = times > item.end_ns  # it runs, and passes nothing on
-        self._add(fate, inside & ~again, _Cause("stopped", item.app, item.witness))
-        self._add(fate, inside & again, _Cause("restart_failed", item.app, item.witness))
+        self.mark(fate, inside & ~again, "stopped", item.app, item.witness)
+        self.mark(fate, inside & again, "restart_failed", item.app, item.witness)
 
     def _await_no_more(self, fate: Fate, item: Outage) -> None:
         """Open what would come out yet, if the application had not stopped: all that was read by then."""
@@ -493,8 +492,8 @@ class Stops:
         if any(own.unread > most for own in case.ingests_at(stream.receiver)):
             return  # it may wait in CI's socket for longer than a round
         pipe = queues.application_pipe(case.profile, over_network=not stream.link.only_to_cfs)
-        times = stream.time_ns
-        never = fate.waits & ~fate.unseen & (times > item.ended_ns) & (times < case.end_ns - pipe.round_ns)
+        times, since_ns = stream.time_ns, case.end_ns - pipe.round_ns - max(_SLACK_NS, case.unsteady_ns)
+        never = fate.waits & ~fate.unseen & (times > item.ended_ns) & (times < since_ns)
         fate.open |= never
         fate.waits &= ~never
 
@@ -552,11 +551,11 @@ class Stops:
                 fate.newer |= inside & ~newest
                 inside &= newest
                 fate.unread |= inside
-                cause = _Cause(kind, hop, text)
+                cause = kind, hop, text
                 if cause in self._causes:
                     fate.stop[inside] = self._causes.index(cause)
                 else:
-                    self._add(fate, inside, cause)
+                    self.mark(fate, inside, *cause)
 
     def _untaken(self, fate: Fate, hop: Hop, newest: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Tell which messages an application sends on, as many before the first one as nobody took by 0x803.
@@ -597,13 +596,9 @@ class Stops:
         spans = case.timeline.spans(StateOwner("app", sbn.NAME), "stopped", case.system(stream))
         times = stream.time_ns
         for span in spans if stream.link.peers else ():  # its socket is open a moment before it speaks
-            inside = (
-                fate.open
-                & (fate.stop < 0)
-                & (times > span.start_hi)
-                & (times < span.end_lo - case.profile.sbn_wake_ns)
-            )
-            self._add(fate, inside, _Cause("stopped", sbn.NAME, span.change.witness))
+            inside = fate.open & (fate.stop < 0) & (times > span.start_hi)
+            inside &= times < span.end_lo - case.profile.sbn_wake_ns
+            self.mark(fate, inside, "stopped", sbn.NAME, span.change.witness)
 
     def _mark_unsent(self, fate: Fate) -> None:
         """Mark the messages that Telemetry Output was not to send (rule 12)."""
@@ -614,7 +609,7 @@ class Stops:
         for start_ns, end_ns in sorted({span for out in outs for span in case.silences_of(out.sender)}):
             text = f"Telemetry Output sent nothing until it was enabled, {case.at(end_ns)}"
             inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
-            self._add(fate, inside, _Cause("disabled", telemetry_output.NAME, text))
+            self.mark(fate, inside, "disabled", telemetry_output.NAME, text)
 
     def tell(self) -> None:
         """Make losses of what was marked, did not come out by the counts there, and no counter has."""
@@ -639,7 +634,7 @@ class Stops:
         }
         surely = [item for item in own if any(pipe.startswith(item.app) for pipe in pipes)]
         # What is known to be for an application tells that another MsgId need not be for it.
-        own = surely or [item for item in own if item.app not in {cause.hop for cause in self._causes}]
+        own = surely or [item for item in own if item.app not in {hop for _, hop, _ in self._causes}]
         if not own:
             return
         alike = [item for item in self._fates if not item.seen and item.stream.link is fate.stream.link]

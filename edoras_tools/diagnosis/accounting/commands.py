@@ -36,6 +36,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     BEFORE_CI,
     BEHIND,
     COUNTERS,
+    LOST_AT,
     SBN_SOCKET,
     TAIL_NS,
     WAITS_NS,
@@ -120,7 +121,7 @@ class Commands:
         self._refuse(counted=False)
         stops = Stops(case, fates)
         for fate in fates:
-            self._not_taken(fate)
+            self._not_taken(fate, stops)
             self._pass_on(fate)
             pipes.claim(fate)
         hold_back(case, telemetry.claims)
@@ -251,13 +252,13 @@ class Commands:
                 text = f"{plural(len(rows), 'message')} over SBN while it was not running"
                 self._lose(fate, "down", rows, text)
 
-    def _not_taken(self, fate: Fate) -> None:
+    def _not_taken(self, fate: Fate, stops: Stops) -> None:
         """Tell lost what came while nobody was there to take it, or to a closed port."""
         case, stream = self._case, fate.stream
         if stream.link.peers:
             self._down(fate)
         elif fate.seen and stream.link.only_to_cfs:
-            self._uncounted(fate)
+            self._uncounted(fate, stops)
         if fate.seen or all(stream.receiver != item.endpoint for item in case.ingests):
             closed = np.flatnonzero(fate.open & case.unreachable.closed[stream.rows])
             if (silent := case.unheard.get(id(stream))) is not None:
@@ -265,8 +266,11 @@ class Commands:
             self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
         regroup(case, fate)
 
-    def _uncounted(self, fate: Fate) -> None:
-        """Tell lost what was sent while CI did not run, where no count is from before."""
+    def _uncounted(self, fate: Fate, stops: Stops) -> None:
+        """Mark what was sent while CI did not run, where no count is from before.
+
+        The bus may have counted some: CI read them after the last that came out.
+        """
         case, times = self._case, fate.stream.time_ns
         first_ns = [item.first_ns for item in case.ingests if item.endpoint == fate.stream.receiver]
         own = [item for item in case.outages if case.into_system(fate.stream, item.system)]
@@ -280,7 +284,7 @@ class Commands:
             hole = int(np.diff(bounds).argmax())
             inside = fate.open & ~fate.newer & (times > bounds[hole]) & (times < bounds[hole + 1])
             kind: LossKind = "restart" if item.restarted else "ci_stopped"
-            self._lose(fate, kind, np.flatnonzero(inside), item.witness)
+            stops.mark(fate, inside, kind, LOST_AT[kind], item.witness)
 
     def _over_limit(self, fate: Fate) -> None:
         """Tell lost what an application's pipe did not take, where no counter is but full rounds show it."""
@@ -296,6 +300,13 @@ class Commands:
         counted_ns = [own.times[-1] for at, own in case.loss_counts.items() if case.goes_to(fate.stream, at)]
         inside = fate.open & (fate.stream.time_ns > max(counted_ns, default=0))
         inside[: into[0]] = inside[into[-1] :] = False
+        silent_ns = case.rows.time_ns[:-1][np.diff(case.rows.time_ns) > WAITS_NS]
+        for at in np.unique(np.searchsorted(hops[0].out.time_ns[came], silent_ns, "right")).tolist():
+            # Of more than CI reads at once some come out: nothing at all was captured then.
+            unseen = np.flatnonzero(inside & (np.searchsorted(into, np.arange(len(inside))) == at))
+            if len(unseen) > case.profile.ci_datagrams_per_wake:
+                fate.ends["missed"] += fate.claim(unseen)
+                inside[unseen] = False
         if fate.claim(lacking := np.flatnonzero(inside)):
             text = f"they did not come out behind full rounds alone, of {least} or more"
             self.losses.append(fate.loss("limit", lacking, [text], hop=APP))
@@ -512,8 +523,12 @@ class Commands:
             self._leave_open(fate, rest - int(late.sum()))
 
     def _leave_open(self, fate: Fate, number: int) -> None:
-        """Leave so many unaccounted for, but those that the capture missed, or the bus counted of nobody."""
-        others = sum(loss.lost for loss in self.losses if loss.stream is None and loss.kind in _COUNTED)
+        """Leave so many unaccounted for, but those that the capture missed, or the bus counted of nobody.
+
+        Or of what a closed way out would not have sent either.
+        """
+        counted = [item for item in [*self.losses, *self.telemetry.losses] if item.kind in _COUNTED]
+        others = sum(item.lost for item in counted if item.stream is None or item.closed)
         others += self._case.may_lack(len(fate.stream), max(0, number))
         fate.ends["unaccounted"] = max(0, number - others)
         fate.ends["elsewhere"] = max(0, number) - fate.ends["unaccounted"]
@@ -578,7 +593,7 @@ class Commands:
                 next_ = onward(profile)
                 passed = int(np.ptp(times) // next_.round_ns) * next_.limit(stream.msg_id)
                 lost.append(len(times) - passed)
-        return max([0, *lost])
+        return min(fate.waiting, max([0, *lost]))
 
     def _rest(self, fate: Fate, tails: Mapping[int, int]) -> None:
         ends = fate.ends
