@@ -414,8 +414,10 @@ def _fine(result: Diagnosis) -> str:
     whole = plural(sum(rows[-1].out for rows in arrived), "message")
     others = sum(rows[-1].out for rows in (*arrived, *fates.get("open", ())))
     open_ended = sum(row.waiting + row.not_captured + row.shared for row in result.balance)
+    # What a network doubles it may also lose, and no count shows that.
+    hides = any(row.copies > row.sure_copies for row in result.balance)
     parts = []
-    if arrived and not open_ended and fates.keys() <= {"arrived", "lost"}:
+    if arrived and not (open_ended or hides) and fates.keys() <= {"arrived", "lost"}:
         parts.append("All else arrived." if "lost" in fates else f"All {whole} arrived.")
     elif others:
         parts.append(f"{plural(others, 'other message' if 'lost' in fates else 'message')} arrived.")
