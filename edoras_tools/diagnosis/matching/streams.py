@@ -134,15 +134,8 @@ def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
     for source in np.unique(sender[down]).tolist():
         sender[down & (sender == source)] = instances.output(source)
     receiver = np.where(down, -1, rows.destination[packets])
-    keys = (
-        link,
-        sender,
-        receiver,
-        rows.processor_id[packets],
-        rows.spacecraft_id[packets],
-        rows.msg_id[packets],
-        np.where(up, NOBODY, instance[packets]),
-    )
+    packet = rows.processor_id[packets], rows.spacecraft_id[packets], rows.msg_id[packets]
+    keys = link, sender, receiver, *packet, np.where(up, NOBODY, instance[packets])
     first, which = numbered(*keys)
     # In the order of their keys, whatever comes first in the capture.
     order = np.lexsort([key[first] for key in reversed(keys)])

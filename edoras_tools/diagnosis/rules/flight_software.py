@@ -69,9 +69,8 @@ def cfs_stalled(case: Case) -> Iterator[Verdict]:
             into = among(rows.link, lambda link: link.only_to_cfs)
             into |= among(rows.link, lambda link: link.peers) & (rows.function_code >= 0)
             sent = int((into & (rows.time_ns > span.start_lo) & (rows.time_ns < span.end_hi)).sum())
-            waited = (
-                f"; {plural(sent, 'message')} sent to it then had to wait, and came at once" if sent else ""
-            )
+            text = f"; {plural(sent, 'message')} sent to it then had to wait, and came at once"
+            waited = text if sent else ""
             whose = case.label(case.instances.systems.index(system))
             yield warning(
                 f"{whose} stood still from {case.at(span.start_lo)} to {case.at(span.end_hi)}{waited}",

@@ -335,9 +335,7 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
             relay, peers = loss.hop.startswith(RELAY_HOP), loss.hop == SBN_SOCKET
             why = "they did not come " + ("out" if relay else "to cFS")
             why = why if relay or peers else "CI did not read them, and it can read so many"
-            more = (
-                "" if case.capture.shared else ": a capture on the cFS host shows which of them arrive there"
-            )
+            more = ": a capture on the cFS host shows which of them arrive there" * (not case.capture.shared)
             uplink = f"look at the {'network' if peers else 'uplink'}{more}"
             if any(line.startswith(QUOTED) for line in loss.evidence):
                 uplink = "look at the route to that host, and at firewalls on the way: ICMP errors came back"
