@@ -256,7 +256,8 @@ class Variants:
             left = left[~fits]
         timed = np.flatnonzero((first == _EXTENDED) & ~_commands(sample))
         for _, members in by_value(conversation[timed]):
-            first[timed[members[~_goes_on(sample.take(timed[members]))]]] = _NOTHING
+            if len(members) > 1:
+                first[timed[members[~_goes_on(sample.take(timed[members]))]]] = _NOTHING
         first[(first == 0) & _commands(sample)] = _PLAIN
         return first
 

@@ -122,6 +122,8 @@ class _Strand(msgspec.Struct, eq=False):
 
     def hole(self, position: int) -> _Hole | None:
         """Return the hole that a position is in."""
+        if position >= self.last:
+            return None
         index = bisect_right(self.holes, position, key=_BY_FIRST) - 1
         return self.holes[index] if index >= 0 and position < self.holes[index].end else None
 
@@ -129,13 +131,16 @@ class _Strand(msgspec.Struct, eq=False):
         """Tell whether a packet of a boot may be one of its."""
         return _NO_BOOT in {boot, self.boot} or abs(boot - self.boot) <= BOOT_APART_NS
 
-    def advance(self, prints: NDArray[np.uint32], boot: int) -> None:
+    def advance(self, prints: Sequence[int] | NDArray[np.uint32], boot: int) -> None:
         """Go on by as many packets as have fingerprints; the newest that has a time is of a boot."""
         self.last += len(prints)
-        newest = prints[-REPEATED:]
-        begin = (self.last - len(newest) + 1) % REPEATED
-        self.prints[begin : begin + len(newest)] = newest[: REPEATED - begin]
-        self.prints[: max(begin + len(newest) - REPEATED, 0)] = newest[REPEATED - begin :]
+        if len(prints) == 1:
+            self.prints[self.last % REPEATED] = prints[0]
+        else:
+            newest = prints[-REPEATED:]
+            begin = (self.last - len(newest) + 1) % REPEATED
+            self.prints[begin : begin + len(newest)] = newest[: REPEATED - begin]
+            self.prints[: max(begin + len(newest) - REPEATED, 0)] = newest[REPEATED - begin :]
         if boot != _NO_BOOT:
             self.boot = boot
         self.front += len(prints)
@@ -206,6 +211,8 @@ class _Run(msgspec.Struct, eq=False):
 
     def boots(self) -> NDArray[np.int64]:
         """Return capture time less packet time of each packet; ``_NO_BOOT`` without one."""
+        if len(self.rows) == 1:  # as of many that jump: a tenth of the time
+            return np.array([self.newest_boot()])
         mission = self.mission_time_ns[self.rows]
         return np.where(mission > 0, self.time_ns[self.rows] - mission, _NO_BOOT)
 
@@ -213,7 +220,9 @@ class _Run(msgspec.Struct, eq=False):
         """Return the boot of the newest packet that has a time."""
         row = self.rows[-1]
         mission = int(self.mission_time_ns[row])
-        return int(self.time_ns[row]) - mission if mission > 0 else _newest(self.boots())
+        if mission > 0 or len(self.rows) == 1:
+            return int(self.time_ns[row]) - mission if mission > 0 else _NO_BOOT
+        return _newest(self.boots())
 
 
 class SequenceStream(msgspec.Struct, eq=False):
@@ -303,7 +312,7 @@ class SequenceStream(msgspec.Struct, eq=False):
 
     def _jumped(self, strands: list[_Strand], packet: _Packet, out: _Told) -> None:
         """Take a packet that is not the next of any strand."""
-        decided = (
+        decided = self._strands and (
             self._late(strands or self._strands, packet, out, missed=True)
             or self._again(strands, packet, out)
             or self._ahead(strands, packet, out, WINDOW)
@@ -383,10 +392,10 @@ class SequenceStream(msgspec.Struct, eq=False):
         return False
 
     def _ahead(self, strands: list[_Strand], packet: _Packet, out: _Told, reach: int) -> bool:
-        steps = [(item.position(packet.count) - item.last, item) for item in strands]
-        step, strand = min(
-            (item for item in steps if item[0] > 0), key=lambda item: item[0], default=(0, None)
-        )
+        step, strand = MODULUS, None
+        for item in strands:
+            if 0 < (own := item.position(packet.count) - item.last) < step:
+                step, strand = own, item
         if strand is None or step > reach:
             return False
         if step > WINDOW:
@@ -397,7 +406,7 @@ class SequenceStream(msgspec.Struct, eq=False):
         self.missing += step - 1
         out.add("missing", step - 1)
         strand.last += step - 1
-        strand.advance(np.array([packet.print_], np.uint32), packet.boot)
+        strand.advance([packet.print_], packet.boot)
         strand.behind_steps = 0
         self._went_on(strand, packet.place, out)
         return True
