@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
@@ -12,6 +13,7 @@ from edoras_tools.cfs.time_services import START_S
 from edoras_tools.diagnosis.evidence.clocks.alignment import (
     MISSION_TIME,
     Alignment,
+    Side,
     align,
     boot_offsets,
     lost_between,
@@ -20,9 +22,9 @@ from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import SourceOver
-from edoras_tools.io.formats.merge import MergedSource, merge_sources
+from edoras_tools.io.formats.merge import SEAM_NS, MergedSource, merge_sources
 from edoras_tools.io.formats.open import is_cfe_file, open_file
-from edoras_tools.pipelines.runs import APART_NS, SEAM_NS
+from edoras_tools.pipelines.runs import APART_NS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe_file import RESET_LOG
@@ -159,7 +161,7 @@ def open_aligned(
         sources.append(Aligned(open_file(path), set_back[at], shift.shared))
         sources[0].statistics.shared += len(shift.shared)
         for side, (places, sure) in zip((to, at), lost_between(tables[to], table, shift), strict=True):
-            rows = tables[side].rows().take(places)
+            rows = tables[side].rows.take(places)
             for line in set_back[side]:
                 rows = replace(rows, time_ns=line.set_back(rows.time_ns))
             own = zip(rows.time_ns.tolist(), rows.bytes_print.tolist(), strict=True)
@@ -172,7 +174,7 @@ def open_aligned(
 
 
 def _nearest(
-    path: Path, tables: Sequence[Recorder], at: int, aligned: Iterable[int]
+    path: Path, tables: Sequence[Side], at: int, aligned: Iterable[int]
 ) -> tuple[int, Alignment | None]:
     """Return one of the captures that are aligned, and how the clock of another one stands to its."""
 
@@ -198,7 +200,7 @@ def _holds_resets(path: Path) -> bool:
 
 
 def _placed(
-    path: Path, paths: Sequence[Path], tables: Sequence[Recorder], set_back: dict[int, list[ClockLine]]
+    path: Path, paths: Sequence[Path], tables: Sequence[Side], set_back: dict[int, list[ClockLine]]
 ) -> tuple[Source, str]:
     """Put a reset log on the clock of the first capture that has one boot of its cFS; say how."""
     source, name = _of_cfe(path)
@@ -234,7 +236,8 @@ def _not_placed(path: Path, name: str, boots: int) -> str:
     return f"{path}: not placed, its mission times are kept: {why}; 'edoras info {path}' shows it alone"
 
 
-def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Recorder:
+def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Side:
+    gc.collect(0)  # what decoded the one before refers to itself: 1.5 MB in few objects
     source = open_file(path)
     try:
         bench = settings.workbench(source.info)
@@ -249,7 +252,7 @@ def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Reco
                 break
     finally:
         source.close()
-    return recorder
+    return Side.of(recorder)
 
 
 def _readable(source: Source) -> Iterator[PacketBatch]:
@@ -258,25 +261,25 @@ def _readable(source: Source) -> Iterator[PacketBatch]:
         yield from source.batches()
 
 
-def _follows(first: Recorder, second: Recorder, shift: Alignment) -> bool:
+def _follows(first: Side, second: Side, shift: Alignment) -> bool:
     """Return whether one capture goes on where the other ended, as files that are written in turn do.
 
     Then they are of one clock: by their own times one begins behind the other, and soon after it, or nothing
     tells that their clocks differ, or only mission times do, and by more than clocks: cFS was started again.
     """
-    a, b = first.rows().time_ns, second.rows().time_ns
+    a, b = first.rows.time_ns, second.rows.time_ns
     gap_ns = max(int(b.min()) - int(a.max()), int(a.min()) - int(b.max()))
     is_restart = shift.by == MISSION_TIME and abs(shift.line.offset_ns) > APART_NS
     return gap_ns >= 0 and (gap_ns < SEAM_NS or shift.low_ns <= 0 <= shift.high_ns or is_restart)
 
 
-def _of_two_runs(first: Recorder, second: Recorder, shift: Alignment) -> bool:
+def _of_two_runs(first: Side, second: Side, shift: Alignment) -> bool:
     """Return whether two captures are alike and not one run, as the same commands sent twice to the same cFS.
 
     By their own clocks they do not overlap, by what they have in common they would; and what they have in
     common is a boot's mission times, or packets without an identification that makes each another one.
     """
-    a, b = first.rows(), second.rows()
+    a, b = first.rows, second.rows
     same = np.isin(b.number, shift.shared)
     if (b.identification[same] != 0).sum() >= _LEAST or _overlap(first, second):
         return False
@@ -284,8 +287,8 @@ def _of_two_runs(first: Recorder, second: Recorder, shift: Alignment) -> bool:
     return (timed or bool(same.any())) and _overlap(first, second, shift.line)
 
 
-def _overlap(first: Recorder, second: Recorder, line: ClockLine | None = None) -> bool:
+def _overlap(first: Side, second: Side, line: ClockLine | None = None) -> bool:
     """Return whether two captures overlap in time, by their own clocks, or where a line sets one back."""
-    a, b = first.rows().time_ns, second.rows().time_ns
+    a, b = first.rows.time_ns, second.rows.time_ns
     b = b if line is None else line.set_back(b)
     return bool(len(a) and len(b)) and bool(a.min() <= b.max() and b.min() <= a.max())

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.io.formats.merge import SEAM_NS
 from edoras_tools.links.table import among
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.model import Columns, PacketBatch
 
-SEAM_NS: Final = 2 * SECOND
-"""A file that begins so soon behind another goes on with it."""
 APART_NS: Final = 5 * SECOND
 """Boots are further apart than this, clocks of hosts are not."""
 _NOTE: Final = (

@@ -24,7 +24,7 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
-from edoras_tools.diagnosis.evidence.clocks.alignment import align, align_ways
+from edoras_tools.diagnosis.evidence.clocks.alignment import Side, align, align_ways
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.copies import find_echoes
 from edoras_tools.diagnosis.evidence.preparation import prepare
@@ -202,7 +202,7 @@ def compare_captures(first: Recorder, second: Recorder, mission: Mission) -> Cap
     """Hold two captures of one spacecraft against each other."""
     topics: dict[_Key, str] = {(route.link, route.msg_id): route.topic for route in mission.routes}
     sides = _side(first), _side(second)
-    fit = align(first, second)
+    fit = align(Side.of(first), Side.of(second))
     line = _line(fit) if fit else ClockLine(0, _equal(*(side.rows for side in sides)))
     keys = sorted({key for side in sides for key in _keys(side.rows)})
     a, b = _identified(sides, keys)

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import SourceDefaults
 from edoras_tools.model import HostCounters, PacketBatch, SourceInfo, SourceStatistics, concatenate
+from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from edoras_tools.links.framing import Framing
     from edoras_tools.sessions.faults.fault import Fault
 
+SEAM_NS: Final = 2 * SECOND
+"""A file that begins so soon behind another goes on with it."""
 _TOGETHER: Final = 512
 """So many small batches are handed over as one: each costs milliseconds, however few its rows are."""
 
@@ -112,7 +115,8 @@ class MergedSource(SourceDefaults):
         """
         errors: list[str] = []
         heads = [_Head(source, errors) for source in self._sources]
-        number, touched = 1, [*range(len(heads))]
+        number = until = 1
+        touched = [*range(len(heads))]
         waiting: list[tuple[PacketBatch, NDArray[np.int64]]] = []
         ends: list[tuple[int, int]] = []
         begins: list[tuple[int, int]] = []
@@ -127,7 +131,7 @@ class MergedSource(SourceDefaults):
                     heappush(begins, (int(heads[place].keys[0]), place))
             while ends and ends[0][0] != heads[ends[0][1]].end:  # of what was taken meanwhile
                 heappop(ends)
-            ended = ended and not reading
+            ended = ended and not reading and bool(begins) and begins[0][0] - until > SEAM_NS
             if waiting and (not ends or ended or max(len(waiting), len(waiting[-1][0])) >= _TOGETHER):
                 batch = concatenate([_trim(part) for part, _ in waiting])
                 self._first, self._origin = number, np.concatenate([origin for _, origin in waiting])

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from ipaddress import ip_address
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -364,12 +364,7 @@ class Demux:
         cut = (transport.end > frame_end) | (frames.length < frames.original_length)
         batch = PacketBatch(
             data=data,
-            number=frames.number,
-            time_ns=frames.time_ns,
-            link_type=frames.link_type,
-            frame_offset=frames.offset,
-            frame_length=frames.length,
-            original_length=frames.original_length,
+            **_heads(frames),
             offset=np.minimum(start + UDP_BYTES, frame_end),
             length=(np.minimum(length, have) - UDP_BYTES).astype(np.int32),
             source_address=transport.source,
@@ -412,6 +407,12 @@ class Demux:
         return replace(batch, data=np.concatenate(data))
 
 
+def _heads(frames: Any) -> dict[str, Any]:
+    """Return the columns that datagrams have of their frames."""
+    same = {name: getattr(frames, name) for name in ("number", "time_ns", "link_type", "original_length")}
+    return {**same, "frame_offset": frames.offset, "frame_length": frames.length}
+
+
 def _datagrams(frames: MadeFrames) -> PacketBatch:
     """Return the datagrams that frames were made of."""
     ends, count = frames.ends, len(frames)
@@ -420,12 +421,7 @@ def _datagrams(frames: MadeFrames) -> PacketBatch:
     )
     return PacketBatch(
         data=frames.data,
-        number=frames.number,
-        time_ns=frames.time_ns,
-        link_type=frames.link_type,
-        frame_offset=frames.offset,
-        frame_length=frames.length,
-        original_length=frames.original_length,
+        **_heads(frames),
         offset=frames.offset + _MADE_BYTES,
         length=frames.length - np.int32(_MADE_BYTES),
         source_address=source,

@@ -26,6 +26,7 @@ assumed. Only differences of times are used, so that a capture shifted by any ti
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
@@ -58,6 +59,9 @@ from edoras_tools.words import seconds
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from typing_extensions import Self
+
+    from edoras_tools.diagnosis.evidence.payloads import EventRecord
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
@@ -81,12 +85,22 @@ _MANY: Final = 20
 """Messages of one way of which one was delayed hardly at all."""
 
 
-class Side(NamedTuple):
-    """One of the two captures: what it recorded, and the cFS in it."""
+class Side(msgspec.Struct, frozen=True, eq=False, dict=True):
+    """What one of two captures is compared by."""
 
-    recorder: Recorder
     rows: Rows
-    instances: Instances
+    events: Sequence[EventRecord]
+    endpoints: Sequence[Endpoint]
+
+    @classmethod
+    def of(cls, recorder: Recorder) -> Self:
+        """Return that of a recorder, which need not be kept."""
+        return cls(recorder.rows(), recorder.payloads.events, recorder.endpoints)
+
+    @cached_property
+    def instances(self) -> Instances:
+        """The cFS in it."""
+        return Instances(self.rows, self.events, self.endpoints)
 
 
 def _related(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) -> Iterator[Ordered]:
@@ -136,10 +150,10 @@ def _answers(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) 
     asking = np.flatnonzero(causes.sbn_msg_type >= 0)
     proto = np.flatnonzero(effects.sbn_msg_type == sbn.MsgType.PROTO)
     for way, members in groups(effects.way(), proto):
-        ends = [effect.recorder.endpoints[end] for end in (way & 0xFFFFFFFF, way >> 32)]
-        if any(end not in cause.recorder.endpoints for end in ends):
+        ends = [effect.endpoints[end] for end in (way & 0xFFFFFFFF, way >> 32)]
+        if any(end not in cause.endpoints for end in ends):
             continue
-        source, target = (cause.recorder.endpoints.index(end) for end in ends)
+        source, target = (cause.endpoints.index(end) for end in ends)
         own = asking[(causes.source[asking] == source) & (causes.destination[asking] == target)]
         sessions = _begins(causes.time_ns[own])
         answers = _begins(effects.time_ns[members])
@@ -292,11 +306,11 @@ class _Told(msgspec.Struct, frozen=True):
         return Alignment(line, *self.lines.offset(line.begin_ns), drift, self.by, self.shared, self.here)
 
 
-def align(first: Recorder, second: Recorder) -> Alignment | None:
+def align(first: Side, second: Side) -> Alignment | None:
     """Tell how the second capture's clock stands to the first's; None where nothing in them tells."""
     shift = _shared(first, second)
     if shift is None:
-        sides = _side(first), _side(second)
+        sides = first, second
         coarse = _mission_times(*sides)
         shift = _by_counts(first, second, coarse) or coarse
         about = shift.line if shift else None
@@ -305,16 +319,16 @@ def align(first: Recorder, second: Recorder) -> Alignment | None:
         if shift and ordered:
             shift = shift.narrowed(ordered.pairs, ordered.by)
         shift = shift or ordered
-    return shift.since(int(second.rows().time_ns.min())) if shift else None
+    return shift.since(int(second.rows.time_ns.min())) if shift else None
 
 
-def boot_offsets(recorder: Recorder, name: str) -> list[int]:
+def boot_offsets(side: Side, name: str) -> list[int]:
     """Return capture time minus mission time, in ns, of each boot of a cFS in a capture.
 
     Args:
         name: of the cFS, as ``66:1``; a boot whose name nothing says may be its own.
     """
-    return [item.offset_ns for item in _side(recorder).instances.items if item.name in {name, ""}]
+    return [item.offset_ns for item in side.instances.items if item.name in {name, ""}]
 
 
 def align_ways(first_ns: Integers, second_ns: Integers, back: Mask) -> Alignment | None:
@@ -340,14 +354,9 @@ def align_ways(first_ns: Integers, second_ns: Integers, back: Mask) -> Alignment
     return shift.since(int(second_ns.min())) if shift else None
 
 
-def _side(recorder: Recorder) -> Side:
-    rows = recorder.rows()
-    return Side(recorder, rows, Instances(rows, recorder.payloads.events, recorder.endpoints))
-
-
-def _shared(first: Recorder, second: Recorder) -> _Told | None:
+def _shared(first: Side, second: Side) -> _Told | None:
     """Tell it by datagrams that both captured."""
-    a, b = first.rows(), second.rows()
+    a, b = first.rows, second.rows
     one = _one(first, second)
     tried = []
     for bits in (np.uint16(0xFFFF), np.uint16(0)):  # an address translation may have left no identification
@@ -410,14 +419,14 @@ _BY_CHANCE: Final = 0.001
 """So seldom a capture that missed a share by chance would have missed none of those that surely passed it."""
 
 
-def lost_between(first: Recorder, second: Recorder, shift: Alignment) -> tuple[tuple[Places, bool], ...]:
+def lost_between(first: Side, second: Side, shift: Alignment) -> tuple[tuple[Places, bool], ...]:
     """Return which rows of each capture came to its place and never to that of the other; and if it is sure.
 
     A way leads from one place to the other where what is in both is there later, and on the ways back
     earlier. What one lacks of the ways to it was lost between them, where it has all that the other got by
     the ways from it: it cannot have missed so large a share by chance. Else it may have missed them.
     """
-    sides = first.rows(), second.rows()
+    sides = first.rows, second.rows
     times = sides[0].time_ns, shift.line.set_back(sides[1].time_ns)
     both = [
         np.isin(rows.number, numbers) for rows, numbers in zip(sides, (shift.here, shift.shared), strict=True)
@@ -451,13 +460,13 @@ def lost_between(first: Recorder, second: Recorder, shift: Alignment) -> tuple[t
     return tuple(out)
 
 
-def _one(first: Recorder, second: Recorder) -> Callable[..., Mask]:
+def _one(first: Side, second: Side) -> Callable[..., Mask]:
     """Return what tells which pairs of rows with equal bytes are one datagram, by identification and ends.
 
     Without an identification it keeps both its ends, lives shorter, or has an end with two names. What a
     relay sends is another one: it lives as long, and no end is the same.
     """
-    a, b = first.rows(), second.rows()
+    a, b = first.rows, second.rows
     number = _moved(first, second)
     near, far = ([end.address for end in item.endpoints] or [""] for item in (first, second))
     ends = (a.source, b.source), (a.destination, b.destination)
@@ -485,15 +494,15 @@ def _one(first: Recorder, second: Recorder) -> Callable[..., Mask]:
     return one
 
 
-def _moved(first: Recorder, second: Recorder) -> Integers:
+def _moved(first: Side, second: Side) -> Integers:
     """Return the number that each endpoint of the second has in the first; -1 for none."""
     number = {endpoint: index for index, endpoint in enumerate(first.endpoints)}
     return np.array([number.get(endpoint, -1) for endpoint in second.endpoints] or [-1])
 
 
-def _by_counts(first: Recorder, second: Recorder, coarse: _Told | None) -> _Told | None:
+def _by_counts(first: Side, second: Side, coarse: _Told | None) -> _Told | None:
     """Tell it by counts; ``coarse`` says which of the packets of a count are meant, where it can."""
-    a, b = first.rows(), second.rows()
+    a, b = first.rows, second.rows
     theirs = _key(b, _moved(first, second)[b.source].astype(np.int64), 0)
     every = []
     for ahead in (1, -1):
@@ -615,7 +624,7 @@ def _same_ways(first: Side, second: Side, pair: tuple[int, int]) -> list[int]:
         rows = side.rows
         own = np.flatnonzero(side.instances.of_row == index)
         delay = rows.time_ns[own] - rows.mission_time_ns[own]
-        ends = side.recorder.endpoints
+        ends = side.endpoints
         offsets.append(
             {
                 (ends[value >> 32], ends[value & 0xFFFFFFFF]): int(delay[members].min())
