@@ -34,9 +34,8 @@ if TYPE_CHECKING:
     from edoras_tools.wire.msg_id import MsgIds
 
 FIRST_SPACECRAFT: Final = 1
-_MOST: Final = 255
-_COMPARED: Final = 256
-"""So many addresses of a file are compared with each other; those after them are as the last of them."""
+_MOST: Final = 64
+"""So many addresses of a file are compared: those that sent most. All others are as the last of them."""
 _RECEIVER, _SENDER, _PEER = 1, 2, 3
 """Which end of a link cFS is; of peers the ports decide."""
 _HEAD: Final = 24
@@ -273,7 +272,10 @@ class Survey:
             return numbers
         sent, address, msg_id, prints = map(np.concatenate, zip(*self._parts, strict=True))
         telemetry = sent if sent.any() else ~sent
-        compared = [*self._met][:_COMPARED]
+        ends, counts = np.unique(address, return_counts=True)
+        count_of = dict(zip(ends.tolist(), counts.tolist(), strict=True))
+        ranked = sorted(self._met, key=lambda end: (end not in numbers, -count_of.get(end, 0)))
+        compared = sorted(ranked[:_MOST], key=[*self._met].index)
         packets = {end: np.flatnonzero(telemetry & (address == end)) for end in compared}
 
         def same(end: int, other: int) -> bool | None:

@@ -408,8 +408,9 @@ class Examination:
         self.faults = [item for item in self.faults if item.time_ns > until_ns]
         capture = Capture(zero_ns=self._zero_ns())
         self._before.append(self._judged(capture, faults, last=False))
-        self._recorder = self._begin(self._recorder.conversations)
-        gc.collect()  # what a chapter was judged by refers to itself: 150 MB that would stay for long
+        size, self._recorder = len(self._recorder), self._begin(self._recorder.conversations)
+        # What a chapter was judged by refers to itself: 150 MB that would stay for long; a short one, little.
+        gc.collect(2 if size > CHAPTER // 64 else 0)
 
     def let(self, apart: Apart) -> None:
         """Let other processes keep and judge the chapters, and diagnose once; before anything was taken."""
@@ -494,7 +495,7 @@ class Examination:
                 *capture.rows(),
             ),
             unnamed=tuple(case.unnamed),
-            left_out=recorder.left_out + case.prepared.foreign,
+            left_out=recorder.left_out + case.prepared.foreign + int(case.prepared.crowd.sum()),
             topics={index: route.topic for index, route in enumerate(case.mission.routes)},
             missing=self._missing(case),
         )

@@ -90,6 +90,19 @@ def not_examined(lab, tmp_path, msg_id):
 
 
 @case
+def more_senders(lab, tmp_path, msg_id):
+    real = datagrams(CAPTURES / "a_rover.pcap")
+    first = next(item for item in real if item.destination[1] == 1235)
+    ends = [(f"10.9.{place // 250}.{place % 250 + 1}", 40000) for place in range(1234)]
+    found = lab.read(write(tmp_path / "x.pcap", [*real, *(replace(first, source=end) for end in ends)]))
+    said = next(item.reason for item in found.verdicts if item.rule == "more_senders")
+    number = found.left_out - 64  # what the robot answers
+    assert f"{number} more senders of what comes from cFS, each of at most 1, not examined" in said
+    assert any("92 of 600" in item.reason for item in found.verdicts)
+    return found
+
+
+@case
 def not_cfs(lab, tmp_path, msg_id):
     return lab.examine([lab.at(second, lab.bridge, Endpoint("10.0.0.9", 1234), b"{}") for second in range(9)])
 

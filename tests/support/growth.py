@@ -40,7 +40,7 @@ print(json.dumps([os.waitstatus_to_exitcode(status), spent, used.ru_maxrss / 102
 """Runs a command from a small process: what a process used of memory counts that of its parent."""
 COMMANDS = {
     many.pairs: ["info", "info --json", "sniff", "doctor", "check --init"],
-    many.msg_ids: ["sniff --json", "record -o OUT.mcap"],
+    many.msg_ids: ["sniff --json", "record -o OUT.mcap", "doctor"],
     many.telemetry_pairs: [
         "info",
         "doctor",
@@ -48,7 +48,7 @@ COMMANDS = {
         "compare FILE",
         "archive index --index OUT.duckdb",
     ],
-    many.senders: ["info", "doctor"],
+    many.senders: ["info", "doctor", "check --init"],
     many.gaps: ["doctor", "export --format csv -o OUT/"],
     many.times: ["info", "doctor", "plot -o OUT.svg -c ROVER"],
     many.strangers: ["info"],
@@ -57,7 +57,7 @@ COMMANDS = {
     many.robots: ["info"],
     many.peers: ["info", "doctor"],
     many.subscriptions: ["info", "doctor"],
-    many.holes: ["info"],
+    many.holes: ["info", "doctor"],
     many.connections: ["info"],
     many.web_topics: ["info", "export -o OUT/"],
     many.transactions: ["files -o OUT"],
@@ -69,7 +69,7 @@ COMMANDS = {
     many.interfaces: ["info"],
     many.packed: ["info"],
     many.damaged: ["recover -o OUT.pcap"],
-    many.captures: ["info"],
+    many.captures: ["info", "doctor"],
     many.topics: ["info", "check --init", "export --format csv -o OUT/"],
     many.tiny_messages: ["info"],
     many.chunks: ["info", "recover -o OUT.mcap"],

@@ -102,6 +102,10 @@ class Instances:
                     self._add(rows, members, says)
         self.systems = self._find_systems()
         self._owners = self._find_owners(rows)
+        self._first_output: dict[int, int] = {}
+        for source, owners in self._owners.items():
+            if len(mine := {index for _, index in owners}) == 1 and NOBODY not in mine:
+                self._first_output.setdefault(mine.pop(), source)
         self.made_ns = self._when_made(rows)
 
     def _waited(self, rows: Rows, members: Places) -> int:
@@ -210,13 +214,12 @@ class Instances:
         """Find the instance that owns each telemetry socket: events never come from another instance."""
         owners: dict[int, list[tuple[int, int]]] = {}
         telemetry = among(rows.link, lambda link: link.only_from_cfs) & (self.of_row != NOBODY)
-        for source in np.unique(rows.source[telemetry]).tolist():
-            own = telemetry & (rows.source == source)
-            events = own & (rows.known_id == cfe.EVENT_MSG_ID)
-            publishers = self.of_row[events if events.any() else own]
+        for source, own in groups(rows.source, np.flatnonzero(telemetry)):
+            events = own[rows.known_id[own] == cfe.EVENT_MSG_ID]
+            publishers = self.of_row[events if len(events) else own]
             values, first, counts = np.unique(publishers, return_index=True, return_counts=True)
-            if events.any():
-                times = rows.time_ns[np.flatnonzero(events)[first]]
+            if len(events):
+                times = rows.time_ns[events[first]]
                 owners[source] = sorted(zip(times.tolist(), values.tolist(), strict=True))
             else:
                 owners[source] = [(0, int(values[counts.argmax()]))]
@@ -225,8 +228,7 @@ class Instances:
     def output(self, source: int) -> int:
         """Return where Telemetry Output first sent from, if it restarted and has another port now."""
         mine = {index for _, index in self._owners.get(source, [])}
-        same = [other for other, owners in self._owners.items() if {index for _, index in owners} == mine]
-        return same[0] if len(mine) == 1 and NOBODY not in mine and len(same) > 1 else source
+        return self._first_output.get(mine.pop(), source) if len(mine) == 1 else source
 
     def owner(self, source: int, time_ns: int) -> int:
         """Return the instance whose Telemetry Output sends from an endpoint at a time, or ``NOBODY``."""

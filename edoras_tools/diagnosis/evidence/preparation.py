@@ -7,6 +7,7 @@
 3. A datagram that was captured twice is counted once, also if that was in front of a proxy and behind it, or
    on both sides of an address translation.
 4. A datagram that the network damaged is left out: its receiver dropped it.
+5. Of more than 1,000 senders on links from cFS those that sent least are left out, and counted together.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 
 _MOST_SET: Final = 16
 """A clock is set back now and then; records that go back more often are out of order."""
+_MOST_SENDERS: Final = 1000
 _PLACE: Final = {kind: place for place, kind in enumerate(ConversationKind)}
 
 
@@ -55,6 +57,7 @@ class Prepared(NamedTuple):
         payloads: of these rows.
         flows: every conversation, with its kind.
         foreign: datagrams of other programs, left out.
+        crowd: datagrams of each sender beyond those that are judged, left out.
         copies: datagrams that were captured before.
         relayed: datagrams that were captured in front of a proxy, and are counted behind it.
         passed: what relays did to messages without a sequence count, of which the capture has both sides.
@@ -71,6 +74,7 @@ class Prepared(NamedTuple):
     payloads: Payloads
     flows: Sequence[Flow]
     foreign: int
+    crowd: Integers
     copies: int
     relayed: int
     passed: tuple[LostInRelay, ...]
@@ -107,6 +111,8 @@ def prepare(
     foreign = kind == _PLACE[ConversationKind.FOREIGN]
     rest = _Left(rows, np.arange(len(rows)))
     rest.keep(~foreign)
+    crowded, crowd = _crowd(rest.rows)
+    rest.keep(~crowded)
     names = one_name(rest.rows, endpoints)
     if (names != np.arange(len(names))).any():
         ends = {name: names[getattr(rest.rows, name)] for name in ("source", "destination")}
@@ -154,6 +160,7 @@ def prepare(
         payloads=payloads,
         flows=flows,
         foreign=int(foreign.sum()),
+        crowd=crowd,
         copies=int(copy.sum()) - len(doubled),
         relayed=int(relayed.sum()),
         passed=lost_there,
@@ -181,6 +188,16 @@ class _Left(msgspec.Struct):
         """Keep some of them."""
         if not some.all():
             self.rows, self.places = self.rows.take(some), self.places[some]
+
+
+def _crowd(rows: Rows) -> tuple[Mask, Integers]:
+    """Tell which rows are of senders beyond those that are judged, and how many each of these has."""
+    crowded, own = np.zeros(len(rows), bool), np.flatnonzero(among(rows.link, lambda link: link.from_cfs))
+    first, which = numbered(rows.source[own], rows.sbn_sender(own))
+    counts = np.bincount(which, minlength=len(first))
+    beyond = np.argsort(-counts, kind="stable")[_MOST_SENDERS:]
+    crowded[own] = np.isin(which, beyond)
+    return crowded, counts[beyond]
 
 
 def _find_astray(rows: Rows, astray: Sequence[tuple[int, int, bool]]) -> tuple[Mask, Mask]:

@@ -63,15 +63,15 @@ def stalls(
             continue
         pauses = steps[steps > SECOND // 20]
         usual_ns = int(np.quantile(pauses, 0.9)) if len(pauses) else 0
-        own = [
-            item
-            for item in streams
-            if item.instance != NOBODY and instances.systems[item.instance] == system and item.counted
-        ]
         for at in np.flatnonzero(steps > max(_LEAST_NS, _FACTOR * usual_ns)).tolist():
             start_ns, end_ns = times[at : at + 2].tolist()
             if _switched_off(timeline, system, start_ns, end_ns):
                 continue
+            own = [
+                item
+                for item in streams
+                if item.instance != NOBODY and instances.systems[item.instance] == system and item.counted
+            ]
             if _published_nothing(instances, own, (start_ns, end_ns), usual_ns):
                 seconds = (end_ns - start_ns) / SECOND
                 text = (

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.evidence.instances import NOBODY
@@ -131,8 +132,8 @@ def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
     # Whoever commands does not count, and may use any number of ports.
     up, down = among(link, lambda item: item.only_to_cfs), among(link, lambda item: item.only_from_cfs)
     sender = np.where(up, -1, rows.source[packets])
-    for source in np.unique(sender[down]).tolist():
-        sender[down & (sender == source)] = instances.output(source)
+    sources, which = np.unique(sender[down], return_inverse=True)
+    sender[down] = np.array([*map(instances.output, sources.tolist())], np.int64)[which]
     receiver = np.where(down, -1, rows.destination[packets])
     packet = rows.processor_id[packets], rows.spacecraft_id[packets], rows.msg_id[packets]
     keys = link, sender, receiver, *packet, np.where(up, NOBODY, instance[packets])
@@ -149,24 +150,9 @@ def find_robots(rows: Rows) -> list[Stream]:
     """Return what was sent to each robot: bare numbers, no MsgId and no count."""
     own = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
     ends = rows.source[own].astype(np.int64) << 32 | rows.destination[own]
-    return [
-        Stream(
-            link=table.link(int(rows.link[own[members[0]]])),
-            msg_id=NO_MSG_ID,
-            sender=int(rows.source[own[members[0]]]),
-            receiver=int(rows.destination[own[members[0]]]),
-            processor=(0, 0),
-            instance=NOBODY,
-            route=NO_ROUTE,
-            rows=own[members],
-            time_ns=rows.time_ns[own[members]],
-            counted=False,
-            missing=np.zeros(len(members), np.int64),
-            pauses=np.zeros(len(members), np.bool_),
-            repeats=np.zeros(len(members), np.bool_),
-        )
-        for _, members in by_value(ends)
-    ]
+    nobody, none = np.full(len(rows), NOBODY, np.int32), own[:0]
+    streams = [_stream(rows, own[members], nobody, none) for _, members in by_value(ends)]
+    return [replace(item, pauses=np.zeros(len(item), np.bool_)) for item in streams]
 
 
 class Reset(NamedTuple):

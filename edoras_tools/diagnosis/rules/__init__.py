@@ -33,6 +33,7 @@ RULES: Final[dict[str, Rule]] = {
     rule.__name__: rule
     for rule in (
         capture.not_examined,
+        capture.more_senders,
         capture.capture_drops,
         pipes.host_drops,
         capture.cut_frames,

@@ -55,6 +55,18 @@ def not_examined(case: Case) -> Iterator[Verdict]:
         yield warning(reason, *facts, hop="capture", span=span, remedy=remedy)
 
 
+def more_senders(case: Case) -> Iterator[Verdict]:
+    """Senders beyond the number that is judged: those that sent least are counted together, and left out."""
+    if len(crowd := case.prepared.crowd):
+        yield warning(
+            f"{plural(len(crowd), 'more sender')} of what comes from cFS, each of at most {crowd.max():,}, "
+            f"not examined: {plural(int(crowd.sum()), 'datagram')}",
+            "so many are no flight software: addresses are forged, or another program sends to these ports",
+            hop="capture",
+            remedy="record what counts alone: edoras record FILE --where 'source == ADDRESS' -o OUT.pcap",
+        )
+
+
 def capture_drops(case: Case) -> Iterator[Verdict]:
     """The capture itself lost packets: what it misses is not cFS's fault.
 
