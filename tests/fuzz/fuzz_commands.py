@@ -77,7 +77,7 @@ def commands(data: bytes) -> Hashable:
     if "--json" in words and code in {0, 3}:
         for line in out.splitlines() if words[0] == "sniff" else [out]:
             json.loads(line, parse_constant=_no_constant)
-    for letter in err + ("" if "-x" in words else out):
+    for letter in err + ("" if "-x" in words else out.replace("\r\n", "\n")):
         assert letter.isprintable() or letter in "\n\t", f"{letter!r} is printed as it is"
     told = "".join(letter for letter in err.replace("input.bin", "")[:60] if not letter.isdigit())
     return number, code, told, tuple(made)

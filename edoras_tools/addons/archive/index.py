@@ -12,6 +12,8 @@ Rules:
 from __future__ import annotations
 
 from contextlib import contextmanager, suppress
+from threading import TIMEOUT_MAX, Timer
+from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 
 import duckdb
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.archive.places import ListedFile
 
 _ABOUT: Final = "CREATE TABLE about (name VARCHAR, value VARCHAR)"
-_CLOSED: Final = ("memory_limit = '400MB'", "enable_external_access = false", "lock_configuration = true")
+_CLOSED: Final = ("memory_limit = '200MB'", "enable_external_access = false", "lock_configuration = true")
 """What holds while a user's query runs; the last locks the others."""
 
 
@@ -86,6 +88,7 @@ class Index:
     def __init__(self, path: Path, connection: duckdb.DuckDBPyConnection) -> None:
         self.path = path
         self._connection = connection
+        self._left_s = 0.0
 
     def check(self, *, write: bool) -> None:
         """Check that this is an index of this version; make its tables in an empty file.
@@ -121,31 +124,48 @@ class Index:
         names = [item[0] for item in result.description or ()]
         return [dict(zip(names, row, strict=True)) for row in result.fetchall()]
 
-    def answer(self, sql: str) -> tuple[list[str], Iterator[tuple[Any, ...]]]:
+    def answer(self, sql: str, most_s: float) -> tuple[list[str], Iterator[tuple[Any, ...]]]:
         """Return the names of the columns of a user's query, and its rows as they are asked for.
 
         From then on the connection reads and writes no other file, and fetches nothing.
 
+        Args:
+            most_s: so long DuckDB may work for it.
+
         Raises:
-            ConfigError: DuckDB refuses it.
+            ConfigError: DuckDB refuses it, or it takes longer.
         """
-        try:
+        self._left_s = min(most_s, TIMEOUT_MAX)
+        with self._limited():
             for setting in _CLOSED:
                 self._connection.execute(f"SET {setting}")
             result = self._connection.execute(sql)
             names = [item[0] for item in getattr(result, "description", None) or ()]
-        except duckdb.Error as error:
-            raise ConfigError(_mistake(error)) from error
         if not names:
             raise ConfigError("the query is empty; SHOW TABLES lists what it may ask")
         return names, self._fetched(result)
 
     def _fetched(self, result: Any) -> Iterator[tuple[Any, ...]]:
+        rows: Any = True
+        while rows:
+            with self._limited():
+                rows = result.fetchmany(1000)
+            yield from rows
+
+    @contextmanager
+    def _limited(self) -> Iterator[None]:
+        """Interrupt DuckDB when the time of the query is over; its errors become one line."""
+        began, timer = monotonic(), Timer(max(self._left_s, 0.1), self._connection.interrupt)
+        timer.start()
         try:
-            while rows := result.fetchmany(1000):
-                yield from rows
+            yield
+        except duckdb.InterruptException:
+            raise ConfigError("the query took too long; --timeout allows more") from None
         except duckdb.Error as error:
             raise ConfigError(_mistake(error)) from error
+        finally:
+            timer.cancel()
+            self._left_s -= monotonic() - began
 
     def replace(self, captures: Iterable[str], parts: Sequence[Mapping[str, Any]]) -> None:
         """Put rows in the place of those of some captures, all or none.
@@ -158,9 +178,7 @@ class Index:
         with self._transaction():
             if old:
                 for table in TABLES.values():
-                    self._connection.execute(
-                        f"DELETE FROM {table.name} WHERE capture IN (SELECT unnest(?))", [old]
-                    )
+                    self.run(f"DELETE FROM {table.name} WHERE capture IN (SELECT unnest(?))", [old])
             for part in parts:
                 for name, rows in part.items():
                     self._connection.register("new_rows", rows)
@@ -171,10 +189,8 @@ class Index:
         """Note the new date of captures whose contents are the same."""
         with self._transaction():
             for item in items:
-                self._connection.execute(
-                    "UPDATE captures SET size = ?, version = ?, gone = false WHERE capture = ?",
-                    [item.size, item.version, item.url],
-                )
+                values = item.size, item.version, item.url
+                self.run("UPDATE captures SET size = ?, version = ?, gone = false WHERE capture = ?", values)
 
     def leave(self, missing: Sequence[str], back: Sequence[str], *, forget: bool) -> None:
         """Mark captures that are no longer there, and those that are again.
@@ -190,10 +206,8 @@ class Index:
         with self._transaction():
             for urls, value in ((missing, True), (back, False)):
                 if urls:
-                    self._connection.execute(
-                        "UPDATE captures SET gone = ? WHERE capture IN (SELECT unnest(?))",
-                        [value, list(urls)],
-                    )
+                    change = "UPDATE captures SET gone = ? WHERE capture IN (SELECT unnest(?))"
+                    self.run(change, [value, list(urls)])
 
     def run(self, sql: str, values: Sequence[Any] = ()) -> None:
         """Execute a statement."""
@@ -206,13 +220,9 @@ class Index:
             yield
             self._connection.execute("COMMIT")
         except BaseException:
-            _try_rollback(self._connection)
+            with suppress(duckdb.Error):  # a failed commit has rolled back already
+                self._connection.execute("ROLLBACK")
             raise
-
-
-def _try_rollback(connection: duckdb.DuckDBPyConnection) -> None:
-    with suppress(duckdb.Error):  # a failed commit has rolled back already
-        connection.execute("ROLLBACK")
 
 
 def _mistake(error: Exception) -> str:

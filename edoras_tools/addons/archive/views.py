@@ -117,7 +117,7 @@ def answer_table(names: Sequence[str], rows: Iterable[Sequence[Any]], width: int
         right = any(isinstance(row[place], int | float) for row in first_rows)
         for text in column:
             text.truncate(room, overflow="ellipsis")
-        table.add_column(Text(name), justify="right" if right else "left", no_wrap=True, overflow="ellipsis")
+        table.add_column(plain(name), justify="right" if right else "left", no_wrap=True, overflow="ellipsis")
     places = [place for place, name in enumerate(names) if name not in hidden]
     for row in texts:
         table.add_row(*(row[place] for place in places))

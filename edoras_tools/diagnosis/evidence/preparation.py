@@ -311,7 +311,8 @@ def _goes_back(rows: Rows, far: Places) -> bool:
     for row in far.tolist():
         at = int(np.searchsorted(timed, row, side="right"))
         # Clocks of two cFS differ, too.
-        before = np.flatnonzero(rows.source[timed[:at]] == rows.source[timed[at : at + 1]])
+        # Behind the last packet that has a time there is none.
+        before = np.flatnonzero(np.isin(rows.source[timed[:at]], rows.source[timed[at : at + 1]]))
         if len(before):
             votes += 1 if abs(int(offset[at] - offset[before[-1]])) < SECOND else -1
     return votes > 0

@@ -136,7 +136,8 @@ def spill_rows(
         return
     most = _WASTE * int(lengths.sum()) // len(lengths)
     width = int(lengths[lengths <= most].max())
-    apart = (lengths > most) | (positions > len(target) - width) | (offsets > len(source) - width)
+    large = width >= _LARGE  # those of one width are copied once more on their way
+    apart = large | (lengths > most) | (positions > len(target) - width) | (offsets > len(source) - width)
     if width:
         writable, readable = at_every_byte(target, width), at_every_byte(source, width)
         to, start = (positions[~apart], offsets[~apart]) if apart.any() else (positions, offsets)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -87,3 +89,14 @@ def test_words_add_up_wherever_they_begin(data, first, last):
     total = sum(int.from_bytes(part[at : at + 2], "big") for at in range(0, len(part), 2))
     buffer = np.frombuffer(data + bytes(PADDING), np.uint8)
     assert word_sums(buffer, np.array([begin]), np.array([end - begin])).tolist() == [total % 0xFFFF]
+
+
+def test_large_rows_are_not_copied_on_their_way():
+    source = np.arange(8 << 20, dtype=np.uint32).view(np.uint8)
+    target, at, length = np.empty_like(source), np.zeros(1, np.int64), np.array([len(source)])
+    tracemalloc.start()
+    spill_rows(target, at, source, at, length)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert (target == source).all()
+    assert most < 1 << 20

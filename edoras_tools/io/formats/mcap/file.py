@@ -51,6 +51,8 @@ _FOOTER_BYTES_IN_CRC = 9 + 8 + 8
 """The summary's CRC covers the footer record up to the CRC itself."""
 _REPEATED = 200
 """Schemas and channels stand in the file again whenever so many times their size was written."""
+_MOST_BEGUN = 32 << 20
+"""Not in a larger chunk: some four times its size would be in memory."""
 LEVEL = -1
 """zstd level: an eighth faster than 1 for a twentieth more bytes; still faster levels compress much worse."""
 
@@ -322,7 +324,7 @@ class McapFile:
         spans = pairwise(chunks.place_edges.tolist())
         for head, (length, after), (first, last) in zip(chunks.heads, chunks.sizes, spans, strict=True):
             size = length
-            if records := self._due(at):
+            if head.size <= _MOST_BEGUN and (records := self._due(at)):
                 stretch = chunks.data[start : start + length + after]
                 head, piece, index = _beginning_with(records, head, stretch)  # noqa: PLW2901  what is written
                 pieces += chunks.data[written:start].data, piece, index

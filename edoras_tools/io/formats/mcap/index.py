@@ -35,6 +35,9 @@ CHUNK_INDEX: Final = np.dtype(
 """A ChunkIndex record up to its ``INDEX_PLACE`` entries, of which it says how many bytes they are."""
 MAX_CHUNK_BYTES: Final = 128 << 20
 """A chunk, or another record, that holds more is not read: some three times its size are in memory."""
+MOST_IDLE: Final = 1 << 18
+"""Behind so many records in a row that hold no message, nothing is read: a bomb has millions of them, and
+a recording at most 65,535 schemas, as many channels, and an index for each."""
 CHUNK_HEAD_BYTES: Final = CHUNK_HEAD.size + 16 + 8
 """Bytes of a chunk's head with up to 16 letters for the compression."""
 _LENGTH: Final = struct.Struct("<Q")

@@ -10,7 +10,14 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Schema
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.mcap.index import INDEX_ENTRY, INDEX_HEAD, MAX_CHUNK_BYTES, RECORD_HEAD
+from edoras_tools.io.formats.mcap.index import (
+    INDEX_ENTRY,
+    INDEX_HEAD,
+    MAX_CHUNK_BYTES,
+    MESSAGE_HEAD,
+    MOST_IDLE,
+    RECORD_HEAD,
+)
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse
 from edoras_tools.io.formats.mcap.recovery.walk import walk
 from edoras_tools.io.formats.mcap.unpack import chunk_records
@@ -86,14 +93,13 @@ def scanned(path: Path, name: str) -> Iterator[SelectedMessages | Schema | Chann
         CaptureError: it is cut off or damaged; after all before that place.
     """
     with FileBytes(path) as file:
-        place, loose = len(MAGIC), bytearray()
-        while (record := file.prefix(place)) is not None:
+        place, loose, opcode, idle = len(MAGIC), bytearray(), 0, 0
+        while idle < MOST_IDLE and (record := file.prefix(place)) is not None:
             opcode, start, end = record
-            if opcode == Opcode.DATA_END:
+            if opcode in {0, Opcode.DATA_END} or end > file.size:  # no record has opcode 0
                 break
-            if end > file.size:
-                record = None
-                break
+            empty = opcode not in {Opcode.CHUNK, Opcode.MESSAGE} or end - start < MESSAGE_HEAD.size
+            idle = idle + 1 if empty else 0
             if opcode not in {Opcode.CHUNK, Opcode.ATTACHMENT} and end - start > MAX_CHUNK_BYTES:
                 raise CaptureError(f"{name}: the record at byte {place} is too large{_BEFORE}")
             if opcode == Opcode.MESSAGE:
@@ -114,7 +120,7 @@ def scanned(path: Path, name: str) -> Iterator[SelectedMessages | Schema | Chann
             place = end
         if loose:
             yield from _walked(loose)
-        if record is None:
+        if opcode != Opcode.DATA_END:
             raise CaptureError(f"{name}: is cut off at byte {place} of {file.size}; all before was read")
 
 
@@ -137,15 +143,8 @@ def joined_messages(parts: Sequence[SelectedMessages]) -> SelectedMessages:
         return parts[0]
     ends = np.cumsum([len(part.data) for part in parts])
     offsets = [part.offset + (end - len(part.data)) for part, end in zip(parts, ends.tolist(), strict=True)]
-    return SelectedMessages(
-        np.concatenate([part.channel_id for part in parts]),
-        np.concatenate([part.log_time for part in parts]),
-        np.concatenate([part.data for part in parts]),
-        np.concatenate(offsets),
-        np.concatenate([part.length for part in parts]),
-        np.concatenate([part.sequence for part in parts]),
-        np.concatenate([part.publish_time for part in parts]),
-    )
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    return SelectedMessages(*columns)._replace(offset=np.concatenate(offsets))
 
 
 def _offsets(file: IO[bytes], index: ChunkIndex, channel: int) -> NDArray[np.int64]:
@@ -153,9 +152,8 @@ def _offsets(file: IO[bytes], index: ChunkIndex, channel: int) -> NDArray[np.int
     file.seek(index.message_index_offsets[channel])
     _, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
     entries = file.read(min(length, index.message_index_length))[INDEX_HEAD.itemsize - RECORD_HEAD.size :]
-    return np.frombuffer(entries, INDEX_ENTRY, len(entries) // INDEX_ENTRY.itemsize)["offset"].astype(
-        np.int64
-    )
+    listed = np.frombuffer(entries, INDEX_ENTRY, len(entries) // INDEX_ENTRY.itemsize)
+    return listed["offset"].astype(np.int64)
 
 
 def _unpacked(file: IO[bytes], name: str, index: ChunkIndex) -> NDArray[np.uint8]:
@@ -181,15 +179,9 @@ def _messages(
 
 
 def _selected(heads: NDArray[Any], data: NDArray[np.uint8], start: NDArray[np.int64]) -> SelectedMessages:
-    return SelectedMessages(
-        heads["channel_id"],
-        heads["log_time"].astype(np.int64),
-        data,
-        start,
-        heads["record_length"].astype(np.int64) - (RECORD_BYTES - RECORD_PREFIX_BYTES),
-        heads["sequence"],
-        heads["publish_time"].astype(np.int64),
-    )
+    length = heads["record_length"].astype(np.int64) - (RECORD_BYTES - RECORD_PREFIX_BYTES)
+    log_time, published = (heads[name].astype(np.int64) for name in ("log_time", "publish_time"))
+    return SelectedMessages(heads["channel_id"], log_time, data, start, length, heads["sequence"], published)
 
 
 def _damaged(name: str, index: ChunkIndex) -> CaptureError:

@@ -34,6 +34,8 @@ from edoras_tools.io.formats.mcap.index import (
     INDEX_HEAD,
     INDEX_PLACE,
     MAX_CHUNK_BYTES,
+    MESSAGE_HEAD,
+    MOST_IDLE,
     RECORD_HEAD,
 )
 from edoras_tools.io.formats.mcap.messages import scanned
@@ -166,20 +168,22 @@ class McapSource(SourceDefaults):
         parts: list[FrameBatch] = []
         position = len(MAGIC)
         ended = False
-        size = 0
+        size = idle = 0
         needed: list[int] | None = None if self._chosen is None else self._holding(self._chosen)
-        while not ended and (record := self._prefix(position)) is not None:
+        while not ended and idle < MOST_IDLE and (record := self._prefix(position)) is not None:
             opcode, start, end = record
             if opcode == Opcode.CHUNK and (later := _following(needed, position)) > position:
                 position = later
                 continue
-            position = end
+            position, idle = end, idle + 1
             try:
                 if opcode == Opcode.CHUNK:
                     offsets, position = self._index(end)
                     parts.append(self._frames(self._chunk(start, end), offsets, start))
                     size += len(parts[-1].data)
-                elif opcode == Opcode.MESSAGE:
+                    idle = 0
+                elif opcode == Opcode.MESSAGE and end - start >= MESSAGE_HEAD.size:
+                    idle = 0
                     stray += self._read(start - RECORD_HEAD.size, end)
                     if len(stray) >= _BATCH_BYTES:
                         parts.append(self._frames(_array(stray), None, start))
@@ -520,25 +524,15 @@ class McapSource(SourceDefaults):
             channel_id = int.from_bytes(self._read(start, min(start + 2, end)), "little")
             # The record of an unknown channel is in the chunk: then the chunk's records are read one by one.
             if channel_id not in self._topics:
-                indexed = False
-                position = self._skip_index(end)
-                break
+                return None, end
             if self._topics[channel_id] == DATAGRAMS_TOPIC:
                 entries = self._read(start + INDEX_HEAD.itemsize - RECORD_HEAD.size, end)
-                parts.append(
-                    np.frombuffer(entries, INDEX_ENTRY, len(entries) // INDEX_ENTRY.itemsize)[
-                        "offset"
-                    ].astype(np.int64)
-                )
+                listed = np.frombuffer(entries, INDEX_ENTRY, len(entries) // INDEX_ENTRY.itemsize)
+                parts.append(listed["offset"].astype(np.int64))
             position = end
         if not indexed or record is None:
             return None, position
         return np.sort(np.concatenate(parts)) if parts else np.zeros(0, dtype=np.int64), position
-
-    def _skip_index(self, position: int) -> int:
-        while (record := self._prefix(position)) is not None and record[0] == Opcode.MESSAGE_INDEX:
-            position = record[2]
-        return position
 
     def _check(self, *, whole: bool) -> None:
         if self._read(0, len(MAGIC)) != MAGIC:
@@ -560,9 +554,10 @@ class McapSource(SourceDefaults):
 
     def _read_front(self) -> bool:
         """Read the records before the first message, and the summary; return whether there is a summary."""
-        position = len(MAGIC)
-        while (record := self._prefix(position)) is not None:
+        position, idle = len(MAGIC), 0
+        while idle < MOST_IDLE and (record := self._prefix(position)) is not None:
             opcode, start, end = record
+            idle += 1
             if opcode in {Opcode.CHUNK, Opcode.MESSAGE, Opcode.DATA_END}:
                 break
             self._remember(opcode, start, end)
@@ -640,7 +635,9 @@ class McapSource(SourceDefaults):
                 if attachment.media_type == "application/yaml":
                     self._attachments[attachment.name] = attachment.data
         except (McapError, struct.error, ValueError, OverflowError):
-            self.statistics.warnings.append(f"{self._name}: a {Opcode(opcode).name} record is damaged")
+            warning = f"{self._name}: a {Opcode(opcode).name} record is damaged"
+            if warning not in self.statistics.warnings:  # there may be millions
+                self.statistics.warnings.append(warning)
 
     def _note(self, outage: InterfaceOutage) -> None:
         """Store an outage; the record of its end replaces the record of its beginning."""
@@ -657,7 +654,8 @@ class McapSource(SourceDefaults):
             return None
         opcode, length = RECORD_HEAD.unpack(prefix)
         start = position + RECORD_HEAD.size
-        return (opcode, start, start + length) if start + length <= self._size else None
+        # No record has opcode 0: zeros may go on for gigabytes.
+        return (opcode, start, start + length) if opcode and start + length <= self._size else None
 
     def _read(self, start: int, end: int) -> bytes:
         if end - start > MAX_CHUNK_BYTES + CHUNK_HEAD_BYTES:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 COMPRESSIONS = ("", "zstd", "lz4")
 _PIECE_BYTES = 1 << 9
 """Small: zstd makes up to 16 MiB of so many bytes."""
+_INFLATERS: Final[dict[str, Callable[[], Any]]] = {
+    "zstd": lambda: zstandard.ZstdDecompressor().decompressobj(),
+    "lz4": lz4.frame.LZ4FrameDecompressor,
+}
 _UNKNOWN_SIZE = (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR)
 
 
@@ -144,15 +148,8 @@ def _inflate(packed: bytes, compression: str, size: int) -> Iterator[bytes]:
     if compression == "":
         yield packed
         return
-    inflater: Any
-    failures: tuple[type[Exception], ...]
-    if compression == "zstd":
-        inflater, failures = zstandard.ZstdDecompressor().decompressobj(), (zstandard.ZstdError,)
-    elif compression == "lz4":
-        inflater, failures = lz4.frame.LZ4FrameDecompressor(), (RuntimeError, EOFError)
-    else:
-        return
-    with suppress(*failures):
+    with suppress(zstandard.ZstdError, RuntimeError, EOFError, KeyError):
+        inflater: Any = _INFLATERS[compression]()
         # In small pieces, to get everything before a damaged place.
         filled = 0
         for start in range(0, len(packed), _PIECE_BYTES):

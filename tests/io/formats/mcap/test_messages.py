@@ -1,13 +1,20 @@
 """Messages by columns are those that the mcap library reads one by one."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Channel, Header, Message
 from mcap.writer import CompressionType, IndexType, Writer
 
-from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.mcap.messages import chunk_content, is_indexed
+from edoras_tools.errors import CaptureError, NoDatagramsError
+from edoras_tools.io.formats.mcap.file import record_bytes
+from edoras_tools.io.formats.mcap.index import MOST_IDLE
+from edoras_tools.io.formats.mcap.messages import SelectedMessages, chunk_content, is_indexed, scanned
+from edoras_tools.io.formats.mcap.reader import McapSource
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
+from edoras_tools.io.topics.rows import DATAGRAMS_TOPIC, MAGIC
 
 
 def write(path, *, count=1000, **options):
@@ -97,3 +104,24 @@ def test_nothing_is_read_of_topics_that_are_not_wanted(tmp_path):
     with path.open("rb") as file:
         index = make_reader(file).get_summary().chunk_indexes[0]
         assert len(chunk_content(file, "a", index, {99}).log_time) == 0
+
+
+@pytest.mark.parametrize(("junk", "records"), [(bytes(9), 0), (b"\x80" + bytes(8), MOST_IDLE)])
+def test_what_is_no_record_for_long_ends_a_file(tmp_path, junk, records):
+    good = MAGIC + record_bytes(Header("", ""), Channel(1, "/a", "cdr", {}, 0), Message(1, 7, b"abc", 7, 0))
+    (path := tmp_path / "bomb.mcap").write_bytes(good + junk * (MOST_IDLE + 9))
+    found = []
+    with pytest.raises(CaptureError, match=f"is cut off at byte {len(good) + 9 * records} of"):
+        found.extend(scanned(path, "bomb.mcap"))
+    assert [item.channel_id.tolist() for item in found if isinstance(item, SelectedMessages)] == [[1]]
+    with pytest.raises(NoDatagramsError, match="its topics are /a"):
+        McapSource(path)
+
+
+def test_damaged_records_are_told_once(tmp_path):
+    topic = record_bytes(Header("", ""), Channel(1, DATAGRAMS_TOPIC, "cdr", {}, 0))
+    (path := tmp_path / "bomb.mcap").write_bytes(MAGIC + topic + (b"\x0c" + bytes(8)) * 1000)
+    with closing(McapSource(path)) as source:
+        with pytest.raises(CaptureError, match="is cut off at byte"):
+            list(source.batches())
+        assert source.statistics.warnings == [f"{path}: a METADATA record is damaged"]

@@ -28,6 +28,7 @@ from edoras_tools.io.formats.mcap.index import (
     INDEX_HEAD,
     MAX_CHUNK_BYTES,
     MESSAGE_HEAD,
+    MOST_IDLE,
     RECORD_HEAD,
     ChunkHead,
     chunk_head,
@@ -100,8 +101,8 @@ class Scan:
         self._sections = sections
         self._chunks = self._checked = self._broken = False
         """For the current file: whether it has chunks, chunks with a checksum, and a damaged place."""
-        self._largest = 0
-        """Bytes of the largest message outside of chunks."""
+        self._largest = self._idle = 0
+        """Bytes of the largest message outside of chunks; records in a row that hold no message."""
         self._next: Piece | None = None
         """The result of the last search."""
 
@@ -116,6 +117,7 @@ class Scan:
                 after = self._search(place + 1, self._file.size)
                 piece = Piece(-1, place, after)
             self._broken |= piece.opcode < 0
+            self._idle = 0 if piece.opcode in {Opcode.CHUNK, Opcode.MESSAGE} else self._idle + 1
             yield piece
             place = piece.end
 
@@ -188,9 +190,10 @@ class Scan:
         if opcode == Opcode.MESSAGE_INDEX:
             entries, after = self._indexes(place)
             return Piece(opcode, place, after, entries=entries) if entries else None
-        if opcode >= _PRIVATE:
-            if searched or not self._follows(end, 1):
-                return None
+        private = opcode >= _PRIVATE
+        if self._idle > MOST_IDLE or (private and (searched or not self._follows(end, 1))):
+            return None
+        if private:
             return self._chunk(place, start, end, searched=True) or Piece(opcode, place, end)
         record = parse(opcode, self._file.read(start, end))
         if record is None or (searched and not self._follows(end, _TRIES)):

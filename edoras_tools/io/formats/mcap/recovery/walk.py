@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
 
 from edoras_tools.io.formats.mcap.index import (
     INDEX_ENTRY,
@@ -176,17 +177,10 @@ def _one_by_one(data: NDArray[np.uint8]) -> Walked:
             record = parse(opcode, bytes(view[start:end]))
             if record is None:
                 break
-            others.append(record)
-            places.append(place)
+            if isinstance(record, (Schema, Channel)):  # a damaged chunk may hold any
+                others.append(record)
+                places.append(place)
         place = end
     columns = np.frombuffer(rows, np.uint64).reshape(-1, 4).T
-    return Walked(
-        data,
-        columns[0].astype(np.uint16),
-        columns[1].copy(),
-        columns[2].astype(np.int64),
-        columns[3].astype(np.int64),
-        others,
-        places,
-        place,
-    )
+    fields = columns[0].astype(np.uint16), columns[1].copy(), *columns[2:].astype(np.int64, "C")
+    return Walked(data, *fields, others, places, place)
