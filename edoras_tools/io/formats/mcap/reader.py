@@ -208,11 +208,7 @@ class McapSource(SourceDefaults):
         yield from self._rest()
         if needed or self._chosen is not None:
             self.statistics.passed_over = max(0, self._total - self.statistics.frames)
-        if failure is None and not ended:
-            failure = self._early_end(position)
-        if failure is None and DATAGRAMS_TOPIC not in self._topics.values():
-            failure = self._no_datagrams()
-        if failure is not None:
+        if failure := failure or self._wrong_end(position, ended=ended):
             raise failure
         self.statistics.position = self._size
 
@@ -223,7 +219,9 @@ class McapSource(SourceDefaults):
             self.statistics.datagrams += len(rest)
             yield rest
 
-    def _early_end(self, position: int) -> CaptureError:
+    def _wrong_end(self, position: int, *, ended: bool) -> CaptureError | None:
+        if ended:
+            return None if DATAGRAMS_TOPIC in self._topics.values() else self._no_datagrams()
         has_end = self._read(self._size - len(MAGIC), self._size) == MAGIC
         return CaptureError(
             f"{self._name}: is {'damaged' if has_end else 'cut off'} at byte {position} of {self._size}; "

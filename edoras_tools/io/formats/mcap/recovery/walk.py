@@ -182,5 +182,5 @@ def _one_by_one(data: NDArray[np.uint8]) -> Walked:
                 places.append(place)
         place = end
     columns = np.frombuffer(rows, np.uint64).reshape(-1, 4).T
-    fields = columns[0].astype(np.uint16), columns[1].copy(), *columns[2:].astype(np.int64, "C")
-    return Walked(data, *fields, others, places, place)
+    starts, ends = columns[2:].astype(np.int64, "C")
+    return Walked(data, columns[0].astype(np.uint16), columns[1].copy(), starts, ends, others, places, place)
