@@ -148,29 +148,31 @@ def _is_full(loss: Loss, most: int) -> bool:
 
 
 def limit_command(case: Case, loss: Loss) -> Change | None:
-    """Return the command that last set how many of a MsgId may wait at Telemetry Output, if one did."""
+    """Return the command that set how few of a MsgId may wait at Telemetry Output while some were lost."""
     if loss.hop != telemetry_output.PIPE:
         return None
-    first_ns = loss.among.times_ns[0] if loss.among and len(loss.among.rows) else loss.start_ns
-    return _entry_command(case, loss.instance, loss.msg_id, first_ns + SECOND)
+    known = loss.among.times_ns if loss.among and len(loss.among.rows) else (loss.start_ns, loss.end_ns)
+    changes = _entry_commands(case, loss.instance, loss.msg_id)
+    before = [item for item in changes if item.not_before_ns <= known[0] + SECOND][-1:]
+    later = [item for item in changes if known[0] + SECOND < item.not_before_ns < known[1]]
+    limits = [item for item in before + later if _limit_of(item) is not None]
+    return min(limits, key=lambda item: _limit_of(item) or 0, default=None)
 
 
 def told_limit(case: Case, stream: Stream) -> int | None:
     """Return how many messages of a stream may wait at Telemetry Output, if the last command says so."""
     if not stream.link.only_from_cfs:
         return None
-    return _limit_of(_entry_command(case, case.owner(stream), stream.msg_id, case.end_ns))
+    return _limit_of(next(reversed(_entry_commands(case, case.owner(stream), stream.msg_id)), None))
 
 
 def _limit_of(command: Change | None) -> int | None:
     return command.value if command and isinstance(command.value, int) else None
 
 
-def _entry_command(case: Case, instance: int, msg_id: int, until_ns: int) -> Change | None:
-    """Return the last command about an entry of Telemetry Output's table, where it subscribes."""
-    changes = case.timeline.of(StateOwner("entry", "", msg_id), case.instances.system(instance))
-    before = [item for item in changes if item.not_before_ns <= until_ns]
-    return before[-1] if before and before[-1].state == "subscribed" else None
+def _entry_commands(case: Case, instance: int, msg_id: int) -> list[Change]:
+    """Return the commands about an entry of Telemetry Output's table, in order of time."""
+    return list(case.timeline.of(StateOwner("entry", "", msg_id), case.instances.system(instance)))
 
 
 def crowding_of(case: Case, loss: Loss) -> str:

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs import sbn
 from edoras_tools.diagnosis.accounting.closed import UDP_PORT
-from edoras_tools.diagnosis.accounting.losses import BEHIND, BUS
+from edoras_tools.diagnosis.accounting.losses import BUS
 from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
 from edoras_tools.diagnosis.ledger import (
     APPLICATION,
@@ -41,8 +41,6 @@ from edoras_tools.model import NO_ROUTE
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-
-_HOPS: Final = frozenset({PROXY_HOP, CI_HOP, BUS, APPLICATION, BEHIND})
 BEHIND_LINKS: Final = (PEER, UDP_PORT)
 """How hops are called that are behind what the capture shows of a message."""
 
@@ -61,7 +59,7 @@ class Headline(msgspec.Struct, frozen=True):
         unaccounted: how many are missing without a cause.
         uncertain: how many may be lost, or are only not seen.
         shared: the most that may be among the losses of several together.
-        instance: of which cFS, where several have the route; else None.
+        instance: on which link, or of which cFS, where several have the route; else None.
     """
 
     topic: str
@@ -165,26 +163,23 @@ def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
     """
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
-        if row.msg_id is None:
-            continue
-        if row.hop in _HOPS or row.link in {"to", "sbn"} or row.hop.startswith(UDP_PORT):
+        if row.msg_id is not None and row.link:
             groups.setdefault((row.route, row.link, row.msg_id, row.instance), []).append(row)
-    own = {key: members for key, members in groups.items() if key[0] != NO_ROUTE}
-    others = {key: members for key, members in groups.items() if not members[0].name}
-    unnamed = {key: members for key, members in others.items() if key not in own}
-    missing = {
-        key: members
-        for key, members in unnamed.items()
-        if any(row.all_lost or row.superseded or row.unaccounted for row in members)
-    }
-    every = [members for members in {**own, **(missing if own else unnamed)}.values() if members[0].came]
-    lines = [_headline(members, topics) for members in every]
-    same = Counter(item.topic for item in lines)
-    result = [
-        replace(item, instance=members[0].instance if same[item.topic] > 1 else None)
-        for item, members in zip(lines, every, strict=True)
-    ]
-    return sorted(result, key=lambda item: (-item.lost, -item.unaccounted, -item.superseded))
+    any_own = any(key[0] != NO_ROUTE for key in groups)
+    result = []
+    for (route, link, _, instance), members in groups.items():
+        missing = any(row.proven or row.superseded for row in members)
+        shown = route != NO_ROUTE or (not members[0].name and (missing or not any_own))
+        if shown and members[0].came:
+            result.append((_headline(members, topics), link, instance))
+    of = Counter(item.topic for item, *_ in result)
+    on = Counter((item.topic, link) for item, link, _ in result)
+    lines = []
+    for item, link, instance in result:
+        alike = on[item.topic, link]
+        place = [link.upper()] * (alike < of[item.topic]) + [instance or "cFS"] * (alike > 1)
+        lines.append(replace(item, instance=", ".join(place) or None))
+    return sorted(lines, key=lambda item: (-item.lost, -item.unaccounted, -item.superseded))
 
 
 def _headline(members: Sequence[Row], topics: Mapping[int, str]) -> Headline:

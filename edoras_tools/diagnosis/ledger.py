@@ -121,21 +121,17 @@ CAUSES: Final[Mapping[str, LossCause]] = {
     "down": LossCause("while cFS was down", "cFS was down", ("cfs_restart",)),
     "restart": LossCause("while CI was restarted", "{hop} was restarted"),
     "ci_stopped": LossCause("while CI was stopped", "{hop} was stopped"),
-    "stopped": LossCause("while the application was stopped", "{hop} was stopped"),
+    "stopped": LossCause("while the application did not run", "{hop} did not run"),
     "restart_failed": LossCause(
         "after the application was started again: nothing came out of it any more",
         "{hop} was started again and passed nothing on",
     ),
     "away": LossCause("while the SBN peer was away", "the SBN peer was away"),
-    "unsubscribed": LossCause(
-        "to an SBN peer that did not subscribe", "the SBN peer had not subscribed to it"
-    ),
+    "unsubscribed": LossCause("to an SBN peer that did not subscribe", "the SBN peer had not subscribed"),
     "disabled": LossCause(
         "while Telemetry Output was not to send them", "Telemetry Output was not to send it"
     ),
-    "route": LossCause(
-        "while their route on the software bus was disabled", "its route on the software bus was disabled"
-    ),
+    "route": LossCause("while their route on the bus was disabled", "its route on the bus was disabled"),
     PEER_RESTARTED: LossCause("sent to an SBN peer that restarted"),
     UNHEARD: LossCause("sent to a silent SBN peer"),
     "fragments": LossCause(
@@ -153,7 +149,6 @@ CAUSES: Final[Mapping[str, LossCause]] = {
     ),
 }
 """Causes that are no rules with verdicts that tell all."""
-_PORT_CLOSED_TEXT: Final = "nobody listened on the port of {hop}"
 
 
 def cause_text(cause: str) -> str:
@@ -386,7 +381,8 @@ class LedgerWay:
         for loss in losses:
             if loss.kind in kinds:
                 cause = CAUSES.get(loss.kind)
-                text = (cause.listed if cause else _PORT_CLOSED_TEXT).format(hop=loss.hop)
+                listed = cause.listed if cause else _UNREACHED[PORT_CLOSED]
+                text = listed.format(f"the port of {loss.hop}", hop=loss.hop)
                 times = loss.start_ns, loss.end_ns
                 self.end("lost", loss.lost, loss.kind, text=text, times_ns=times, among=loss.among)
 
@@ -514,7 +510,8 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     way.lose(losses, _ON_BUS)
     for item, number, refused in case.commands.refused_of.get(id(stream), ()):
         _refuse(way, item, number, refused)
-    way.end("shared", min(fate.ends["shared"], way.left))
+    came = 0 if fate.reached is None else fate.reached + fate.ends["unaccounted"] + fate.ends["elsewhere"]
+    way.end("shared", max(0, min(fate.ends["shared"], way.left - came)))
     _behind_bus(case, fate, way)
     way.copies = _lost_copies(case, fate, doubled)
     return way
@@ -744,7 +741,11 @@ def _of_no_stream(case: Case, item: Verdict, number: int) -> LedgerWay:
         mask &= rows.link == table.link_of_label(item.link).code
     if item.msg_id is not None:
         mask &= rows.msg_id == item.msg_id
-    way = LedgerWay(LedgerTraffic(link=item.link or "", msg_id=item.msg_id), max(number, item.of or 0))
+    down = [stream for stream in case.streams if stream.link.only_from_cfs and stream.msg_id == item.msg_id]
+    owners = {case.label(case.owner(stream)) for stream in down if stream.link.label == item.link}
+    instance = owners.pop() if len(owners) == 1 else None
+    traffic = LedgerTraffic(link=item.link or "", msg_id=item.msg_id, instance=instance)
+    way = LedgerWay(traffic, max(number, item.of or 0))
     way.hop(item.hop or "cFS", {"in": SEEN, "lost": "each datagram by itself"})
     _refuse(way, item, number, np.flatnonzero(mask))
     return way

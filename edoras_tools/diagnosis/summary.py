@@ -22,7 +22,7 @@ from edoras_tools.diagnosis.accounting.closed import UDP_PORT
 from edoras_tools.diagnosis.accounting.losses import APP, SBN_SOCKET
 from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
-from edoras_tools.diagnosis.ledger import CAUSES, Row, cause_text
+from edoras_tools.diagnosis.ledger import CAUSES, PEER, Row, cause_text
 from edoras_tools.diagnosis.verdict import (
     CAPTURE_RULES,
     NOTHING_SENT,
@@ -51,7 +51,7 @@ _RARE: Final = 0.01
 _NAMED: Final = 3
 """Of more MsgIds that share a loss the number is told."""
 
-_OF_ONE_HOP: Final = "SBN", UDP_PORT, RELAY_HOP
+_OF_ONE_HOP: Final = "SBN_", PEER, UDP_PORT, RELAY_HOP
 """How the hops begin of which a verdict names one peer's or one port's."""
 
 
@@ -231,7 +231,7 @@ def _problem(
     remedy, advice = (_useful(own[0].remedy), own[0].advice) if own else ("", None)
     if cause not in CAUSES:
         text = _more(own[0].reason, own) if own else f"{_names(result, rows)}: {cause.replace('_', ' ')}"
-        text = text.removeprefix(f"{lost:,} ")
+        text = "e.g. " * (len(own) > 1) + text.removeprefix(f"{lost:,} ")
     else:
         of = sent_of(result, rows)
         unseen = of < lost or not rows[0].link
@@ -261,8 +261,8 @@ def _more(reason: str, own: Sequence[Verdict]) -> str:
 
 def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
     """Return where it was, with the name of the pipe, application or peer."""
-    hop = next((item.hop for item in own if item.hop), rows[0].hop)
-    hop = hop.replace(APP, "the application's pipe")
+    hops = {item.hop for item in own if item.hop}
+    hop = (" or ".join(sorted(hops - {APP} or hops)) or rows[0].hop).replace(APP, "the application's pipe")
     if cause == "limit" and own:
         return f"at {hop}"
     if rows[0].hop.startswith(RELAY_HOP):
@@ -379,8 +379,7 @@ def _lost(result: Diagnosis, proven: int) -> str:
         arrived = "never arrived whole" if harmed else "never arrived"
         name = _name(result, rows[0])
         return f"{_share(proven, of, noun)} {arrived}: {proven:,} of {of:,} {name} {were} lost."
-    lines = sorted(result.headlines, key=lambda item: -item.missing)
-    lines = [item for item in lines if item.missing]
+    lines = sorted((item for item in result.headlines if item.missing), key=lambda item: -item.missing)
     if len(lines) < len(routes) or len(lines) > _NAMES + 1:
         del lines[_NAMES:]
     parts = [f"{item.missing:,} of {item.sent:,} {item.name}" for item in lines]
@@ -416,11 +415,12 @@ def _fine(result: Diagnosis) -> str:
     open_ended = sum(row.waiting + row.not_captured + row.shared for row in result.balance)
     # What a network doubles it may also lose, and no count shows that.
     hides = any(row.copies > row.sure_copies for row in result.balance)
+    seen = "arrived, as far as this capture shows." if _leaves_host(result) else "arrived."
     parts = []
     if arrived and not (open_ended or hides) and fates.keys() <= {"arrived", "lost"}:
-        parts.append("All else arrived." if "lost" in fates else f"All {whole} arrived.")
+        parts.append(f"All {'else' if 'lost' in fates else whole} {seen}")
     elif others:
-        parts.append(f"{plural(others, 'other message' if 'lost' in fates else 'message')} arrived.")
+        parts.append(f"{plural(others, 'other message' if 'lost' in fates else 'message')} {seen}")
     if result.superseded:
         parts.append(f"{result.superseded:,} gave way to newer ones, as the application does.")
     if unseen:
@@ -428,6 +428,12 @@ def _fine(result: Diagnosis) -> str:
     if open_ended:
         parts.append(f"{plural(open_ended, 'message')} could not be followed.")
     return " ".join(parts)
+
+
+def _leaves_host(result: Diagnosis) -> bool:
+    """Tell whether telemetry goes to another host, so that it may be seen here where it leaves cFS's."""
+    ends = ([item[end].rpartition(":")[0] for end in ("sender", "receiver")] for item in result.routes)
+    return any(sender != receiver and not receiver.startswith("127.") for sender, receiver in ends)
 
 
 def _fate(rows: Sequence[Row]) -> str:

@@ -81,6 +81,8 @@ FLIGHTS = {
     "sbn_restarted_in_overload": (713, {"stopped": 457, "limit": 256}),
     "two_ways_in": (0, {}),
     "thousand_a_second": (8766, {"limit": 6065, "socket": 2701}),
+    "limits_changed_in_overload": (156, {"limit": 156}),
+    "bus_memory_used_up": (0, {}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -95,6 +97,7 @@ RANGES = {
     "route_to_peer_disabled": 40,
     "counters_reset_in_overload": 172,
     "route_disabled_at_a_full_pipe": 172,
+    "one_of_two_peers_off": 22,
 }
 
 
@@ -225,7 +228,62 @@ def test_a_pause_of_its_reader_shows_no_limit():
 
 def test_what_an_application_gets_once_a_second_names_it_where_it_was_stopped():
     text = first_screen(examined("ci_stopped_for_good"))
-    assert "CI_LAB_APP was stopped start CI_LAB_APP again" in text
+    assert "CI_LAB_APP did not run start cFS again" in text
+
+
+def test_of_limits_that_commands_set_the_lowest_is_told():
+    text = first_screen(examined("limits_changed_in_overload"))
+    assert "TO keeps 3 of this MsgId" in text
+    assert "set by a command at 18.3 s" in text
+
+
+def test_sends_that_fail_for_want_of_memory_are_told_with_what_helps():
+    text = first_screen(examined("bus_memory_used_up"))
+    assert "CFE_PLATFORM_SB_BUF_MEMORY_BYTES" in text
+    assert "a command on 0x18f0, function code 2, was sent at 28.1 s" in text
+
+
+def test_who_sends_each_twice_doubles_them():
+    assert "so their sender or a relay doubles them" in first_screen(examined("each_sent_twice"))
+
+
+def test_applications_that_were_away_one_after_the_other_are_all_named():
+    text = first_screen(examined("all_restarted"))
+    assert "while EDORAS_APP or SBN did not run" in text
+    assert "0x182b at EDORAS_APP_PIPE, 20.7 to 25.6 s: EDORAS_APP did not run" in text
+
+
+def test_a_topic_ends_with_what_its_robot_sends():
+    silent = [item for item in examined("restarted_with_full_socket").verdicts if item.rule == "topic_silent"]
+    assert [item.msg_id for item in silent] == [0x884]
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("commands_at_output", "95 of 192 0x1827 (TO), 6 of 238 0x1827 (CI)"),
+        ("relay_uplink", "28 of 240 0x1827 were lost"),
+    ],
+)
+def test_a_msg_id_has_one_line_a_link(name, line):
+    assert line in summarize(examined(name)).headline
+
+
+def test_no_clock_is_told_of_where_no_packet_has_a_time_behind_a_step(tmp_path):
+    items = mutations.frames(FOLDER / "limits_changed_in_overload.pcap.zst")
+    middle = items[len(items) // 2].time_ns
+    later = [item for item in items if item.time_ns > middle and mutations.is_to(item.data, 1234)]
+    before = [item for item in items if item.time_ns <= middle]
+    back = [item._replace(time_ns=item.time_ns - 2_500_000_000) for item in later]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", before + back))
+    assert [item.rule for item in found.verdicts if item.rule == "clock_jump"] == ["clock_jump"]
+
+
+def test_no_arrival_is_shared_that_a_robot_got(tmp_path):
+    """Frames that are cut name no MsgId of a loss; how many of one the robot got is counted."""
+    items = mutations.frames(FOLDER / "nobody_subscribes.pcap.zst")
+    cut = [item._replace(data=item.data[:96]) for item in items]
+    assert all(row.adds_up for row in truth.examined(mutations.write(tmp_path / "flight.pcap", cut)).balance)
 
 
 def test_a_rate_that_is_clean_here_beats_the_assumed_one():

@@ -1102,9 +1102,9 @@ def test_every_rule_is_documented():
                 (8, "Stop Application EDORAS_APP Completed."),
                 (6, "Started EDORAS_APP from /cf/edoras_app.so, AppID = 1114126"),
             ],
-            "send nothing while an application is restarted",
+            "send nothing while an application does not run",
         ),
-        ([(8, "Stop Application OTHER Completed.")], "send nothing while an application is restarted"),
+        ([(8, "Stop Application OTHER Completed.")], "send nothing while an application does not run"),
     ],
 )
 def test_an_application_that_does_not_run_is_started_by_a_command_to_paste(lab, events, remedy):

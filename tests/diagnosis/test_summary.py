@@ -114,7 +114,7 @@ def test_a_clean_rate_is_known_as_in_the_advice(diagnosed):
 
 def test_a_remedy_of_several_problems_is_said_once(diagnosed):
     shown = "\n".join(lines(diagnosed("n5_app_restarts"), 80))
-    assert shown.count("send nothing while an application is restarted") == 1
+    assert shown.count("send nothing while an application does not run") == 1
 
 
 def test_a_small_screen_has_the_worst_problem_and_counts_the_others(diagnosed):

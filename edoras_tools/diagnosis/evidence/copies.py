@@ -527,9 +527,11 @@ def _echoes(rows: Rows, own: Places) -> str:
     if not echo.any():
         return ""
     late_ms = np.median(steps[echo[1:]]) / MILLISECOND
+    numbered = np.diff(rows.identification[own].astype(np.int64))[echo[1:]]
     return (
         f"{int(echo.sum()):,} of {len(own):,} datagrams are copies that came {late_ms:.0f} ms after an equal "
-        f"one, the others at {SECOND / _usual(steps):.1f} Hz, so the network or a relay doubles them"
+        f"one, the others at {SECOND / _usual(steps):.1f} Hz, so "
+        f"{'their sender or a relay' if numbered.all() else 'the network or a relay'} doubles them"
     )
 
 

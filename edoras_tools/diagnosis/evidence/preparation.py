@@ -308,11 +308,10 @@ def _goes_back(rows: Rows, far: Places) -> bool:
         return False
     offset = rows.time_ns[timed] - rows.mission_time_ns[timed]
     votes = 0
-    for row in far.tolist():
+    for row in far[far < timed[-1]].tolist():
         at = int(np.searchsorted(timed, row, side="right"))
         # Clocks of two cFS differ, too.
-        # Behind the last packet that has a time there is none.
-        before = np.flatnonzero(np.isin(rows.source[timed[:at]], rows.source[timed[at : at + 1]]))
+        before = np.flatnonzero(rows.source[timed[:at]] == rows.source[timed[at]])
         if len(before):
             votes += 1 if abs(int(offset[at] - offset[before[-1]])) < SECOND else -1
     return votes > 0

@@ -240,7 +240,8 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
     resets = case.resets if case.jumps else []
     for jump in case.jumps:
         when = int(case.rows.time_ns[jump.row])
-        if any(item.start_ns < when <= item.end_ns + SECOND for item in resets):
+        began = any(item.start_ns < when <= item.end_ns + SECOND for item in resets)
+        if began or (jump.clock == "cFS" and any(item.name for item in case.instances.items)):
             continue  # it started again
         own = jump.clock == "capture"
         whose = "the capture's own clock" if own else f"the clock of cFS {jump.clock}, and not the capture's,"

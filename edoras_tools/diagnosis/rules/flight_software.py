@@ -11,7 +11,7 @@ from edoras_tools.cfs.event_services import SQUELCHED, EventType
 from edoras_tools.cfs.executive_services import COMMAND_MSG_ID as ES_COMMAND_MSG_ID
 from edoras_tools.cfs.executive_services import RESTART
 from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
-from edoras_tools.diagnosis.accounting.losses import LEAD_NS, Loss, LossKind
+from edoras_tools.diagnosis.accounting.losses import LEAD_NS, Loss
 from edoras_tools.diagnosis.advice import LET_RUN
 from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
 from edoras_tools.diagnosis.verdict import Severity, Verdict, note, verdict, warning
@@ -98,10 +98,10 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str) -> Verdi
         f"packet {rows.number[row]}: the processor was told to restart"
         for row in np.flatnonzero(commanded).tolist()
     ]
-    lost = sum(loss.lost for loss in down)
+    lost, msg_ids = sum(loss.lost for loss in down), {loss.msg_id for loss in down}
     noun = "command" if all(loss.stream is None or loss.stream.is_command for loss in down) else "message"
     between, meanwhile = span, "counts begin again"
-    remedy = f"enable Telemetry Output again as soon as cFS runs: {case.inject(ENABLE_OUTPUT)}"
+    remedy = f"enable Telemetry Output: {case.inject(ENABLE_OUTPUT)}"
     if lost:
         span = min(loss.start_ns for loss in down), max(loss.end_ns for loss in down)
         times = f"from {case.at(span[0])} to {case.at(span[1])}"
@@ -112,9 +112,9 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str) -> Verdi
         f"{whose} restarted between {case.at(between[0])} and {case.at(between[1])}: {meanwhile}",
         how,
         *orders,
-        *(line for loss in down for line in loss.evidence),
-        msg_id=down[0].msg_id if len(down) == 1 else None,
-        link=down[0].stream.link.label if len(down) == 1 and down[0].stream else "ci" if down else None,
+        *dict.fromkeys(line for loss in down for line in loss.evidence),
+        msg_id=down[0].msg_id if len(msg_ids) == 1 else None,
+        link=down[0].stream.link.label if len(msg_ids) == 1 and down[0].stream else "ci" if down else None,
         hop="cFS",
         lost=lost or None,
         of=sum(loss.of or 0 for loss in down) or None,
@@ -216,6 +216,11 @@ def event_squelch(case: Case) -> Iterator[Verdict]:
 _GOES_ON: Final = 5
 """An error that is said so often is no single refusal."""
 _SHOWN: Final = 3
+_FAILED: Final = {
+    15: "publish shorter messages, or build cFE for longer ones (CFE_MISSION_SB_MAX_SB_MSG_SIZE)",
+    16: "let fewer or shorter messages wait, or give the bus more memory (CFE_PLATFORM_SB_BUF_MEMORY_BYTES)",
+}
+"""Events of CFE_SB that say why a send failed before it came to a pipe, and what helps."""
 
 
 def cfs_errors(case: Case) -> Iterator[Verdict]:
@@ -226,22 +231,21 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
     quotes = {line for item in case.verdicts for line in item.evidence}
     quoted = "\n".join(quotes)
     groups: dict[tuple[str, str, int], list[EventRecord]] = {}
-    reasons = {(loss.kind, loss.msg_id, loss.instance) for loss in case.losses}
-    reasons |= {(loss.kind, msg_id, loss.instance) for loss in case.losses for _, msg_id, _ in loss.rivals}
     for record in case.payloads.events:
-        if record.event_type >= EventType.ERROR and not _is_told(case, record, quoted, reasons):
+        if record.event_type >= EventType.ERROR and not _is_told(case, record, quoted):
             groups.setdefault((record.sender, record.app, record.event_id), []).append(record)
     for members in groups.values():
         yield _error(case, members)
-    reports = (parse_loss_event(record) for record in case.payloads.events)
+    reports = map(parse_loss_event, case.payloads.events)
     refused = sum(item is not None and item.kind in {"invalid", "too_big"} for item in reports)
     for instance, track in case.tracks.items():
         errors = track.growth("send_errors")
         losses = sum(track.growth(name) for name in ("msg_limits", "pipe_overflows"))
         if errors > losses + refused and not any("sends failed" in line for line in quotes):
+            said = any(app == NAME and number in _FAILED for _, app, number in groups)
             yield warning(
                 f"{plural(errors - losses - refused, 'send')} on the software bus of {case.label(instance)} "
-                "failed, and neither a pipe nor an event says why",
+                f"failed, {'as cFS reports' if said else 'and neither a pipe nor an event says why'}",
                 f"0x803: MessageSendErrors +{errors:,}, of them {losses:,} at pipes",
                 hop="software bus",
                 span=(track.times[0], track.times[-1]),
@@ -250,8 +254,8 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
             )
 
 
-def _is_told(case: Case, record: EventRecord, quoted: str, reasons: set[tuple[LossKind, int, int]]) -> bool:
-    """Tell whether a verdict quotes an event, or the balance has what it names."""
+def _is_told(case: Case, record: EventRecord, quoted: str) -> bool:
+    """Tell whether a verdict quotes an event, or the balance has what it names, as by counters."""
     if record.message in quoted:
         return True
     instance = case.instances.saying(record)
@@ -260,9 +264,7 @@ def _is_told(case: Case, record: EventRecord, quoted: str, reasons: set[tuple[Lo
         return False
     if not reported.at_pipe:
         return any(item.msg_id == reported.msg_id and item.lost for item in case.verdicts)
-    track = case.tracks.get(instance)
-    older = track is not None and int(case.instances.made_ns[record.row]) <= track.times[0]
-    return older or (reported.kind, reported.msg_id, instance) in reasons
+    return instance in case.tracks or any(loss.msg_id == reported.msg_id for loss in case.losses)
 
 
 def _error(case: Case, members: list[EventRecord]) -> Verdict:
@@ -276,5 +278,6 @@ def _error(case: Case, members: list[EventRecord]) -> Verdict:
         *(f"event {first.app} {first.event_id}: {text}" for text in texts[1 : _SHOWN + 1]),
         hop=first.app,
         span=(first.time_ns, last.time_ns),
-        remedy="look at the console of cFS around that time, and at what was commanded just before",
+        remedy=(_FAILED.get(first.event_id) if first.app == NAME else None)
+        or "look at the console of cFS around that time, and at what was commanded just before",
     )

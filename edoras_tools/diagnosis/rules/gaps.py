@@ -405,6 +405,7 @@ def port_closed(case: Case) -> Iterator[Verdict]:
             Severity.ERROR if number else Severity.WARNING,
             reason,
             *evidence,
+            link=next((s.link.label for s in case.streams if case.endpoints[s.receiver] == span.port), None),
             hop=f"{UDP_PORT} {span.port}",
             lost=number or None,
             of=number + uncertain.total(),

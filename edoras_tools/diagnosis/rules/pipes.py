@@ -25,6 +25,7 @@ from edoras_tools.diagnosis.advice import (
     stood_still,
 )
 from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
+from edoras_tools.diagnosis.ledger import CAUSES
 from edoras_tools.diagnosis.rules.about import of_messages, packet
 from edoras_tools.diagnosis.rules.commands import refusals
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, warning
@@ -56,12 +57,14 @@ def app_pipe_limit(case: Case) -> Iterator[Verdict]:
 def _by_another(case: Case, loss: Loss, least: str) -> Verdict:
     """Tell what another application sent and a pipe did not take: its reader may have been stopped."""
     over = (item for item in case.outages if item.start_ns < loss.end_ns + TAIL_NS)
-    apps = (item.app for item in over if loss.start_ns < (item.end_ns or case.end_ns))
-    app = next((item for item in apps if case.of_known(TICKS.get(item, NO_MSG_ID)) == loss.msg_id), "")
-    sent = f"{loss.sender} sent more than may wait, or nobody read the pipe"
-    remedy = f"start {app} again" if app else "see whether the application that reads this pipe runs"
-    reason = f"{least}{lost_at(case, loss)}: {f'{app} was stopped' if app else sent}"
-    return loss_verdict(case, loss, reason, link=None, remedy=remedy)
+    over = (item for item in over if loss.start_ns < (item.end_ns or case.end_ns))
+    why = f"{loss.sender} sent more than may wait, or nobody read the pipe"
+    remedy = "see whether the application that reads this pipe runs"
+    for item in over:
+        tick = case.of_known(TICKS.get(item.app, NO_MSG_ID))
+        if loss.hop.startswith(item.app) or tick == loss.msg_id:
+            why, remedy = f"{item.app} did not run", revival(case, item.app, restarts=item.restarted)
+    return loss_verdict(case, loss, f"{least}{lost_at(case, loss)}: {why}", link=None, remedy=remedy)
 
 
 def _over_app_limit(case: Case, loss: Loss) -> Verdict:
@@ -339,6 +342,8 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
             uplink = f"look at the {'network' if peers else 'uplink'}{more}"
             if any(line.startswith(QUOTED) for line in loss.evidence):
                 uplink = "look at the route to that host, and at firewalls on the way: ICMP errors came back"
+            elif loss.stream and not np.ptp(case.instances.hosts[[loss.stream.sender, loss.stream.receiver]]):
+                uplink = "see whether CI runs, and what else reads its port: a relay, or a second cFS"
             yield loss_verdict(
                 case,
                 loss,
@@ -367,7 +372,6 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
     socket = queues.ci_socket(case.profile)
     ceiling = socket.rate_hz(socket.reads)
     reads = f"CI reads {socket.reads} a wake-up, about {ceiling:.0f}/s"
-    remedy = f"send at most {ceiling:.0f} commands a second in all"
     for loss in case.losses:
         if loss.kind == "socket":
             reason = f"{lost_at(case, loss, 'commands')}: {reads}, and its socket was full"
@@ -383,7 +387,7 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
                 place=("ci", CI_SOCKET),
                 of=account.taken + account.lost + account.waiting,
                 span=(account.first_ns, account.last_ns),
-                remedy=remedy,
+                remedy=f"send at most {ceiling:.0f} commands a second in all",
                 confidence="medium",
             )
 
@@ -425,12 +429,7 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
         )
 
 
-_KINDS: Final = {
-    "restart": "restarted",
-    "ci_stopped": "stopped",
-    "stopped": "stopped",
-    "restart_failed": "started again, and nothing came out of it after that",
-}
+_KINDS: Final = frozenset({"restart", "ci_stopped", "stopped", "restart_failed"})
 
 
 def app_outage(case: Case) -> Iterator[Verdict]:
@@ -446,7 +445,7 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             yield loss_verdict(
                 case,
                 loss,
-                f"{lost_at(case, loss, noun)}: {loss.hop} was {_KINDS[loss.kind]}",
+                f"{lost_at(case, loss, noun)}: {CAUSES[loss.kind].listed.format(hop=loss.hop)}",
                 link="ci" if loss.stream is None else loss.stream.link.label,
                 remedy=START_AGAIN if loss.kind == "restart_failed" else revival(case, case.called(loss.hop)),
             )
@@ -482,14 +481,12 @@ def revival(case: Case, app: str, *, restarts: bool = False) -> str:
     """Return what helps: to start it again where it still does not run."""
     last = next((item for item in reversed(case.outages) if item.app == app), None)
     stands = app in STARTS and last is not None and last.end_ns is None and not restarts
-    is_output = app.startswith("TO_")
-    if stands and app in command_ingest.NAMES:
+    enable = case.inject(ENABLE_OUTPUT) if app.startswith("TO_") else ""
+    if not stands:
+        after = f"enable it again after it restarts: {enable}"
+        return after if enable else "send nothing while an application does not run"
+    if app in command_ingest.NAMES:
         return "start cFS again, or CI from cFS's own side: while CI is stopped, no command gets in"
-    if stands:
-        line = case.inject("es-start-app", app)
-        if is_output:
-            return f"start it again, and a second later enable it: {line}; {case.inject(ENABLE_OUTPUT)}"
-        return f"start it again: {line}"
-    if is_output:
-        return f"enable it again after it restarts: {case.inject(ENABLE_OUTPUT)}"
-    return "send nothing while an application is restarted"
+    line = case.inject("es-start-app", app)
+    again = f"start it again, and a second later enable it: {line}; {enable}"
+    return again if enable else f"start it again: {line}"

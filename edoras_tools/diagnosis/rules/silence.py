@@ -74,7 +74,7 @@ def topic_silent(case: Case) -> Iterator[Verdict]:
     Look at each topic that cFS or an SBN peer publishes, not at what an operator sends; tell those that fall
     silent together as one, with what was stopped or commanded then.
     """
-    for members in _together([item for item in _every(case) if not _has_reason(case, item)]):
+    for members in _together([item for item in _every(case) if not _explained(case, item)]):
         causes = _causes(case, members)
         if rest := members if causes else [item for item in members if _others_go_on(case, item, members)]:
             yield _verdict(case, rest, causes)
@@ -90,7 +90,7 @@ _TELLS_CAUSE: Final = frozenset(
 
 def note_silences(case: Case) -> None:
     """Note under each verdict what fell silent with what it tells of, once all rules were asked."""
-    for members in _together([item for item in _every(case) if _has_reason(case, item)]):
+    for members in _together([item for item in _every(case) if _explained(case, item)]):
         start_ns, end_ns = members[0].start_ns, members[0].end_ns
         causes = [
             (abs(item.start_ns - start_ns), place)
@@ -115,10 +115,6 @@ def _every(case: Case) -> list[Silence]:
         if published and dated and len(stream) >= _LEAST and stream.known_id not in _EVENTS:
             silences += _silences(case, stream)
     return silences
-
-
-def _has_reason(case: Case, item: Silence) -> bool:
-    return _explained(case, item.stream, item.start_ns, item.end_ns)
 
 
 def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
@@ -235,8 +231,9 @@ def _surely_silent(stream: Stream, before: Integers, length: int) -> bool:
     return length > max(_LONG_NS, _IRREGULAR * int(np.diff(before).max()))
 
 
-def _explained(case: Case, stream: Stream, start_ns: int, end_ns: int) -> bool:
+def _explained(case: Case, silence: Silence) -> bool:
     """Tell whether something else tells of it: it was asked for, or what it is made from is silent too."""
+    stream, start_ns, end_ns = silence.stream, silence.start_ns, silence.end_ns
     system = case.system(stream) if stream.is_command else case.instances.system(case.owner(stream))
     name = case.network.identity_of.get
     way = Way(stream.msg_id, stream.link, system, stream.is_command, name(stream.receiver, ""))
@@ -249,10 +246,10 @@ def _explained(case: Case, stream: Stream, start_ns: int, end_ns: int) -> bool:
     closed = sum(max(0, min(item.end_hi, end_ns) - max(item.start_lo, start_ns)) for item in spans)
     if 2 * closed > end_ns - start_ns or any(item.overlaps(start_ns, start_ns + _NEAR_NS) for item in spans):
         return True
-    for hop in case.hops:
-        if hop.out is stream:
-            times = hop.into.time_ns
-            return not ((times > start_ns) & (times < end_ns - _SLACK_NS)).any()
+    inputs = [hop.into.time_ns for hop in case.hops if hop.out is stream]
+    inputs += [item.sent_ns for item in case.passed_states if item.msg_id == stream.msg_id]
+    if inputs:
+        return not ((inputs[0] > start_ns) & (inputs[0] < end_ns - _SLACK_NS)).any()
     # What cFS sends to a bridge is mostly what an operator sends to cFS.
     rows = case.rows
     sent = rows.time_ns[among(rows.link, lambda link: link.only_to_cfs)]
@@ -276,14 +273,15 @@ def _hz(value: float, digits: int) -> str:
 def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> Verdict:
     first = members[0]
     fed = all(item.stream.link.peers and item.stream.is_command for item in members)
-    why = "; ".join(causes) or (_PUBLISHER if fed else "the capture cannot show why")
+    commands = list(_sent_before(case, first.start_ns))
+    why = "; ".join(causes) or (_PUBLISHER if fed else next(iter(commands), "the capture cannot show why"))
     outages = [item for item in case.outages if any(line.startswith(item.app) for line in causes)]
     return verdict(
         Severity.NOTE if fed or all(item.rate is None for item in members) else Severity.WARNING,
         f"{_stopped(case, members)}: {why}",
         *_evidence(case, members),
         *(item.witness for item in outages),
-        *_sent_before(case, first.start_ns),
+        *commands,
         msg_id=first.stream.msg_id if len(members) == 1 else None,
         place=(first.stream.link.label, "source"),
         span=(first.start_ns, max(item.end_ns for item in members)),
@@ -331,14 +329,11 @@ def _remedy(case: Case, outages: Sequence[Outage], silence: Silence) -> str:
 def _sent_before(case: Case, start_ns: int) -> Iterator[str]:
     """Yield the commands just before a time that are no topic: one of them may have ended it."""
     for stream in case.streams:
-        if (
-            stream.link.only_to_cfs
-            and stream.route == NO_ROUTE
-            and not case.rows.cdr_length[stream.rows].any()
-        ):
+        operators = stream.link.only_to_cfs and stream.route == NO_ROUTE
+        if operators and not case.rows.cdr_length[stream.rows].any():
             times = stream.time_ns
-            near = stream.rows[(times > start_ns - _NEAR_NS) & (times < start_ns + _SLACK_NS)]
+            near = stream.rows[np.abs(times - start_ns) < _SLACK_NS]
             if len(near) and len(near) <= _FEW:
                 code = int(case.rows.function_code[near[-1]])
                 when = case.at(int(case.rows.time_ns[near[-1]]))
-                yield f"sent at {when}: a command on {case.name(stream.msg_id)}, function code {code}"
+                yield f"a command on {case.name(stream.msg_id)}, function code {code}, was sent at {when}"
