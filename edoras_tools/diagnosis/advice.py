@@ -13,6 +13,7 @@ Rules:
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -151,12 +152,13 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
     """Return the command that set how few of a MsgId may wait at Telemetry Output while some were lost."""
     if loss.hop != telemetry_output.PIPE:
         return None
-    known = loss.among.times_ns if loss.among and len(loss.among.rows) else (loss.start_ns, loss.end_ns)
+    times = loss.among.times_ns if loss.among and len(loss.among.rows) else (loss.start_ns, loss.end_ns)
     changes = _entry_commands(case, loss.instance, loss.msg_id)
-    before = [item for item in changes if item.not_before_ns <= known[0] + SECOND][-1:]
-    later = [item for item in changes if known[0] + SECOND < item.not_before_ns < known[1]]
-    limits = [item for item in before + later if _limit_of(item) is not None]
-    return min(limits, key=lambda item: _limit_of(item) or 0, default=None)
+    last = next((item for item in reversed(changes) if item.not_before_ns <= times[0] + SECOND), None)
+    low = _limit_of(last) or queues.telemetry_pipe(case.profile).limit(loss.msg_id)
+    anew = [item for old, item in pairwise(changes) if old.state == "unsubscribed"]  # else it keeps its limit
+    within = [item for item in anew if times[0] + SECOND < item.not_before_ns < times[1]]
+    return next((item for item in reversed(within) if (_limit_of(item) or 0) < low), last)
 
 
 def told_limit(case: Case, stream: Stream) -> int | None:

@@ -342,8 +342,6 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
             uplink = f"look at the {'network' if peers else 'uplink'}{more}"
             if any(line.startswith(QUOTED) for line in loss.evidence):
                 uplink = "look at the route to that host, and at firewalls on the way: ICMP errors came back"
-            elif loss.stream and not np.ptp(case.instances.hosts[[loss.stream.sender, loss.stream.receiver]]):
-                uplink = "see whether CI runs, and what else reads its port: a relay, or a second cFS"
             yield loss_verdict(
                 case,
                 loss,
