@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
-
-import msgspec
+from typing import Final, NamedTuple
 
 from edoras_tools.cfs.event_services import EventText, EventType
 
@@ -87,7 +85,7 @@ RESTARTED_APP: Final = EventText(NAME, RESTARTED, "Restart Application {name} Co
 RELOADED_APP: Final = EventText(NAME, RELOADED, "Reload Application {name} Completed, AppID={number:d}")
 
 
-class Ending(msgspec.Struct, frozen=True):
+class Ending(NamedTuple):
     """A command that ends an application.
 
     Attributes:

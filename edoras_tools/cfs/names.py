@@ -5,12 +5,10 @@ From the cFE, CI_LAB, TO_LAB and SBN sources; only what they fix is listed. ``No
 
 from __future__ import annotations
 
-from typing import Final
-
-import msgspec
+from typing import Final, NamedTuple
 
 
-class Command(msgspec.Struct, frozen=True):
+class Command(NamedTuple):
     """One function code of an app.
 
     Attributes:

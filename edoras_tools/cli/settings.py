@@ -18,9 +18,7 @@ import stat
 import sys
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
-
-import msgspec
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.words import did_you_mean, listed
@@ -49,7 +47,7 @@ COMMAND_LINE_ONLY: Final = (
 _LARGEST: Final = 1 << 18
 
 
-class SettingsFile(msgspec.Struct, frozen=True):
+class SettingsFile(NamedTuple):
     """A settings file.
 
     Attributes:

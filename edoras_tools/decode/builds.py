@@ -151,8 +151,8 @@ class Fitting:
         rows = np.flatnonzero(structs.has[self._msg_id] & ~VERSION_1.is_command(self._msg_id) & ~event)
         _, first, which = distinct_rows(self._msg_id[rows].astype(np.int64) << 32 | self._length[rows])
         pairs = zip(self._msg_id[rows[first]].tolist(), length[rows[first]].tolist(), strict=True)
-        known = ((structs.find(msg_id, None, size), size) for msg_id, size in pairs)
-        fits[rows] = np.array([bound is not None and bool(bound.fits(size)) for bound, size in known])[which]
+        bounds = ((structs.find(msg_id, None, size), size) for msg_id, size in pairs)
+        fits[rows] = np.array([bound is not None and bool(bound.fits(size)) for bound, size in bounds])[which]
         return fits
 
 

@@ -249,11 +249,11 @@ class Variants:
     def _first(self, sample: _Kept, conversation: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the first kind that explains each packet; what a plain command shows; ``_NOTHING``."""
         first = np.full(len(sample.length), _NOTHING)
-        left = np.arange(len(first))
+        rest = np.arange(len(first))
         for number, headers in enumerate(cfe.TOLD):
-            fits = self._fitting(sample.take(left)).by(headers)
-            first[left[fits]] = number
-            left = left[~fits]
+            fits = self._fitting(sample.take(rest)).by(headers)
+            first[rest[fits]] = number
+            rest = rest[~fits]
         timed = np.flatnonzero((first == _EXTENDED) & ~_commands(sample))
         for _, members in by_value(conversation[timed]):
             if len(members) > 1:

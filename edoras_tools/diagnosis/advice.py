@@ -156,8 +156,8 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
     changes = _entry_commands(case, loss.instance, loss.msg_id)
     last = next((item for item in reversed(changes) if item.not_before_ns <= times[0] + SECOND), None)
     low = _limit_of(last) or queues.telemetry_pipe(case.profile).limit(loss.msg_id)
-    anew = [item for old, item in pairwise(changes) if old.state == "unsubscribed"]  # else it keeps its limit
-    within = [item for item in anew if times[0] + SECOND < item.not_before_ns < times[1]]
+    again = [item for old, item in pairwise(changes) if old.state == "unsubscribed"]  # else its limit stays
+    within = [item for item in again if times[0] + SECOND < item.not_before_ns < times[1]]
     return next((item for item in reversed(within) if (_limit_of(item) or 0) < low), last)
 
 

@@ -169,8 +169,8 @@ def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
     result = []
     for (route, link, _, instance), members in groups.items():
         missing = any(row.proven or row.superseded for row in members)
-        shown = route != NO_ROUTE or (not members[0].name and (missing or not any_own))
-        if shown and members[0].came:
+        has_row = route != NO_ROUTE or (not members[0].name and (missing or not any_own))
+        if has_row and members[0].came:
             result.append((_headline(members, topics), link, instance))
     of = Counter(item.topic for item, *_ in result)
     on = Counter((item.topic, link) for item, link, _ in result)

@@ -415,12 +415,12 @@ def _fine(result: Diagnosis) -> str:
     open_ended = sum(row.waiting + row.not_captured + row.shared for row in result.balance)
     # What a network doubles it may also lose, and no count shows that.
     hides = any(row.copies > row.sure_copies for row in result.balance)
-    seen = "arrived, as far as this capture shows." if _leaves_host(result) else "arrived."
+    arrival = "arrived, as far as this capture shows." if _leaves_host(result) else "arrived."
     parts = []
     if arrived and not (open_ended or hides) and fates.keys() <= {"arrived", "lost"}:
-        parts.append(f"All {'else' if 'lost' in fates else whole} {seen}")
+        parts.append(f"All {'else' if 'lost' in fates else whole} {arrival}")
     elif others:
-        parts.append(f"{plural(others, 'other message' if 'lost' in fates else 'message')} {seen}")
+        parts.append(f"{plural(others, 'other message' if 'lost' in fates else 'message')} {arrival}")
     if result.superseded:
         parts.append(f"{result.superseded:,} gave way to newer ones, as the application does.")
     if unseen:

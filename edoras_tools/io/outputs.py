@@ -16,9 +16,7 @@ from contextlib import contextmanager, suppress
 from glob import escape
 from itertools import count
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, ClassVar, Final
-
-import msgspec
+from typing import IO, TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError, ConfigError, os_errors
 
@@ -320,7 +318,7 @@ def _is_for_all(folder: Path) -> bool:
     return bool(mode & stat.S_ISVTX and mode & (stat.S_IWGRP | stat.S_IWOTH))
 
 
-class Patience(msgspec.Struct, frozen=True):
+class Patience(NamedTuple):
     """How a recorder behaves while the disk is full.
 
     Attributes:

@@ -10,9 +10,8 @@ Rules that every link keeps:
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, Protocol
 
-import msgspec
 import numpy as np
 
 from edoras_tools import doors
@@ -58,7 +57,7 @@ _DOUBLES: Final = (
 )
 
 
-class Form(msgspec.Struct, frozen=True):
+class Form(NamedTuple):
     """One kind of datagram of a link, recognised by its length and by the doubles that it starts with.
 
     Attributes:

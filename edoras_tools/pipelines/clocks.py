@@ -63,7 +63,7 @@ class Aligned(SourceOver):
         """Return the faults that were injected, with corrected times."""
         faults = super().faults()
         times = self._set_back(np.array([fault.time_ns for fault in faults], np.int64))
-        return [replace(fault, time_ns=at) for fault, at in zip(faults, times.tolist(), strict=True)]
+        return [fault._replace(time_ns=at) for fault, at in zip(faults, times.tolist(), strict=True)]
 
     def narrow(self, period: Callable[[int], tuple[int, int]]) -> None:
         """Pass nothing over: what is asked for is in the corrected time."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 from edoras_tools.errors import ConfigError
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from edoras_tools.structs.shapes import Key, Member, Struct, StructLayout
 
 
-class Encoded(msgspec.Struct, frozen=True):
+class Encoded(NamedTuple):
     """Messages one after the other.
 
     Attributes:

@@ -6,9 +6,8 @@ Both give the same series for every field.
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
@@ -39,7 +38,7 @@ class ValueKind(Enum):
     STRUCT = "a group of fields"
 
 
-class Series(msgspec.Struct, frozen=True):
+class Series(NamedTuple):
     """The values of a field in ``rows`` packets.
 
     Attributes:

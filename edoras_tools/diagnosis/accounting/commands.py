@@ -527,8 +527,8 @@ class Commands:
 
         Or of what a closed way out would not have sent either.
         """
-        counted = [item for item in [*self.losses, *self.telemetry.losses] if item.kind in _COUNTED]
-        others = sum(item.lost for item in counted if item.stream is None or item.closed)
+        losses = [item for item in [*self.losses, *self.telemetry.losses] if item.kind in _COUNTED]
+        others = sum(item.lost for item in losses if item.stream is None or item.closed)
         others += self._case.may_lack(len(fate.stream), max(0, number))
         fate.ends["unaccounted"] = max(0, number - others)
         fate.ends["elsewhere"] = max(0, number) - fate.ends["unaccounted"]

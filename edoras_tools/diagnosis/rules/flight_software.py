@@ -242,10 +242,10 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
         errors = track.growth("send_errors")
         losses = sum(track.growth(name) for name in ("msg_limits", "pipe_overflows"))
         if errors > losses + refused and not any("sends failed" in line for line in quotes):
-            said = any(app == NAME and number in _FAILED for _, app, number in groups)
+            reported = any(app == NAME and number in _FAILED for _, app, number in groups)
             yield warning(
                 f"{plural(errors - losses - refused, 'send')} on the software bus of {case.label(instance)} "
-                f"failed, {'as cFS reports' if said else 'and neither a pipe nor an event says why'}",
+                f"failed, {'as cFS reports' if reported else 'and neither a pipe nor an event says why'}",
                 f"0x803: MessageSendErrors +{errors:,}, of them {losses:,} at pipes",
                 hop="software bus",
                 span=(track.times[0], track.times[-1]),

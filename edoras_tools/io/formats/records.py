@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING
-
-import msgspec
-from msgspec.structs import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import SourceDefaults
@@ -31,7 +28,7 @@ FROM_THERE = "; the file is damaged from there on"
 _CUT = "ends inside {} {{}}; the capture was probably cut off while being written"
 
 
-class LeftOut(msgspec.Struct, frozen=True):
+class LeftOut(NamedTuple):
     """Bytes of a file in which no record can be read.
 
     Attributes:
@@ -164,7 +161,7 @@ class RecordSource(SourceDefaults):
 
     def _leave_out(self, start: int, end: int, damage: CaptureError | None) -> None:
         if self.left_out and self.left_out[-1].end == start:
-            self.left_out[-1] = replace(self.left_out[-1], end=end)
+            self.left_out[-1] = self.left_out[-1]._replace(end=end)
         else:
             reason = str(damage).removeprefix(f"{self._window.stream.name}: ").replace(FROM_THERE, "")
             self.left_out.append(LeftOut(start, end, reason.rpartition("; ")[0], self._latest_ns))
@@ -174,7 +171,7 @@ class RecordSource(SourceDefaults):
         batch = self._demux.demux(frames)
         if len(frames):
             if self.left_out and self.left_out[-1].after_ns is None:
-                self.left_out[-1] = replace(self.left_out[-1], after_ns=int(frames.time_ns[0]))
+                self.left_out[-1] = self.left_out[-1]._replace(after_ns=int(frames.time_ns[0]))
             self._latest_ns = int(frames.time_ns[-1])
         statistics.frames += len(frames)
         statistics.bytes += int(frames.length.sum())

@@ -7,9 +7,8 @@ import stat
 import zlib
 from os import fstat
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
-import msgspec
 import numpy as np
 
 from edoras_tools.errors import CaptureError, os_errors
@@ -258,7 +257,7 @@ class Window:
 _COPIED_BYTES: Final = 1 << 20
 
 
-class SettledFile(msgspec.Struct, frozen=True):
+class SettledFile(NamedTuple):
     """A regular file.
 
     Attributes:

@@ -7,9 +7,7 @@ fits.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
-
-import msgspec
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools import doors
 from edoras_tools.older import StrEnum
@@ -22,7 +20,7 @@ LONGEST_MAGIC: Final = 8
 """Bytes by which a file's format is told."""
 
 
-class Format(msgspec.Struct, frozen=True):
+class Format(NamedTuple):
     """One format.
 
     Attributes:

@@ -8,9 +8,7 @@ from __future__ import annotations
 import re
 import struct
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final, NoReturn
-
-import msgspec
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.types.schema import (
@@ -41,7 +39,7 @@ _TRUTH: Final = {"true": True, "1": True, "false": False, "0": False}
 _MOST: Final = 2**32 - 1
 
 
-class Section(msgspec.Struct, frozen=True):
+class Section(NamedTuple):
     """One definition of a joined text: its type in full, its text, and the line where that starts."""
 
     name: str

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import msgspec
+from typing import NamedTuple
 
 from edoras_tools.model import NO_MSG_ID, Link
 
 
-class Fault(msgspec.Struct, frozen=True):
+class Fault(NamedTuple):
     """One fault of one datagram, as it is recorded.
 
     Attributes:
