@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import sys
 from importlib.util import find_spec
-from math import inf
 from pathlib import Path
 from time import time_ns
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -20,7 +19,6 @@ from edoras_tools.cli.options import moment
 from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
 from edoras_tools.errors import ConfigError
 from edoras_tools.older import StrEnum
-from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -228,17 +226,13 @@ def query(
     *,
     sql: Annotated[str, Argument(metavar="SQL", help="A query; - reads it from standard input.")],
     index: Index = _INDEX,
-    timeout: Annotated[
-        int | None, Option(parser=options.duration, help="End it after so much work; default 60s; 0: never.")
-    ] = None,
     printing: RowOptions,
 ) -> None:
     """Ask the index in SQL; SHOW TABLES lists its tables, docs/archive.md explains them."""
     from edoras_tools.addons.archive.index import open_index
 
     with open_index(index) as opened:
-        text = sys.stdin.read() if sql == "-" else sql
-        names, rows = opened.answer(text, inf if timeout == 0 else (timeout or 60 * SECOND) / SECOND)
+        names, rows = opened.answer(sys.stdin.read() if sql == "-" else sql)
         if printing.json:
             from edoras_tools.addons.archive.views import json_rows
 

@@ -12,7 +12,7 @@ Rules:
 from __future__ import annotations
 
 from contextlib import contextmanager, suppress
-from threading import TIMEOUT_MAX, Timer
+from threading import Timer
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 _ABOUT: Final = "CREATE TABLE about (name VARCHAR, value VARCHAR)"
 _CLOSED: Final = ("memory_limit = '200MB'", "enable_external_access = false", "lock_configuration = true")
 """What holds while a user's query runs; the last locks the others."""
+MOST_S = 60.0
+"""DuckDB works so long for a user's query."""
 
 
 @contextmanager
@@ -124,18 +126,15 @@ class Index:
         names = [item[0] for item in result.description or ()]
         return [dict(zip(names, row, strict=True)) for row in result.fetchall()]
 
-    def answer(self, sql: str, most_s: float) -> tuple[list[str], Iterator[tuple[Any, ...]]]:
+    def answer(self, sql: str) -> tuple[list[str], Iterator[tuple[Any, ...]]]:
         """Return the names of the columns of a user's query, and its rows as they are asked for.
 
         From then on the connection reads and writes no other file, and fetches nothing.
 
-        Args:
-            most_s: so long DuckDB may work for it.
-
         Raises:
-            ConfigError: DuckDB refuses it, or it takes longer.
+            ConfigError: DuckDB refuses it, or it takes longer than ``MOST_S``.
         """
-        self._left_s = min(most_s, TIMEOUT_MAX)
+        self._left_s = MOST_S
         with self._limited():
             for setting in _CLOSED:
                 self._connection.execute(f"SET {setting}")
@@ -160,7 +159,10 @@ class Index:
         try:
             yield
         except duckdb.InterruptException:
-            raise ConfigError("the query took too long; --timeout allows more") from None
+            text = (
+                f"it took more than {MOST_S:g} s; ask for less, or use DuckDB's own program"
+            )
+            raise ConfigError(text) from None
         except duckdb.Error as error:
             raise ConfigError(_mistake(error)) from error
         finally:

@@ -302,7 +302,7 @@ def test_a_query_reads_and_writes_nothing_else(index, tmp_path, monkeypatch):
     with open_index(index / "x.duckdb") as opened:
         for sql in FORBIDDEN:
             with pytest.raises(ConfigError) as refused:
-                list(opened.answer(sql, 60)[1])
+                list(opened.answer(sql)[1])
             assert len(str(refused.value).splitlines()) == 1, refused.value
     assert list(tmp_path.iterdir()) == []
 
@@ -312,14 +312,14 @@ def test_names_of_columns_are_printed_without_escapes(call, index):
 
 
 @pytest.mark.parametrize("way", [["--json"], ["--format", "csv"], []])
-def test_a_query_that_takes_too_long_is_ended(call, index, way):
+def test_a_query_that_takes_too_long_is_ended(call, index, way, monkeypatch):
+    monkeypatch.setattr("edoras_tools.addons.archive.index.MOST_S", 0.5)
     cross = "SELECT sum(a.range * b.range) FROM range(1000000000) a, range(1000000000) b"
-    done = call("archive", "query", cross, "--timeout", "500ms", *way)
+    done = call("archive", "query", cross, *way)
     assert (done.code, len(done.err)) == (2, 1)
-    assert "the query took too long" in done.err[0]
+    assert "took more than 0.5 s" in done.err[0]
     late = "SELECT range FROM range(100000000000) WHERE range % 10000000000 = 1"
-    assert call("archive", "query", late, "--timeout", "500ms", *way).code == 2
-    assert call("archive", "query", "SELECT 1 AS a", "--timeout", "0", "--csv").out.split() == ["a", "1"]
+    assert call("archive", "query", late, *way).code == 2
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root makes links of another user")
