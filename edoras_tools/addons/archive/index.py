@@ -159,9 +159,7 @@ class Index:
         try:
             yield
         except duckdb.InterruptException:
-            text = (
-                f"it took more than {MOST_S:g} s; ask for less, or use DuckDB's own program"
-            )
+            text = f"it took more than {MOST_S:g} s; ask for less, or use DuckDB's own program"
             raise ConfigError(text) from None
         except duckdb.Error as error:
             raise ConfigError(_mistake(error)) from error

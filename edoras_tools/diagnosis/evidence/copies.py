@@ -48,7 +48,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.order import by_value, numbered, quantiles
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -508,10 +508,13 @@ def find_echoes(rows: Rows, own: Places) -> Mask:
     steps, none = np.diff(times), np.zeros(len(own), bool)
     if len(steps) < 2 * _LEAST_ECHOES:
         return none
-    usual = _usual(steps)
     sources = rows.source[own]
-    echo = (steps < _ECHO * usual) & (prints[1:] == prints[:-1]) & (sources[1:] == sources[:-1])
-    if int(echo.sum()) < max(_LEAST_ECHOES, _ECHO_SHARE * len(own)):
+    echo = (prints[1:] == prints[:-1]) & (sources[1:] == sources[:-1])
+    if np.count_nonzero(echo) < _LEAST_ECHOES:
+        return none
+    usual = _usual(steps)
+    echo &= steps < _ECHO * usual
+    if np.count_nonzero(echo) < max(_LEAST_ECHOES, _ECHO_SHARE * len(own)):
         return none
     first, median, third = np.quantile(steps[echo], (0.25, 0.5, 0.75))
     rest = np.diff(times[np.concatenate(([True], ~echo))])
@@ -537,7 +540,7 @@ def _echoes(rows: Rows, own: Places) -> str:
 
 def _usual(steps: Integers) -> float:
     """Return the time from one message to the next, of most of them."""
-    return float(np.quantile(steps, 0.75))
+    return quantiles(steps, 0.75)[0]
 
 
 def _hz(times: Integers) -> str:

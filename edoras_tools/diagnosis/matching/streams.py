@@ -467,8 +467,8 @@ def comb(times: NDArray[np.int64]) -> Comb:
         return Comb(0, 1, 0.0)
     begins, sizes = bursts(times, _BURST_NS)
     most = int(quantiles(sizes, 0.98)[0])
-    period = int(np.median(np.diff(times[begins]))) if len(begins) > 2 else 0
-    share = float((sizes >= most).mean()) if len(sizes) else 0.0
+    period = int(quantiles(np.diff(times[begins]), 0.5)[0]) if len(begins) > 2 else 0
+    share = np.count_nonzero(sizes >= most) / max(len(sizes), 1)
     return Comb(period, max(most, 1), share)
 
 
