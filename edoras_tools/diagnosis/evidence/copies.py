@@ -505,12 +505,9 @@ def find_echoes(rows: Rows, own: Places) -> Mask:
     second sender sends is no copy.
     """
     times, prints = rows.time_ns[own], rows.bytes_print[own]
-    steps, none = np.diff(times), np.zeros(len(own), bool)
-    if len(steps) < 2 * _LEAST_ECHOES:
-        return none
-    sources = rows.source[own]
+    steps, none, sources = np.diff(times), np.zeros(len(own), bool), rows.source[own]
     echo = (prints[1:] == prints[:-1]) & (sources[1:] == sources[:-1])
-    if np.count_nonzero(echo) < _LEAST_ECHOES:
+    if len(steps) < 2 * _LEAST_ECHOES or np.count_nonzero(echo) < _LEAST_ECHOES:
         return none
     usual = _usual(steps)
     echo &= steps < _ECHO * usual

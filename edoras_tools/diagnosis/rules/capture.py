@@ -237,18 +237,17 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
 
     Name every clock that was set; all times of this diagnosis are as if it had not been.
     """
-    resets = case.resets if case.jumps else []
     for jump in case.jumps:
         when = int(case.rows.time_ns[jump.row])
-        began = any(item.start_ns < when <= item.end_ns + SECOND for item in resets)
+        began = any(item.start_ns < when <= item.end_ns + SECOND for item in case.resets)
         if began or (jump.clock == "cFS" and any(item.name for item in case.instances.items)):
             continue  # it started again
         own = jump.clock == "capture"
-        whose = "the capture's own clock" if own else f"the clock of cFS {jump.clock}, and not the capture's,"
-        way = "back" if jump.by_ns < 0 else "ahead"
+        clock = f"the clock of cFS {jump.clock}".removesuffix(" cFS")  # one that no packet names
+        whose = "the capture's own clock" if own else f"{clock}, and not the capture's,"
         yield warning(
-            f"{whose} was set {way} by {seconds(abs(jump.by_ns) / SECOND)} at packet "
-            f"{case.rows.number[jump.row]}: times here are given as if it had not",
+            f"{whose} was set {'back' if jump.by_ns < 0 else 'ahead'} by {seconds(abs(jump.by_ns) / SECOND)} "
+            f"at packet {case.rows.number[jump.row]}: times here are given as if it had not",
             "time runs back from one packet to the next"
             if jump.by_ns < 0 and own
             else "mission time and the capture's part ways here, and sequence counts go on: no restart",
