@@ -34,7 +34,7 @@ from edoras_tools.addons.runs.differences import (
 from edoras_tools.addons.runs.views import runs_view
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.decode.lines import line_of
-from edoras_tools.diagnosis.evidence.clocks.alignment import align
+from edoras_tools.diagnosis.evidence.clocks.alignment import Side, align
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.diagnosis.missing import missing
@@ -334,7 +334,7 @@ def diagnosis(data: bytes) -> Hashable:
         assert min(row.all_lost for row in item.balance) >= 0 if item.balance else True
     between = compare_captures(tables[0], tables[1], mission)
     hold(between.as_json(), "against")
-    align(*tables)
+    align(*map(Side.of, tables))
     for good, bad in (runs, runs[::-1]):
         report = comparison_json([good], [bad], compare_runs([good], [bad], DifferenceLimits()))
         check({"schema": 1, **json.loads(json.dumps(report, allow_nan=False))}, _SCHEMAS["compare"])
