@@ -22,6 +22,7 @@ from edoras_tools.addons.runs.limits import RunLimit, field_filter, field_limit,
 from edoras_tools.addons.runs.observation import Subject
 from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.filters.filter import Where
+from edoras_tools.decode.filters.names import Names
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.diagnosis.ledger import CAPTURE
 from edoras_tools.diagnosis.verdict import Severity
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from edoras_tools.addons.runs.check import CheckReport, CheckResult
     from edoras_tools.addons.runs.expectations import Expectations, Tolerance
     from edoras_tools.addons.runs.run import Run
-    from edoras_tools.decode.context import Context
 
 
 class Draft:
@@ -53,6 +53,7 @@ class Draft:
         self.runs = runs
         self._parts = [run.parts() for run in runs]
         self.notes: list[str] = []
+        self._names = Names(runs[0].context)
         self.text = "".join(f"{line}\n" for line in self._lines())
 
     def _lines(self) -> Iterator[str]:
@@ -113,11 +114,19 @@ class Draft:
                 yield f"    {key}: {limit.text(TOPIC_BOUNDS[key])}  # {limit.why}"
         yield from self._losses(subject.name, figures, limits, "    ")
         every = field_limits(self.runs, subject.name)
-        fields = [(where, limit) for _, where, limit in every if _is_filter(where, self.runs[0].context)]
+        fields = [(where, limit) for _, where, limit in every if self._is_filter(where)]
         if fields:
             yield "    fields:"
         for where, limit in fields:
             yield f"      - always: {json.dumps(where)}  # {limit.why}"
+
+    def _is_filter(self, where: str) -> bool:
+        """Return whether a filter can be asked: of structs in lists none can, each by itself."""
+        try:
+            Where(where, self.runs[0].context, names=self._names)
+        except WhereError:
+            return False
+        return True
 
     def _losses(
         self, name: str, figures: Sequence[Figures], limits: dict[str, RunLimit], indent: str
@@ -142,15 +151,6 @@ class Draft:
         if names:
             have = "this run has" if len(self.runs) == 1 else "these runs have"
             self.notes.append(f"{key} that the draft allows because {have} them: {', '.join(names)}")
-
-
-def _is_filter(where: str, context: Context) -> bool:
-    """Return whether a filter can be asked: of structs in lists none can, each by itself."""
-    try:
-        Where(where, context)
-    except WhereError:
-        return False
-    return True
 
 
 def field_limits(runs: Sequence[Run], topic: str) -> Iterator[tuple[str, str, RunLimit]]:

@@ -45,16 +45,19 @@ class Where:
     Args:
         context: what packets are decoded with; gives names their fields.
         begin_ns: the zero of ``time``; None: the first datagram of the first batch.
+        names: of the context, where many filters are made.
 
     Raises:
         WhereError: it is not an expression, names no field, or compares what cannot be compared.
     """
 
-    def __init__(self, text: str, context: Context, begin_ns: int | None = None) -> None:
+    def __init__(
+        self, text: str, context: Context, begin_ns: int | None = None, names: Names | None = None
+    ) -> None:
         self.text = text
         self.context = context
         self._begin_ns = begin_ns
-        self._node = _compile(parse_filter(text), text, Names(context))
+        self._node = _compile(parse_filter(text), text, names or Names(context))
 
     def __str__(self) -> str:
         return self.text
@@ -180,8 +183,7 @@ def fields(text: str, context: Context, option: str = "--fields") -> list[tuple[
     for operand in parse_names(text, option):
         items = _fields(operand, text, names, option)
         if all(item.kind is ValueKind.STRUCT for item in items):
-            why = _is_group(items[0], names)
-            raise WhereError(text, operand.at, operand.end, why, option)
+            raise WhereError(text, operand.at, operand.end, _is_group(items[0], names), option)
         pairs.append((items[0].name, items))
     return pairs
 

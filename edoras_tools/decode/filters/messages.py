@@ -93,9 +93,9 @@ class MessageFieldFinder:
         types = self._context.types
         if types is None or not types.has(name):
             return
-        indexes = self._routes.setdefault(name, [])
-        indexes += routes
-        for part in grammar.sections(name, types.definition(name)):
+        sections = () if name in self._routes else grammar.sections(name, types.definition(name))
+        self._routes.setdefault(name, []).extend(routes)
+        for part in sections:
             self._definitions[part.name] = grammar.parse_definition(
                 part.name, part.text, part.name, part.line
             )
@@ -111,12 +111,11 @@ class MessageFieldFinder:
     def find(self, path: str) -> list[FilterField]:
         """Return the field of that path of each type of a route that has it."""
         path_steps = _split(path.removeprefix(_PREFIX))
-        fields = []
-        for name, routes in self._routes.items():
-            steps = self._steps(name, path_steps)
-            if steps:
-                fields.append(self._field(path, name, tuple(routes), steps))
-        return fields
+        return [
+            self._field(path, name, tuple(routes), steps)
+            for name, routes in self._routes.items()
+            if (steps := self._steps(name, path_steps))
+        ]
 
     def of_structs(self, path: str) -> list[FilterField]:
         """Return the field of that path of each C struct that has it, or of the one it begins with."""
