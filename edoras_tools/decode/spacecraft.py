@@ -20,6 +20,7 @@ import numpy as np
 
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import fingerprint
+from edoras_tools.wire.arrays.order import distinct_rows
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.msg_id import MSG_ID_BYTES
 
@@ -272,8 +273,8 @@ class Survey:
             return numbers
         sent, address, msg_id, prints = map(np.concatenate, zip(*self._parts, strict=True))
         telemetry = sent if sent.any() else ~sent
-        ends, counts = np.unique(address, return_counts=True)
-        count_of = dict(zip(ends.tolist(), counts.tolist(), strict=True))
+        ends, _, which = distinct_rows(address)
+        count_of = dict(zip(ends.tolist(), np.bincount(which).tolist(), strict=True))
         ranked = sorted(self._met, key=lambda end: (end not in numbers, -count_of.get(end, 0)))
         compared = sorted(ranked[:_MOST], key=[*self._met].index)
         packets = {end: np.flatnonzero(telemetry & (address == end)) for end in compared}

@@ -251,9 +251,10 @@ class Variants:
         first = np.full(len(sample.length), _NOTHING)
         rest = np.arange(len(first))
         for number, headers in enumerate(cfe.TOLD):
-            fits = self._fitting(sample.take(rest)).by(headers)
-            first[rest[fits]] = number
-            rest = rest[~fits]
+            if len(rest):
+                fits = self._fitting(sample.take(rest)).by(headers)
+                first[rest[fits]] = number
+                rest = rest[~fits]
         timed = np.flatnonzero((first == _EXTENDED) & ~_commands(sample))
         for _, members in by_value(conversation[timed]):
             if len(members) > 1:

@@ -23,7 +23,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding, Link, rate_hz
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value, numbered, quantiles
+from edoras_tools.wire.arrays.order import by_value, distinct_rows, numbered, quantiles
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
     # Whoever commands does not count, and may use any number of ports.
     up, down = among(link, lambda item: item.only_to_cfs), among(link, lambda item: item.only_from_cfs)
     sender = np.where(up, -1, rows.source[packets])
-    sources, which = np.unique(sender[down], return_inverse=True)
+    sources, _, which = distinct_rows(sender[down])
     sender[down] = np.array([*map(instances.output, sources.tolist())], np.int64)[which]
     receiver = np.where(down, -1, rows.destination[packets])
     packet = rows.processor_id[packets], rows.spacecraft_id[packets], rows.msg_id[packets]

@@ -115,8 +115,7 @@ class MergedSource(SourceDefaults):
         """
         errors: list[str] = []
         heads = [_Head(source, errors) for source in self._sources]
-        number = until = 1
-        touched = [*range(len(heads))]
+        number, until, touched = 1, 1, [*range(len(heads))]
         waiting: list[tuple[PacketBatch, NDArray[np.int64]]] = []
         ends: list[tuple[int, int]] = []
         begins: list[tuple[int, int]] = []

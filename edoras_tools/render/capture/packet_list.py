@@ -146,7 +146,7 @@ class PacketList:
     ) -> None:
         self._names = names
         self._paint = palette.Paint(colour)
-        self._time_format, self._relative = time_format, time_format is TimeFormat.RELATIVE
+        self._time_format = time_format
         self._at_least = Level.NOTE if verbose else Level.WARNING
         self._first_ns = begin_ns
         self._previous_ns: int | None = None
@@ -216,9 +216,7 @@ class PacketList:
         after = gap + str(packet.length).rjust(size.length) if size.length else ""
 
         # A number or a length beyond its column is shown whole, and the message gives the room.
-        room = size.info - (len(number) - size.number)
-        if after:
-            room -= len(after) - len(gap) - size.length
+        room = size.info - (len(number) - size.number) - max(0, len(after) - len(gap) - size.length)
         for place, value in enumerate(values):
             after += gap + self._cell(value, place)
         badge, badge_width = self._badge(packet.findings, room)
@@ -258,7 +256,7 @@ class PacketList:
             self._first_ns = time_ns
         previous, self._previous_ns = self._previous_ns, time_ns
         width = self._widths.time
-        if self._relative:  # to look at an enumeration takes as long as to write the number
+        if self._time_format is TimeFormat.RELATIVE:
             return f"{(time_ns - self._first_ns) / 1e9:.6f}"[:width]
         if self._time_format is TimeFormat.DELTA:
             return f"{(time_ns - (time_ns if previous is None else previous)) / 1e9:.6f}"[:width]

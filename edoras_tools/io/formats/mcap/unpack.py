@@ -147,8 +147,9 @@ def frame_at(data: bytes) -> tuple[bytes, int] | None:
 def _inflate(packed: bytes, compression: str, size: int) -> Iterator[bytes]:
     if compression == "":
         yield packed
+    if compression not in _INFLATERS:
         return
-    with suppress(zstandard.ZstdError, RuntimeError, EOFError, KeyError):
+    with suppress(zstandard.ZstdError, RuntimeError, EOFError):
         inflater: Any = _INFLATERS[compression]()
         # In small pieces, to get everything before a damaged place.
         filled = 0
