@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 BRIDGE_FILE_FORM = "a bridge's file is NODE: ros__parameters: ..."
 """The hint for a file of another kind."""
 
-LARGEST_FILE = 1 << 18
+LARGEST_FILE = 1 << 19
 """Bytes. A mission file is a few KiB; a capture that is given by mistake is not read whole."""
 _DEEPEST = 50
 _QUOTES = {"'", '"'}

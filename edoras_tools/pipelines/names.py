@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from fnmatch import fnmatchcase
-from functools import cache
-from typing import TYPE_CHECKING
+import re
+from fnmatch import fnmatchcase, translate
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -21,13 +22,16 @@ from edoras_tools.structs.shapes import Key
 from edoras_tools.words import did_you_mean, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
     from edoras_tools.links.site import Endpoints
     from edoras_tools.mission import Mission
+
+PATTERN_SIGNS: Final = frozenset("*?[")
+"""What makes a name a shell pattern."""
 
 
 class SampleTopics(msgspec.Struct, frozen=True):
@@ -135,6 +139,11 @@ class PacketKinds(msgspec.Struct, frozen=True):
         topics = {name for item in self.samples for name in item.endpoints.topics()}
         return any(self.has_sample_topic(name) and other.has_sample_topic(name) for name in topics)
 
+    def types(self, mission: Mission) -> set[str]:
+        """Return the types of all their messages; nothing where some have none that the mission names."""
+        routed = not (self.keys or self.kinds or self.samples)
+        return {mission.routes[index].type for index in self.routes} if routed else set()
+
     def msg_ids(self, mission: Mission) -> set[int]:
         """Return the MsgIds that are meant."""
         return {mission.routes[index].msg_id for index in self.routes} | {key.msg_id for key in self.keys}
@@ -146,8 +155,19 @@ def _recorded_as(topic: str, used: frozenset[str]) -> str:
 
 def fits_topic(topic: str, pattern: str) -> bool:
     """Return whether a topic matches a shell pattern, with or without its leading slash."""
-    full_pattern = pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
-    return fnmatchcase(topic, full_pattern)
+    return bool(_matcher(pattern)(topic))
+
+
+def _fitting(topics: Iterable[str], pattern: str) -> frozenset[int]:
+    """Return the places of the topics that match a shell pattern."""
+    fits = _matcher(pattern)
+    return frozenset(place for place, topic in enumerate(topics) if fits(topic))
+
+
+@lru_cache
+def _matcher(pattern: str) -> Callable[[str], object]:
+    full = pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
+    return full.__eq__ if PATTERN_SIGNS.isdisjoint(full) else re.compile(translate(full)).match
 
 
 def find_packets(pattern: str, context: Context) -> PacketKinds:
@@ -171,7 +191,7 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
     if (value := _number(pattern)) is not None:
         keys.append(Key(value))
     kinds_found = PacketKinds(
-        frozenset(index for index, route in enumerate(routes) if fits_topic(route.topic, pattern)),
+        _fitting((route.topic for route in routes), pattern),
         frozenset(keys),
         frozenset(kind for label, kind in _own_names() if label in own or fnmatchcase(label, name)),
     )
@@ -213,7 +233,7 @@ def _no_packet(pattern: str, context: Context) -> RouteError:
 
 def _recorded(pattern: str, topics: Sequence[str]) -> PacketKinds:
     """Return which topics of a recording without datagrams a name stands for."""
-    places = frozenset(place for place, topic in enumerate(topics) if fits_topic(topic, pattern))
+    places = _fitting(topics, pattern)
     if not places:
         near = did_you_mean(f"/{pattern.removeprefix('/')}", topics, 1)
         hint = f"there are {listed(sorted(set(topics)), 12)}"

@@ -138,8 +138,8 @@ def test_a_file_that_is_no_mission(text, line):
 
 
 def test_a_file_too_large_is_not_read():
-    assert mistakes(b"#" * (1 << 18) + b"\n") == [
-        "m.yaml: larger than 256 KiB; give the YAML file of a bridge"
+    assert mistakes(b"#" * (1 << 19) + b"\n") == [
+        "m.yaml: larger than 512 KiB; give the YAML file of a bridge"
     ]
 
 

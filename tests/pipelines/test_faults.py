@@ -89,7 +89,7 @@ MISTAKES = {
     "faults: [drop:1]\n---\nfaults: []\n": ["s.yaml:3: a second document"],
     "faults: [1, 2\nb: }": ["s.yaml:2: not YAML: "],
     b"\xff\xfe\xff": ["s.yaml:1: not UTF-8 at byte 0"],
-    b"# " + bytes(300_000): ["s.yaml: larger than 256 KiB"],
+    b"# " + bytes(600_000): ["s.yaml: larger than 512 KiB"],
 }
 
 

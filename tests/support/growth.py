@@ -70,7 +70,7 @@ COMMANDS = {
     many.packed: ["info"],
     many.damaged: ["recover -o OUT.pcap"],
     many.captures: ["info", "doctor"],
-    many.topics: ["info", "check --init", "export --format csv -o OUT/"],
+    many.topics: ["info", "check --init", "check", "export --format csv -o OUT/"],
     many.tiny_messages: ["info"],
     many.chunks: ["info", "recover -o OUT.mcap"],
     many.attachments: ["info", "recover -o OUT.mcap"],
@@ -149,6 +149,10 @@ def _used(case: Case, folder: Path, count: int) -> Used:
         "ROVER": str(MISSION),
     }
     words = [str(names.get(word, word.replace("OUT", str(place / "out")))) for word in case.line.split()]
+    if case.line == "check":
+        files.append(str(place / "draft.yaml"))
+        draft = [str(EDORAS), "check", "--init", "-q", *files[:-1], "-o", files[-1]]
+        subprocess.run(draft, check=True, capture_output=True)
     run = [sys.executable, "-I", "-S", "-c", DRIVER, str(EDORAS), *words, *files]
     return Used(*json.loads(subprocess.run(run, capture_output=True, text=True, check=True).stdout))
 

@@ -19,7 +19,7 @@ from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.export.judged import LOST_TOPIC
 from edoras_tools.pipelines.export.sources import TopicSource, open_topics
 from edoras_tools.pipelines.export.tables import TableForm
-from edoras_tools.pipelines.names import fits_topic
+from edoras_tools.pipelines.names import PATTERN_SIGNS, fits_topic
 from edoras_tools.pipelines.plot_lines import RateCounts, bar_seconds
 from edoras_tools.render.plot.figure import GREY, EventMark, Figure, Panel, PlotLine
 from edoras_tools.words import listed, plural
@@ -91,7 +91,7 @@ class _Recording(msgspec.Struct):
             if item.quantity is Quantity.FIELD:
                 recording.topics[item] = item.fields(source, topics)
                 continue
-            if any(sign in item.topic for sign in "*?["):
+            if not PATTERN_SIGNS.isdisjoint(item.topic):
                 source.wants_new = not narrowed
                 topics = [topic for topic in topics if not topic.startswith(_OWN)]
             counts = recording.rates if item.quantity is Quantity.RATE else recording.losses

@@ -26,9 +26,11 @@ from edoras_tools.decode.filters.names import Names
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.diagnosis.ledger import CAPTURE
 from edoras_tools.diagnosis.verdict import Severity
+from edoras_tools.mission.tree import LARGEST_FILE
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.pipelines.names import PacketKinds, SampleTopics
 from edoras_tools.structs.shapes import Key
+from edoras_tools.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -55,6 +57,10 @@ class Draft:
         self.notes: list[str] = []
         self._names = Names(runs[0].context)
         self.text = "".join(f"{line}\n" for line in self._lines())
+        if len(self.text.encode()) > LARGEST_FILE:
+            self.notes.append(
+                f"a check reads {LARGEST_FILE >> 10} KiB and the draft is larger; --topic makes it shorter"
+            )
 
     def _lines(self) -> Iterator[str]:
         names = [_one_line(run.name) for run in self.runs]
@@ -97,8 +103,10 @@ class Draft:
         silent = [route.topic for route in self.runs[0].context.mission.routes]
         silent = [topic for topic in dict.fromkeys(silent) if not any(topic in own for own in every)]
         where = "this run" if len(self.runs) == 1 else f"these {len(self.runs)} runs"
-        self.notes += [f"{topic}: no message in {where}, so nothing is expected of it" for topic in silent]
-        self.notes += [f"{name}: not in all runs, so nothing is expected of it" for name in rare]
+        absent = {f"no message was examined in {where}": silent, "not in all runs": rare}
+        for why, names in absent.items():
+            if names:
+                self.notes.append(f"nothing is expected of {listed(names)}: {why}")
         return [every[0][name] for name in common]
 
     def _topic(self, subject: Subject) -> Iterator[str]:
@@ -114,19 +122,12 @@ class Draft:
                 yield f"    {key}: {limit.text(TOPIC_BOUNDS[key])}  # {limit.why}"
         yield from self._losses(subject.name, figures, limits, "    ")
         every = field_limits(self.runs, subject.name)
-        fields = [(where, limit) for _, where, limit in every if self._is_filter(where)]
+        names = self._names.of_types(subject.packets.types(self.runs[0].context.mission))
+        fields = [(where, limit) for _, where, limit in every if _is_filter(where, names)]
         if fields:
             yield "    fields:"
         for where, limit in fields:
             yield f"      - always: {json.dumps(where)}  # {limit.why}"
-
-    def _is_filter(self, where: str) -> bool:
-        """Return whether a filter can be asked: of structs in lists none can, each by itself."""
-        try:
-            Where(where, self.runs[0].context, names=self._names)
-        except WhereError:
-            return False
-        return True
 
     def _losses(
         self, name: str, figures: Sequence[Figures], limits: dict[str, RunLimit], indent: str
@@ -151,6 +152,15 @@ class Draft:
         if names:
             have = "this run has" if len(self.runs) == 1 else "these runs have"
             self.notes.append(f"{key} that the draft allows because {have} them: {', '.join(names)}")
+
+
+def _is_filter(where: str, names: Names) -> bool:
+    """Return whether a filter can be asked: of structs in lists none can, each by itself."""
+    try:
+        Where(where, names.context, names=names)
+    except WhereError:
+        return False
+    return True
 
 
 def field_limits(runs: Sequence[Run], topic: str) -> Iterator[tuple[str, str, RunLimit]]:

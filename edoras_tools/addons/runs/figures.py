@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
@@ -12,6 +12,7 @@ from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.ledger import CAPTURE, Row
 from edoras_tools.io.topics.rows import APART
 from edoras_tools.model import NO_MSG_ID, rate_hz
+from edoras_tools.pipelines.names import PATTERN_SIGNS
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.capture.ledger import Account, Ledger
     from edoras_tools.pipelines.names import PacketKinds
 
-_PATTERN: Final = frozenset("*?[")
 _Item = TypeVar("_Item")
 
 
@@ -81,7 +81,7 @@ class Parts:
     def samples(self, packets: PacketKinds) -> tuple[list[SampleStream], list[Row]]:
         """Return the samples on announced topics, and their rows of the balance."""
         names = [item.pattern for item in packets.samples]
-        if any(not _PATTERN.isdisjoint(name) for name in names):
+        if any(not PATTERN_SIGNS.isdisjoint(name) for name in names):
             topics = [name for name in {*self._samples, *self._sample_rows} if name is not None]
         else:
             topics = [topic for name in names for topic in (name, f"/{name}", name.removeprefix(APART))]

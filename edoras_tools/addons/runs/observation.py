@@ -10,6 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.decode.filters.filter import Where
+from edoras_tools.decode.filters.names import Names
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT, split_topic
 from edoras_tools.errors import RouteError
@@ -215,6 +216,7 @@ class Observation(Counting):
         super().__init__(source, bench)
         self._expected = expected
         report, context = Mistakes(expected.file), bench.columns.context
+        names = Names(context)
         self.subjects: list[Subject] = []
         self.fields: list[list[FilterCount]] = []
         for topic in expected.topics:
@@ -224,7 +226,7 @@ class Observation(Counting):
                 report.mistake(topic.line, topic.name, str(error))
                 continue
             self.subjects.append(subject)
-            self.fields.append(list(_watches(subject, topic.fields, context, report)))
+            self.fields.append(list(_watches(subject, topic.fields, names, report)))
         events = () if context.mission.recorded else expected.events
         self.events = [FilterCount(EVENT_MESSAGES, Where(item.where, context)) for item in events]
         report.raise_all()
@@ -247,12 +249,13 @@ class Observation(Counting):
 
 
 def _watches(
-    subject: Subject, fields: Sequence[FieldExpectation], context: Context, report: Mistakes
+    subject: Subject, fields: Sequence[FieldExpectation], names: Names, report: Mistakes
 ) -> Iterator[FilterCount]:
+    own = names.of_types(subject.packets.types(names.context.mission))
     for item in fields:
         try:
-            then = Where(item.then, context) if item.then else None
-            yield FilterCount(subject, Where(item.where, context), then)
+            then = Where(item.then, names.context, names=names) if item.then else None
+            yield FilterCount(subject, Where(item.where, names.context, names=own), then)
         except WhereError as error:
             key = f"{subject.name}.fields"
             report.mistake(item.line, key, f"{item}: character {error.at + 1} of the filter: {error.why}")

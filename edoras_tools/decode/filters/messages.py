@@ -16,6 +16,7 @@ The rules that this file keeps:
 from __future__ import annotations
 
 import re
+from copy import copy
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -35,7 +36,7 @@ from edoras_tools.structs.shapes import PACKETS, UDP_KEY
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -75,6 +76,7 @@ class MessageFieldFinder:
     def __init__(self, context: Context) -> None:
         self._context = context
         self._routes: dict[str, list[int]] = {}
+        self._first: Collection[str] = ()
         self._definitions: dict[str, Definition] = dict(context.structs.definitions)
         self._own = frozenset(self._definitions)
         self._structs: dict[str, list[Bound]] = {}
@@ -108,14 +110,24 @@ class MessageFieldFinder:
     def __bool__(self) -> bool:
         return bool(self._routes)
 
+    def of_types(self, types: Iterable[str]) -> MessageFieldFinder:
+        """Return one that looks at some types first, and at others only where none of these has a field."""
+        other = copy(self)
+        other._first = self._routes.keys() & types  # noqa: SLF001  of its own kind
+        return other
+
     def find(self, path: str) -> list[FilterField]:
         """Return the field of that path of each type of a route that has it."""
         path_steps = _split(path.removeprefix(_PREFIX))
-        return [
-            self._field(path, name, tuple(routes), steps)
-            for name, routes in self._routes.items()
-            if (steps := self._steps(name, path_steps))
-        ]
+        for names in (self._first, self._routes):
+            fields = [
+                self._field(path, name, tuple(self._routes[name]), steps)
+                for name in names
+                if (steps := self._steps(name, path_steps))
+            ]
+            if fields:
+                break
+        return fields
 
     def of_structs(self, path: str) -> list[FilterField]:
         """Return the field of that path of each C struct that has it, or of the one it begins with."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from difflib import get_close_matches
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -20,7 +21,7 @@ from edoras_tools.structs.shapes import OWN_LAYERS
 from edoras_tools.words import either, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
@@ -65,6 +66,7 @@ class Names:
     """
 
     def __init__(self, context: Context) -> None:
+        self.context = context
         self._packet: dict[str, list[FilterField]] = {}
         self._of_datagrams: frozenset[str] = frozenset()
         layers = list(layer_fields(context))
@@ -88,6 +90,12 @@ class Names:
             for item in context.mission.recorded
             if item.unread
         ]
+
+    def of_types(self, types: Iterable[str]) -> Names:
+        """Return the names for filters of messages that are all of some types."""
+        other = copy(self)
+        other._messages = self._messages.of_types(types)  # noqa: SLF001  of its own kind
+        return other
 
     def find(self, name: str) -> list[FilterField]:
         """Return the field of a name; several where message types or endpoints share it.

@@ -10,7 +10,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.formats.columns import TableColumn
 from edoras_tools.io.formats.table import TimeForm
-from edoras_tools.pipelines.names import fits_topic
+from edoras_tools.pipelines.names import PATTERN_SIGNS, fits_topic
 from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.words import did_you_mean, listed
 
@@ -93,7 +93,7 @@ def chosen_topics(source: TopicSource, patterns: Sequence[str], usual: Collectio
         raise RouteError(f"{source.name}: {reasons}")
     if not patterns:
         return [topic for topic in source.topics if topic in usual]
-    if any(sign in item for item in patterns for sign in "*?["):
+    if not all(map(PATTERN_SIGNS.isdisjoint, patterns)):
         source.look_ahead()
     if not all(any(fits_topic(topic, item) for topic in source.topics) for item in patterns):
         source.look()

@@ -63,7 +63,7 @@ def test_what_was_lost_becomes_a_bound_and_is_told():
 def test_a_topic_without_messages_is_told():
     source = open_files([CAPTURES / "a_rover.pcap"])
     made = draft(source, Settings([MISSIONS / "two_rovers_ground.yaml"]).workbench(source.info))
-    assert any("no message in this run" in note for note in made.notes)
+    assert any("no message was examined in this run" in note for note in made.notes)
 
 
 def run(seconds=16, hertz=5.0, start_s=1_800_000_000, **profile):

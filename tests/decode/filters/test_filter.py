@@ -12,6 +12,7 @@ from places import ROOT
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.decode.filters.filter import Where
+from edoras_tools.decode.filters.names import Names
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.mission import Mission, load, loads
@@ -364,3 +365,14 @@ def test_names_that_two_types_share_mean_both():
         "len(name) == 0": [False, True],
     }.items():
         assert Where(told, both).mask(mixed, columns).tolist() == expected, told
+
+
+def test_names_of_some_types_are_theirs_and_where_none_has_one_those_of_all():
+    stamped = ROVER.mission.routes[0]
+    joints = replace(stamped, type="sensor_msgs/msg/JointState", topic="/joints", msg_id=0x829)
+    names = Names(Context(replace(ROVER.mission, routes=(*ROVER.mission.routes, joints)), TYPES))
+    own = names.of_types({"sensor_msgs/msg/JointState", "no/msg/Type"})
+    assert [field.doc for field in own.find("header.frame_id")] == ["of sensor_msgs/msg/JointState"]
+    assert len(names.find("header.frame_id")) == 2
+    for name in ("linear.x", "msg_id"):
+        assert [field.doc for field in own.find(name)] == [field.doc for field in names.find(name)]
