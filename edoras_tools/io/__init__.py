@@ -100,7 +100,6 @@ class SourceDefaults(Protocol):
 
     def published(self, number: NDArray[np.int64]) -> NDArray[np.int64] | None:
         """Return publish times of datagrams of the last batch, if others that they need were passed over."""
-        del number
         return None
 
     @property

@@ -193,10 +193,8 @@ class LinkEvidence(Follower):
         Args:
             drops: frames that the capture itself lost; None where it does not tell.
         """
-        del drops
         return []
 
     def missing(self, drops: int | None) -> list[Any]:
         """Return what was lost, each a ``diagnosis.missing.Missing``; see ``rows``."""
-        del drops
         return []

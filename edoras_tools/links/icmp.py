@@ -46,7 +46,6 @@ class IcmpLink(LinkProtocol):
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read the error, and the headers that it quotes."""
-        del site
         at = 0
         for layout in _form_of(reading.data).headers:
             reading.read(layout, at)
@@ -56,7 +55,6 @@ class IcmpLink(LinkProtocol):
         self, layout: Layout, rows: BatchRows, field: str = ""
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Find one of the headers; see :meth:`LinkProtocol.places`."""
-        del field
         owner = np.flatnonzero(rows.column("link") == self)
         at = rows.datagram("offset")[owner].astype(np.int64)
         kind = read_at(rows.batch.data, at, np.uint8)

@@ -226,7 +226,6 @@ class LinkProtocol(Link):
         Args:
             rows: those of this link, in the order they were captured.
         """
-        del site  # the default readers do not need it
         located = Located(len(rows))
         if self.packets:
             whole = batch.length[rows] >= self.header_bytes
@@ -240,7 +239,6 @@ class LinkProtocol(Link):
         Raises:
             WireError: they are not whole. What was read before stays.
         """
-        del site
         at = 0
         form = self.forms.get(len(reading.data))
         whole = bool(self.forms) and Finding.CAPTURE_CUT not in reading.findings
@@ -260,7 +258,6 @@ class LinkProtocol(Link):
         Returns:
             which rows have it, and where in the data of the batch it starts.
         """
-        del field
         length = rows.datagram("length")
         present, at = rows.column("link") == self, 0
         if self.forms:
@@ -297,7 +294,6 @@ class LinkProtocol(Link):
 
         It is asked once a recording, at the first datagram of the link.
         """
-        del space
         return None
 
     def rows(self, site: Site) -> OwnRows | None:
@@ -305,12 +301,10 @@ class LinkProtocol(Link):
 
         It is asked once a stream, at the first datagram of the link.
         """
-        del site
         return None
 
     def unwrapper(self, site: Site) -> Unwrapper | None:
         """Return what takes packets out of its datagrams; None where it carries none. Asked once a stream."""
-        del site
         return None
 
     def follow(self, site: Site) -> Follower | None:
@@ -318,12 +312,10 @@ class LinkProtocol(Link):
 
         It is asked once a stream, at the first datagram of the link.
         """
-        del site
         return None
 
     def evidence(self, site: Site) -> LinkEvidence | None:
         """Return what sees more in a stream than its rows say, for the doctor; else None. See ``follow``."""
-        del site
         return None
 
     def send(self, site: Site, *, up: bool) -> LinkSending | None:
@@ -333,7 +325,6 @@ class LinkProtocol(Link):
             site: what the mission says.
             up: towards the flight software, or the other way.
         """
-        del site, up
         return None
 
     def fields(self) -> Iterable[Any]:
@@ -350,12 +341,10 @@ class LinkProtocol(Link):
 
     def claims(self, datagram: Datagram, site: Site) -> bool:
         """Tell whether a datagram is its own whatever other links claim, as the mission says."""
-        del datagram, site
         return False
 
     def claimed(self, batch: PacketBatch, site: Site) -> NDArray[np.intp]:
         """Return the rows of a batch that it ``claims``."""
-        del batch, site
         return np.zeros(0, np.intp)
 
     def framing_of(self, carried: Link, form: Any) -> Framing | None:
@@ -364,7 +353,6 @@ class LinkProtocol(Link):
         Args:
             form: as ``mission.FramedPort.format`` says it.
         """
-        del carried, form
         return None
 
     def holds_units(self, column: Callable[[str], NDArray[Any]], site: Site) -> NDArray[np.bool_]:

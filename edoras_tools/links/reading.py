@@ -71,7 +71,6 @@ class Reading:
             at: the first byte behind that number.
             end: one past the packet.
         """
-        del kind, at, end
         return False
 
     def add(self, message: RosMessage, *layers: Layer) -> None:

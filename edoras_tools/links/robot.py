@@ -40,7 +40,6 @@ class RobotLink(LinkProtocol):
 
     def send(self, site: Site, *, up: bool) -> LinkSending:
         """Return how commands go to the robot, or its states to the flight app."""
-        del site
         port = CFS_PORT if up else ROBOT_PORT
         layouts = [layout for layout, to in SENT_TO.items() if to == port]
         sending: LinkSending = self.part("sending:FormSending")(self, port, layouts)

@@ -37,12 +37,10 @@ class SendingSession:
 
     def due(self, *, now: int) -> Iterable[bytes]:
         """Return what is due: a handshake, a heartbeat, what was not acknowledged."""
-        del now
         return ()
 
     def answer(self, data: bytes, *, now: int) -> Iterable[bytes]:
         """Take what the receiver sends, any bytes; return what that asks for."""
-        del data, now
         return ()
 
     def sent(self, *, now: int) -> None:
@@ -94,7 +92,6 @@ class LinkSending:
 
     def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
         """Tell which rows go to the receiver, bool (n,)."""
-        del batch
         return np.asarray(columns.link == self.link)
 
     def keep(self, batch: PacketBatch) -> None:
@@ -113,7 +110,6 @@ class LinkSending:
             ConfigError: there is no such message, or nothing makes messages of the link.
             FieldError: a value does not fit.
         """
-        del name, values, count, context
         raise ConfigError(f"no message of {self.link.label} is made up: {self.instead}")
 
     def transmitter(self, target: Endpoint) -> Any:
@@ -149,7 +145,6 @@ class FormSending(LinkSending):
 
     def compose(self, name: str, values: Any, count: int, context: Any) -> list[bytes]:
         """Return a message; what is not named is 0."""
-        del context
         layout = self._layouts.get(name.lower())
         if layout is None:
             raise ConfigError(f"{name!r} does not go this way; there are {', '.join(self._layouts)}")

@@ -61,7 +61,6 @@ class MsgIds:
             head: u8 (n, ``MSG_ID_BYTES`` or more), first bytes of each.
             length: bytes of each that are there.
         """
-        del length
         return _first_words(head)
 
     def words(self, msg_id: _Ids) -> tuple[_Ids, int | NDArray[np.int32]]:

@@ -69,12 +69,10 @@ class FileDeliveryLink(LinkProtocol):
 
     def send(self, site: Site, *, up: bool) -> LinkSending | None:
         """Return how files go to the receiver's entity; which way is a matter of ``--target``."""
-        del site
         return None if up else self.part("sending:FileSending")(self)
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
         """Judge whether PDUs are whole; see :meth:`LinkProtocol.locate`."""
-        del site
         located = Located(len(rows))
         for finding, wrong in self.judge_units(batch.data, batch.offset[rows], batch.length[rows]):
             located.flag(finding, wrong)
@@ -82,14 +80,12 @@ class FileDeliveryLink(LinkProtocol):
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read one PDU."""
-        del site
         read_pdu(reading, 0)
 
     def places(
         self, layout: Layout, rows: BatchRows, field: str = ""
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Find the header, the directive code, or the parameters of one kind."""
-        del field
         owner, offset, length = _pdu_places(rows, self)
         if layout is cfdp.PDU_HEADER:
             present = length >= layout.size

@@ -111,7 +111,6 @@ class FileSender(SendingSession):
 
     def answer(self, data: bytes, *, now: int) -> Iterable[bytes]:
         """Take a PDU of the receiver's."""
-        del now
         pdus = _read(data)
         key = int(pdus.source_entity_id[0]), int(pdus.transaction_sequence_number[0])
         item, kind = self.files.get(key), int(pdus.kind[0])

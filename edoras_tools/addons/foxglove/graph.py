@@ -99,7 +99,7 @@ class FoxgloveGraph:
         self,
         topic: str,
         type_name: str,
-        qos: Qos,  # noqa: ARG002  there is one way only
+        qos: Qos,
         heard: Callable[[bytes], None],
     ) -> None:
         """See ``Graph``."""
@@ -112,7 +112,7 @@ class FoxgloveGraph:
 
         self._publisher.accept(topic, type_name, send)
 
-    def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:  # noqa: ARG002
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
         """See ``Graph``."""
         self._check(topic, type_name)
         if topic not in self._places:

@@ -161,7 +161,6 @@ class BoundEntry(Bound):
 
     def plan(self, length: int) -> StructPlan:
         """Return the plan, which is the same for all."""
-        del length
         return super().plan(self.struct.size)
 
     @cached_property

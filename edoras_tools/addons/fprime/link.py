@@ -81,7 +81,6 @@ class GroundDataLink(LinkProtocol):
 
     def send(self, site: Site, *, up: bool) -> LinkSending:
         """Return how its frames go to the ground system, or to flight software."""
-        del site
         sending: LinkSending = self.part("sending:GroundDataSending")(self, self.framing, up=up)
         return sending
 
@@ -92,7 +91,6 @@ class GroundDataLink(LinkProtocol):
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
         """Judge frames; see :meth:`LinkProtocol.locate`."""
-        del site
         located = Located(len(rows))
         frames = fprime.read_ground_frames(batch.data, batch.offset[rows], batch.length[rows])
         for name, finding in _VERDICTS.items():
@@ -101,7 +99,6 @@ class GroundDataLink(LinkProtocol):
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read one frame, and the packets in it."""
-        del site
         data = reading.data
         frames = fprime.read_ground_frames(
             np.frombuffer(data, np.uint8), np.array([0]), np.array([len(data)])
@@ -125,7 +122,6 @@ class GroundDataLink(LinkProtocol):
         self, layout: Layout, rows: BatchRows, field: str = ""
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Find the frame, the first packet of each datagram, or the first header of one kind."""
-        del field
         owner = np.flatnonzero(rows.column("link") == self)
         offset, length = rows.datagram("offset")[owner], rows.datagram("length")[owner]
         frames = fprime.read_ground_frames(rows.batch.data, offset, length)
@@ -161,7 +157,6 @@ class GroundDataLink(LinkProtocol):
 
     def evidence(self, site: Site) -> LinkEvidence:
         """Return what follows the counts of space packets."""
-        del site
         return self.part("counts:GroundCounts")()
 
     follow = evidence

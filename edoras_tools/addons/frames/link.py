@@ -129,7 +129,6 @@ class TransferFramesLink(LinkProtocol):
 
     def framing_of(self, carried: Link, form: Any) -> Framing:
         """Return how a TCP stream of frames is cut."""
-        del carried
         return TransferFraming(form)
 
     def unwrapper(self, site: Site) -> Unwrapper | None:
@@ -167,7 +166,6 @@ class TransferFramesLink(LinkProtocol):
         self, layout: Layout, rows: BatchRows, field: str = ""
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Find one of the headers; which ones there are depends on the kind of frame."""
-        del field
         places = np.full(len(rows.column("link")), NO_FIRST, np.int64)
         owner = np.flatnonzero(rows.column("link") == self)
         to_port, from_port = (rows.datagram(f"{end}_port")[owner] for end in ("destination", "source"))

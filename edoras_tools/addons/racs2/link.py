@@ -94,7 +94,6 @@ class RacsBridgeLink(LinkProtocol):
 
     def send(self, site: Site, *, up: bool) -> LinkSending:
         """Return how its messages go to the ROS side, the server; or, as that server, to the cFS side."""
-        del site
         sending: LinkSending = self.part(f"sending:{'Server' if up else 'Bridge'}Sending")(self)
         return sending
 
@@ -115,12 +114,10 @@ class RacsBridgeLink(LinkProtocol):
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
         """Find no packets: the messages have none."""
-        del batch, site
         return Located(len(rows))
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read the header and the body of one message."""
-        del site
         data = reading.data
         first = int.from_bytes(data[:2], "big")
         reading.read(racs2.TO_CFS if first <= cfe.HIGHEST_MSG_ID else racs2.TO_ROS, 0)
@@ -134,7 +131,6 @@ class RacsBridgeLink(LinkProtocol):
         self, layout: Layout, rows: BatchRows, field: str = ""
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Find the headers of one direction."""
-        del field
         owner = np.flatnonzero(rows.column("link") == self)
         offset = rows.datagram("offset")[owner]
         to_cfs = gather(rows.batch.data, offset, 1)[:, 0] <= cfe.HIGHEST_MSG_ID >> 8

@@ -73,13 +73,11 @@ class BridgeClient(SendingSession):
 
     def due(self, *, now: int) -> Iterable[bytes]:
         """Ask for the connection to become a WebSocket, once."""
-        del now
         self.next_ns = SendingSession.next_ns
         return (f"{_REQUEST}{base64.b64encode(os.urandom(16)).decode()}\r\n\r\n".encode(),)
 
     def answer(self, data: bytes, *, now: int) -> Iterable[bytes]:
         """Take the server's answer, or a frame of its."""
-        del now
         if data.startswith(b"HTTP/"):
             self.connected = data.split(b" ", 2)[1] == b"101"
             self._refusal = "" if self.connected else data.partition(b"\r\n")[0].decode("ascii", "replace")
@@ -108,7 +106,6 @@ class BridgeServer(SendingSession):
 
     def answer(self, data: bytes, *, now: int) -> Iterable[bytes]:
         """Take the client's handshake, or a frame of its."""
-        del now
         if data.startswith(b"GET "):
             head = {name.strip().lower(): value.strip() for name, value in _HEADER.findall(data)}
             if head.get(b"upgrade", b"").lower() != b"websocket" or b"sec-websocket-key" not in head:

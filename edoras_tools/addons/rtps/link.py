@@ -66,7 +66,6 @@ class PublishSubscribeLink(LinkProtocol):
         self, layout: Layout, rows: BatchRows, field: str = ""
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Find the message header, or every submessage of one kind and byte order."""
-        del field
         return self.part("reader:submessage_places")(layout, rows, self)
 
     def rows(self, site: Site) -> OwnRows:

@@ -205,7 +205,6 @@ class WritersTransmitter:
 
     def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
         """Return nothing: subscribers answer the middleware."""
-        del most
         return []
 
 

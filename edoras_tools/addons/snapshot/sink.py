@@ -222,7 +222,7 @@ class SnapshotSink(Sink):
         start_ns = time_ns - plan.before_ns
         self._open.append(Snapshot([reason], time_ns, start_ns, time_ns + plan.after_ns, next=self._first))
 
-    def close(self, statistics: SourceStatistics) -> None:  # noqa: ARG002  those of the source
+    def close(self, statistics: SourceStatistics) -> None:
         """Write everything that was asked for and has come.
 
         Raises:

@@ -94,7 +94,6 @@ class Navigation(Panes):
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Disable the search keys while a text is being entered."""
-        del parameters
         writing = self.filter_line.input.has_focus or self.prompt.input.has_focus
         return not (action == "search" and writing)
 

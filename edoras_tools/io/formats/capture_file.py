@@ -62,7 +62,6 @@ class CaptureFileSink(Sink):
         Raises:
             CaptureError: the file cannot be written, or its format cannot hold a frame.
         """
-        del columns
         batch = batch.captured
         self.datagrams += len(batch)
         if len(batch):

@@ -86,7 +86,6 @@ class RecordSource(SourceDefaults):
 
     def _next_record(self, start: int, end: int) -> int | None:
         """Return where, between two positions of the window, a record surely begins; None if nowhere."""
-        del start, end
         return None
 
     def batches(self) -> Iterator[PacketBatch]:

@@ -116,7 +116,6 @@ class SplitCaptureSink(Sink):
 
     def write(self, batch: PacketBatch, columns: Columns | None = None) -> None:
         """Append the frames of a batch."""
-        del columns
         first = 0
         while first < len(batch):
             fitting = self._fitting(batch, first)

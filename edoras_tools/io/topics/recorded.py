@@ -74,7 +74,7 @@ class RecordedStreams:
         """Return no message: a recording that is copied gets no statistics."""
         return bodies_of([], [], 0)
 
-    def outages(self, news: Sequence[InterfaceOutage]) -> Messages:  # noqa: ARG002  as Streams
+    def outages(self, news: Sequence[InterfaceOutage]) -> Messages:
         """Return no message: no interface is captured."""
         return bodies_of([], [], 0)
 

@@ -69,7 +69,7 @@ class GroundSession:
         self._again_ns = now
         self._bursts: list[list[bytes]] = []
 
-    def receive_datagram(self, data: bytes, *, now: int) -> tuple[int, list[bytes]]:  # noqa: ARG002  any will do
+    def receive_datagram(self, data: bytes, *, now: int) -> tuple[int, list[bytes]]:
         """Take a datagram; return where its space packet starts, and nothing to answer."""
         self._heard_ns = now
         if not self.hearing:

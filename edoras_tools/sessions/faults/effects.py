@@ -95,12 +95,10 @@ class Effect:
 
     def may_strike(self, elapsed: int, now: int) -> bool:
         """Tell whether the rule may strike now."""
-        del now
         return self.schedule.active(elapsed)
 
     def watches(self, to_cfs: bool, stream: int, now: int) -> bool:
         """Tell whether it also acts on datagrams that it does not strike."""
-        del to_cfs, stream, now
         return False
 
     def act(self, items: list[Pending], received: Received) -> Outcome:
@@ -110,7 +108,6 @@ class Effect:
 
 class _Drop(Effect):
     def act(self, items: list[Pending], received: Received) -> Outcome:
-        del items, received
         return Outcome([], "dropped")
 
 
@@ -136,7 +133,6 @@ class _Silence(Effect):
         return 0 <= since < int(self.values["time"])
 
     def watches(self, to_cfs: bool, stream: int, now: int) -> bool:
-        del to_cfs, stream
         return now < self._until
 
     def act(self, items: list[Pending], received: Received) -> Outcome:
@@ -169,7 +165,6 @@ class _Sequence(Effect):
         self._ahead: dict[tuple[bool, int, int], int] = {}
 
     def watches(self, to_cfs: bool, stream: int, now: int) -> bool:
-        del to_cfs, stream, now
         return bool(self._ahead)
 
     def act(self, items: list[Pending], received: Received) -> Outcome:
@@ -244,7 +239,6 @@ class _Reorder(Effect):
         self._waiting: dict[tuple[bool, int], list[tuple[Pending, list[int]]]] = {}
 
     def watches(self, to_cfs: bool, stream: int, now: int) -> bool:
-        del now
         return bool(self._waiting.get((to_cfs, stream)))
 
     def act(self, items: list[Pending], received: Received) -> Outcome:
@@ -290,7 +284,6 @@ class _Bandwidth(Effect):
 
 class _Delay(Effect):
     def act(self, items: list[Pending], received: Received) -> Outcome:
-        del received
         for item in items:
             item.due_ns += self.values["time"]
         return Outcome(items, f"{self.values['time'] / 1e6:g} ms late" if items else "")

@@ -348,7 +348,7 @@ class ServedSink(Sink):
     def flush(self) -> None:
         """Do nothing: there is no buffer."""
 
-    def close(self, statistics: SourceStatistics) -> None:  # noqa: ARG002  required by Sink
+    def close(self, statistics: SourceStatistics) -> None:
         """Close all clients."""
         self.server.close()
 

@@ -126,7 +126,6 @@ class Trace:
 
     def received(self, endpoint: Endpoint, data: bytes, /) -> None:
         """See ``Watch``."""
-        del endpoint  # MsgIds of CI and of SBN differ, so the endpoint is not needed
         now = time.monotonic_ns()
         message = _message(data)
         if message and message[0] in self._entering:

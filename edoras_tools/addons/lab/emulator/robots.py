@@ -92,7 +92,6 @@ class StillRobot:
 
     def state(self, *, now: int) -> bytes:
         """Return the state."""
-        del now
         return self._state
 
 

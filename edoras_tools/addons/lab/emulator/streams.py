@@ -110,7 +110,6 @@ class PeerStreams:
         return 1
 
     def _accept(self, now: int) -> None:
-        del now
         self._read_from(self._listener.accept()[0], None)
 
     def _connected(self, opened: socket.socket, peer: Peer, now: int) -> None:

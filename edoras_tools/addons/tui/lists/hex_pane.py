@@ -143,7 +143,6 @@ class HexPane(Lines):
 
     def row_style(self, row: int) -> str:
         """Return no style: this pane highlights bytes, not lines."""
-        del row
         return ""
 
     def on_resize(self) -> None:
@@ -177,7 +176,6 @@ class HexPane(Lines):
 
     def clicked(self, row: int, column: int, *, again: bool) -> None:
         """Select the byte under the mouse, in hex or in ASCII."""
-        del again
         place = self._place(column)
         at = row * self.per_line + place
         if 0 <= place < self.per_line and at < len(self._data):

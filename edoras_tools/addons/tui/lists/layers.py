@@ -101,7 +101,6 @@ class Layers(Lines):
 
     def draw(self, row: int, width: int) -> Strip:
         """Return a line."""
-        del width
         if row not in self._strips:
             place, line = self._lines[row]
             text = Text.from_ansi(line)

@@ -179,7 +179,6 @@ class Lines(ScrollView, can_focus=True):
             column: the cell, from the left.
             again: whether it is the second click of a double click.
         """
-        del row, column
         if again:
             self.action_choose()
 

@@ -144,7 +144,6 @@ class Packets(Lines):
 
     def draw(self, row: int, width: int) -> Strip:
         """Return a packet's line; it already has the list's width."""
-        del width
         block, index = self._store.locate(row)
         number = int(block.batch.number[index])
         key = number, row if self._time_format is TimeFormat.DELTA else 0

@@ -77,7 +77,6 @@ class PcapSink(CaptureFileSink):
 
     def _finish(self, statistics: SourceStatistics | None) -> None:
         """Write the header, if there was no frame."""
-        del statistics
         if self._link_type is None:
             self._begin(_ETHERNET)
 
