@@ -204,8 +204,7 @@ class Outgoing(msgspec.Struct, frozen=True):
     @property
     def command(self) -> NDArray[np.bool_]:
         """bool, which are commands; also true without a MsgId."""
-        commands: NDArray[np.bool_] = VERSION_1.is_command(cfe.known_ids(self.msg_id, self.headers))
-        return commands
+        return VERSION_1.is_command(cfe.known_ids(self.msg_id, self.headers))
 
     def with_headers(self, new: cfe.Headers) -> Outgoing:
         """Return the datagrams with the headers of another build, as ``cfe.with_headers`` gives one packet.

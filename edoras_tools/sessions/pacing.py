@@ -121,8 +121,7 @@ class Pacing(msgspec.Struct, frozen=True):
 
 def _evenly(count: int, rate_hz: float) -> NDArray[np.int64]:
     """Return ``count`` deadlines, each rounded from its exact place: no rounding adds up."""
-    due: NDArray[np.int64] = np.rint(np.arange(count) * (SECOND / rate_hz)).astype(np.int64)
-    return due
+    return np.rint(np.arange(count) * (SECOND / rate_hz)).astype(np.int64)
 
 
 def _at(index: int, rate_hz: float) -> int:

@@ -28,12 +28,14 @@ The rules:
    missing in it. Three such packets also tell that (f) was (h).
 6. How packets are cut into batches changes nothing.
 
-Counts that go up by one are taken as runs; Python looks at a packet only where the count jumps.
+Counts that go up by one are taken as runs; Python looks at a packet only where the count jumps. Jumps ahead
+within the window, one after the other while there is one strand, are all rule 4e and are taken at once.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
+from itertools import pairwise
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
@@ -225,6 +227,35 @@ class _Run(msgspec.Struct, eq=False):
         return _newest(self.boots())
 
 
+class _Runs(msgspec.Struct, frozen=True, eq=False):
+    """The runs of a batch.
+
+    Attributes:
+        begins: where each begins in ``count``, ``rows``, ``prints`` and ``places``.
+        ends: where it ends.
+        steps: from the packet before, of the same stream; 0 where there is none.
+        count: of each packet.
+        rows, prints, places, time_ns, mission_time_ns: as in ``_Run``, places of each packet.
+    """
+
+    begins: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    count: NDArray[np.uint16]
+    rows: NDArray[np.int64]
+    prints: NDArray[np.uint32]
+    places: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    mission_time_ns: NDArray[np.int64]
+
+    def run(self, index: int) -> _Run:
+        """Return one of them."""
+        begin, end = int(self.begins[index]), int(self.ends[index])
+        place, prints = int(self.places[begin]), self.prints[begin:end]
+        times = self.time_ns, self.mission_time_ns
+        return _Run(int(self.count[begin]), self.rows[begin:end], place, prints, *times)
+
+
 class SequenceStream(msgspec.Struct, eq=False):
     """What the sequence counts of one stream say.
 
@@ -309,6 +340,42 @@ class SequenceStream(msgspec.Struct, eq=False):
                 continue
             self._jumped(strands, _Packet(count, run.place + at, boot, int(run.prints[at])), out)
             at += 1
+
+    def take_all(self, runs: _Runs, first: int, end: int, out: _Told) -> None:
+        """Take the runs from ``first`` to before ``end``, which are a little ahead one of the other."""
+        self.take(runs.run(first), out)
+        newest = int(runs.count[runs.ends[first] - 1])
+        single = end > first + 1 and len(self._strands) == 1 and self._strands[0].last % MODULUS == newest
+        if not (single and self._go_ahead(runs, first + 1, end, out)):
+            for index in range(first + 1, end):
+                self.take(runs.run(index), out)
+
+    def _go_ahead(self, runs: _Runs, first: int, end: int, out: _Told) -> bool:
+        """Take runs of which each is ahead within the window, if all may be of one boot; tell whether so."""
+        (strand,) = self._strands
+        begin, stop = runs.begins[first], runs.ends[end - 1]
+        rows, jumps = runs.rows[begin:stop], runs.begins[first:end] - begin
+        mission = runs.mission_time_ns[rows]
+        boots = (runs.time_ns[rows] - mission)[mission > 0]
+        known = boots if strand.boot == _NO_BOOT else np.append(boots, strand.boot)
+        if len(known) and known.max() - known.min() > BOOT_APART_NS:
+            return False
+        missing = runs.steps[first:end] - 1
+        ahead = np.ones(len(rows), np.int64)
+        ahead[jumps] += missing
+        position = strand.last + np.cumsum(ahead)
+        out.columns["missing"][rows[jumps]] += missing.astype(np.int32)
+        self.missing += int(missing.sum())
+        strand.last, strand.behind_steps = int(position[-1]), 0
+        strand.prints[position % REPEATED] = runs.prints[begin:stop]
+        strand.boot = int(boots[-1]) if len(boots) else strand.boot
+        strand.front += len(rows)
+        strand.forget()
+        kept = np.flatnonzero((position[jumps] > strand.last - WINDOW) | bool(strand.holes))
+        ends, jumped = position[jumps[kept]], out.first_row + rows[jumps[kept]]
+        strand.holes += map(_Hole, (ends - missing[kept]).tolist(), ends.tolist(), jumped.tolist())
+        self._went_on(strand, int(runs.places[stop - 1]), out)
+        return True
 
     def _jumped(self, strands: list[_Strand], packet: _Packet, out: _Told) -> None:
         """Take a packet that is not the next of any strand."""
@@ -598,27 +665,25 @@ class SequenceCounts:
             count, rows, prints = count[rest], rows[rest], prints[rest]
             jumps = _jumps(count, np.searchsorted(rest, begins))
         ends = np.append(jumps[1:], len(rows))
+        owners = groups.owner(rest[jumps])
+        steps = (count[jumps] - count[jumps - 1]).astype(np.int64) % MODULUS
+        steps[np.flatnonzero(np.diff(owners, prepend=-1))] = 0
+        times = batch.time_ns, columns.mission_time_ns
+        places = rest + np.repeat(place, sizes)[rest]
+        runs = _Runs(jumps, ends, steps, count, rows, prints, places, *times)
+        parted = (steps <= 1) | (steps > WINDOW)
         bare = (ends - jumps == 1) & (columns.mission_time_ns[rows[jumps]] <= 0)
-        for owner, own in by_value(groups.owner(rest[jumps])):
+        for owner, own in by_value(owners):
             stream, first = streams[owner], int(count[jumps[own[0]]])
             # Of one that does not count only the first and the newest packet matter (rules 2 and 4d).
             still = bare[own].all() and (count[jumps[own]] == first).all() and stream.stands_at(first)
-            for begin, end in zip(
-                jumps[own[: 1 if still else None]].tolist(), ends[own].tolist(), strict=False
-            ):
-                stream.take(
-                    _Run(
-                        int(count[begin]),
-                        rows[begin:end],
-                        int(rest[begin] + place[owner]),
-                        prints[begin:end],
-                        batch.time_ns,
-                        columns.mission_time_ns,
-                    ),
-                    out,
-                )
             if still:
+                stream.take(runs.run(own[0]), out)
                 stream.stay(int(prints[jumps[own[-1]]]))
+                continue
+            edges = [*own[parted[own]].tolist(), int(own[-1]) + 1]
+            for begin, end in pairwise(edges):
+                stream.take_all(runs, begin, end, out)
 
     def _stream(self, key: int) -> int:
         index = self._index.get(key)

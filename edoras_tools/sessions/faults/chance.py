@@ -46,8 +46,7 @@ def draws(key: int, first: int, count: int) -> NDArray[np.uint64]:
     value = np.uint64(start) + np.arange(count, dtype=np.uint64) * np.uint64(_GOLDEN)
     value = (value ^ value >> np.uint64(30)) * np.uint64(_FIRST)
     value = (value ^ value >> np.uint64(27)) * np.uint64(_SECOND)
-    result: NDArray[np.uint64] = value ^ value >> np.uint64(31)
-    return result
+    return value ^ value >> np.uint64(31)
 
 
 def threshold(probability: float) -> int:

@@ -58,7 +58,7 @@ def changes(rows: NDArray[np.intp], *columns: NDArray[Any]) -> NDArray[np.bool_]
     out = np.zeros(len(rows), np.bool_)
     out[:1] = True
     for column in columns:
-        if (column != column[0]).any():
+        if (column != column[:1]).any():
             own = column[rows]
             out[1:] |= own[1:] != own[:-1]
     return out
@@ -83,12 +83,15 @@ def numbered(*keys: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def _numbered(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     rows = np.arange(len(values))
     least, most = (int(values.min()), int(values.max())) if len(values) else (0, 0)
+    if least == most:
+        return rows[:1], np.zeros(len(rows), np.intp)
     if most - least >= len(values):
         first_rows = _first_rows(values)
         first = np.flatnonzero(first_rows == rows)
         rows[first] = np.arange(len(first))
         return first, rows[first_rows]
-    place = (values.astype(np.uint64) - np.uint64(least % (1 << 64))).astype(np.intp)
+    wide = values if values.dtype.itemsize == 8 else values.astype(np.intp)
+    place = (wide - wide.dtype.type(least)).astype(np.intp, copy=False)
     table = np.full(most - least + 1, -1)
     table[place[::-1]] = rows[::-1]  # of several the last one stays: the first row
     first = np.sort(table[table >= 0])
