@@ -261,7 +261,8 @@ def _between(time_ns: Integers, identification: NDArray[np.uint16]) -> tuple[int
     first = np.flatnonzero(np.diff(run, prepend=-1))
     ahead = identification.astype(np.int64) - identification[first][run]
     ahead = (ahead + (1 << 15)) % (1 << 16) - (1 << 15)
-    order = np.lexsort((ahead, run))  # two senders on one host overtake each other on the way to the tap
+    # Two senders on one host overtake each other on the way to the tap.
+    order = np.argsort((run << 16) + ahead, kind="stable")
     run, ahead, time_ns, odd = run[order], ahead[order], time_ns[order], identification[order] % 2 == 1
     different = np.concatenate(([True], (np.diff(ahead) != 0) | (np.diff(run) != 0)))
     run, ahead, time_ns, odd = run[different], ahead[different], time_ns[different], odd[different]
@@ -486,9 +487,14 @@ def hypergeometric_tail(most: int, checked: int, others: int, drawn: int) -> flo
     def ways(of: int, number: int) -> float:
         return lgamma(of + 1) - lgamma(number + 1) - lgamma(of - number + 1)
 
-    among = range(max(0, drawn - others), min(most, checked) + 1)
-    whole = ways(checked + others, drawn)
-    return sum(exp(ways(checked, number) + ways(others, drawn - number) - whole) for number in among)
+    least, top = max(0, drawn - others), min(most, checked, drawn)
+    if top < least:
+        return 0.0
+    highest = ways(checked, top) + ways(others, drawn - top) - ways(checked + others, drawn)
+    number = np.arange(top, least, -1)  # each term is made of the one above it
+    more = np.log(number) + np.log(others - drawn + number)
+    ratios = more - np.log(checked - number + 1) - np.log(drawn - number + 1)
+    return exp(highest) + float(np.exp(highest + np.cumsum(ratios)).sum())
 
 
 _LEAST_NS: Final = 1500 * MILLISECOND

@@ -114,8 +114,7 @@ def routes_cut(case: Case, stream: Stream) -> list[StateSpan]:
 def _commanded_ns(case: Case, stream: Stream, *codes: int) -> NDArray[np.int64]:
     """Return when Telemetry Output was told something about a stream's MsgId, or about all, in order."""
     about = [item.row for item in case.payloads.outputs(*codes) if item.entry in {-1, stream.msg_id}]
-    times: NDArray[np.int64] = np.sort(case.rows.time_ns[np.array(about, np.intp)])
-    return times
+    return np.sort(case.rows.time_ns[np.array(about, np.intp)])
 
 
 def silenced_at(stream: Stream, at: NDArray[np.intp], spans: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
@@ -160,8 +159,7 @@ def _sent_by(case: Case, sender: int) -> NDArray[np.int64]:
     rows, output = case.rows, case.instances.output
     sent = among(rows.link, lambda link: link.only_from_cfs)
     mine = [port for port in np.unique(rows.source[sent]).tolist() if sender in {port, output(port)}]
-    times: NDArray[np.int64] = rows.time_ns[sent & np.isin(rows.source, mine)]
-    return times
+    return rows.time_ns[sent & np.isin(rows.source, mine)]
 
 
 def enables_ns(case: Case) -> list[int]:

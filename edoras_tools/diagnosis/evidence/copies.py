@@ -48,7 +48,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
-from edoras_tools.wire.arrays.order import by_value, numbered, quantiles
+from edoras_tools.wire.arrays.order import by_value, groups, numbered, perhaps_in, quantiles
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -116,16 +116,22 @@ def find_copies(
     if count < 2:
         return out
     key = (prints ^ conversation.astype(np.uint64) * MIX) * MIX ^ identification
-    order = np.lexsort((np.arange(count), key))
-    key, when, numbered = key[order], time_ns[order], identification[order] != 0
+    ranked = np.sort(key)  # several times as fast as to order all rows, most of which are there once
+    several = np.flatnonzero(perhaps_in(key, ranked[1:][ranked[1:] == ranked[:-1]]))
+    if not len(several):
+        return out
+    order = several[np.argsort(key[several], kind="stable")]
+    key, when, has_id = key[order], time_ns[order], identification[order] != 0
     step = np.abs(np.diff(when))
-    near = (key[1:] == key[:-1]) & (step <= np.where(numbered[1:], _WITHIN_NS, _UNNUMBERED_NS))
-    same = np.concatenate(([False], (key[1:] == key[:-1]) & numbered[1:]))
+    near = (key[1:] == key[:-1]) & (step <= np.where(has_id[1:], _WITHIN_NS, _UNNUMBERED_NS))
+    same = np.concatenate(([False], (key[1:] == key[:-1]) & has_id[1:]))
     later = same[1:] & ~near & (step <= _LATER_NS)
     if later.any():
-        near |= later & _varied(conversation, identification)[order[1:]]
+        near[later] = _varied(conversation, identification, order[1:][later])
     far = same & (np.append(0, step) > _WITHIN_NS)
-    two_places = _of_most(same, numbered & ~same, conversation[order])
+    once = identification != 0
+    once[order[same]] = False
+    two_places = _of_most(conversation, order[same], np.flatnonzero(once))
     far &= two_places  # their clocks differ
     near |= far[1:]
     if not near.any():
@@ -138,9 +144,8 @@ def find_copies(
     elsewhere[order[1:]] = near & (far[1:] | (tap[order][1:] != tap[order][:-1]))
     repeated = np.zeros(count, bool)
     repeated[again] = True
-    size = np.bincount(group)
-    group_size = np.zeros(count, np.int64)
-    group_size[order] = size[group]
+    group_size = np.ones(count, np.int64)
+    group_size[order] = np.bincount(group)[group]
     if two_places:
         edge_ns = int(step[same[1:]].max())
         inside = (time_ns > time_ns[0] + edge_ns) & (time_ns < time_ns[-1] - edge_ns)
@@ -153,17 +158,15 @@ def find_copies(
             pairs = order[at[np.argsort(place[order[at]])]]
             off_ns = time_ns - np.interp(place, place[pairs], time_ns[pairs].astype(np.float64))
             out.behind_ns[out.alone & (np.abs(off_ns - apart_ns) < np.abs(off_ns))] = apart_ns
-    first = np.zeros(count, bool)
-    first[order[np.concatenate(([True], ~near))]] = True
-    for _, rows in by_value(conversation.astype(np.int64)):
-        if not repeated[rows].any():
-            continue
+    ways = conversation.astype(np.int64)
+    own = np.flatnonzero(np.isin(ways, np.unique(ways[repeated])))
+    for _, rows in groups(ways, own):
         for has_id in (True, False):
             mine = rows[(identification[rows] != 0) == has_id]
             twice = mine[repeated[mine]]
             if not len(twice):
                 continue
-            sizes = group_size[mine[first[mine]]]
+            sizes = group_size[mine[~repeated[mine]]]
             steady = float((sizes > 1).mean()) >= _STEADY and len(sizes) >= _LEAST_GROUPS
             if not has_id:
                 steady = len(sizes) >= _LEAST_GROUPS and float((sizes == 2).mean()) >= _NEARLY_ALL
@@ -174,21 +177,24 @@ def find_copies(
     return out
 
 
-def _varied(conversation: NDArray[np.integer[Any]], identification: NDArray[np.uint16]) -> Mask:
-    """Tell which datagrams are of a sender that gives few of its datagrams one identification."""
-    _, which = numbered(conversation.astype(np.int64))
-    first, _ = numbered(which, identification)
-    return np.asarray(2 * np.bincount(which[first]) > np.bincount(which))[which]
+def _varied(conversation: NDArray[np.integer[Any]], identification: NDArray[np.uint16], rows: Places) -> Mask:
+    """Tell which of some datagrams are of a sender that gives few of its datagrams one identification."""
+    own = np.flatnonzero(np.isin(conversation, np.unique(conversation[rows])))
+    _, which = numbered(conversation[own].astype(np.int64))
+    first, _ = numbered(which, identification[own])
+    varied = 2 * np.bincount(which[first]) > np.bincount(which)
+    return np.asarray(varied[which[np.searchsorted(own, rows)]])
 
 
-def _of_most(twice: Mask, first: Mask, conversation: NDArray[np.integer[Any]]) -> bool:
+def _of_most(conversation: NDArray[np.integer[Any]], twice: Places, first: Places) -> bool:
     """Tell whether most datagrams are there twice, on most ways: no network does that, two places do.
 
     Args:
+        conversation: of all.
         twice: which are equal to the one before.
         first: which are the first of equal ones.
     """
-    if not max(_LEAST_PAIRS, 0.5 * first.sum()) <= twice.sum() <= _MOST_AGAIN * first.sum():
+    if not max(_LEAST_PAIRS, 0.5 * len(first)) <= len(twice) <= _MOST_AGAIN * len(first):
         return False
     ways, every = (len(np.unique(conversation[rows])) for rows in (twice, first))
     return ways > 1 and 2 * ways >= every
@@ -321,9 +327,11 @@ def find_damaged(rows: Rows, hosts: NDArray[np.int32], *, shared: bool = False) 
     # A datagram keeps its IP identification; a packet, where there is none, its count.
     packet = rows.msg_id.astype(np.int64) << 16 | rows.sequence_count
     packet = np.where((rows.identification == 0) & rows.counted, packet, -1)
-    alike = rows.link, rows.length, rows.identification, packet
-    key = numbered(*(column.astype(np.int64) for column in alike))[1]
-    key[(rows.identification == 0) & (packet < 0)] = -1
+    alike = rows.length.astype(np.uint64) << np.uint64(16) | rows.identification
+    alike ^= packet.astype(np.uint64) * MIX
+    near = np.flatnonzero(perhaps_in(alike, alike[lost]) & ((rows.identification != 0) | (packet >= 0)))
+    key = np.full(len(rows), -1)
+    key[near] = numbered(rows.link[near], alike[near])[1]
     of_key = dict(by_value(np.where(np.isin(key, key[lost]) & ~lost, key, -1)))
     before: set[tuple[int, int]] = set()
     for row in np.flatnonzero(lost).tolist():
@@ -347,7 +355,7 @@ def find_damaged(rows: Rows, hosts: NDArray[np.int32], *, shared: bool = False) 
 def _is_taken_twice(rows: Rows, way: Integers, whole: Places) -> bool:
     taps = rows.identification[whole], way[whole], rows.tap[whole], rows.bytes_print[whole]
     copy = find_copies(rows.time_ns[whole], *taps).copy
-    which = np.unique(way[whole], return_inverse=True)[1]
+    _, which = numbered(way[whole])
     return bool((np.bincount(which, copy) >= _TWICE * np.bincount(which)).any())
 
 

@@ -109,8 +109,7 @@ def paired(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> Pl
 def _in_order(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> tuple[Prints, Places]:
     """Return both together, and their order: equal ones by time, what went in first at one time."""
     prints = np.concatenate((into, out))
-    side = np.repeat([0, 1], [len(into), len(out)])
-    by_time = np.lexsort((side, np.concatenate((into_ns, out_ns))))
+    by_time = np.argsort(np.concatenate((into_ns, out_ns)), kind="stable")
     return prints, by_time[np.argsort(in_16_bits(numbered(prints)[1])[by_time], kind="stable")]
 
 

@@ -75,8 +75,7 @@ class Samples(msgspec.Struct):
 
     def __getitem__(self, name: str) -> NDArray[np.int64]:
         """Return a column."""
-        column: NDArray[np.int64] = self._whole()[self.names.index(name)]
-        return column
+        return self._whole()[self.names.index(name)]
 
     def add(self, *columns: NDArray[Any]) -> None:
         """Take rows of a batch."""

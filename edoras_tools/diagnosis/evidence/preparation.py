@@ -32,7 +32,7 @@ from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, fol
 from edoras_tools.links.table import among, carrying
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import distinct, in_16_bits, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -253,7 +253,7 @@ def _of_output(rows: Rows) -> Rows:
     """Give Telemetry Output the commands that it was told to send as well, to a port that a CI has, too."""
     up, down = (rows.link == carrying("ground", to_cfs=to_cfs) for to_cfs in (True, False))
     way = rows.way()
-    own = up & np.isin(way, way[down])
+    own = up & np.isin(way, distinct(way[down]))
     link = np.where(own, carrying("ground", to_cfs=False), rows.link).astype(np.uint8)
     return replace(rows, link=link) if own.any() else rows
 
@@ -372,7 +372,8 @@ def unsteadiness(rows: Rows) -> int:
     otherwise, by less than half a round, are not those at which it left.
     """
     at = np.flatnonzero(among(rows.link, lambda link: link.only_from_cfs) & (rows.mission_time_ns > 0))
-    at = at[np.lexsort((rows.mission_time_ns[at], rows.source[at]))]
+    at = at[np.argsort(rows.mission_time_ns[at], kind="stable")]
+    at = at[np.argsort(in_16_bits(rows.source[at]), kind="stable")]
     same = (np.diff(rows.source[at]) == 0) & (np.diff(rows.mission_time_ns[at]) < _TOGETHER_NS)
     steps = np.diff(rows.time_ns[at])[same]
     steps = steps[np.abs(steps) < _HALF_ROUND_NS]

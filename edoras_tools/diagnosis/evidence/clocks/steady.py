@@ -158,8 +158,7 @@ def _by_output(delay: Integers, output: Places) -> Integers:
     behind = np.searchsorted(output, np.arange(len(delay)))
     before, after = late[np.maximum(behind - 1, 0)], late[np.minimum(behind, len(late) - 1)]
     fits = (after <= delay) & (delay - after <= waits + _JITTER_NS)
-    slipped: Integers = np.minimum(np.where(fits, after, before), delay)
-    return slipped
+    return np.minimum(np.where(fits, after, before), delay)
 
 
 def _forward_only(rows: Rows) -> tuple[Rows, list[Jump]]:
@@ -267,8 +266,7 @@ def _taken_up(
             step = (count - lasts[: len(places)]) % _MODULUS
             common[places] += 1
             matches[places] += (step > 0) & (step <= _NEXT)
-    earlier: list[int] = np.flatnonzero((common > 2) & (matches > _MOST_GO_ON * common)).tolist()
-    return earlier
+    return np.flatnonzero((common > 2) & (matches > _MOST_GO_ON * common)).tolist()
 
 
 def _without(rows: Rows, jump: Jump, before: Mask) -> Rows:

@@ -26,6 +26,7 @@ from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
 from edoras_tools.links.table import among
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.wire.sbn import MsgType
 
 if TYPE_CHECKING:
@@ -186,6 +187,8 @@ class SoftwareChanges:
         return replace(change, value=measured[0].by_ns) if len(measured) == 1 else change
 
     def _event(self, event: EventRecord) -> Iterator[Change]:
+        if event.app != executive_services.NAME and event.app not in telemetry_output.NAMES:
+            return
         made_ns = int(self._instances.made_ns[event.row])
         instance = self._instances.saying(event)
         systems = self._instances.systems
@@ -206,11 +209,10 @@ class SoftwareChanges:
                         yield replace(result, state="restarting", not_before_ns=asked_ns)
                         result = replace(result, not_before_ns=max(result.not_before_ns, asked_ns))
                     yield result
-        elif event.app in telemetry_output.NAMES:
-            if enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):
-                yield change(_OUTPUT, "enabled", enabled["address"])
-            elif telemetry_output.SUPPRESSED.phrase in event.message:
-                yield change(_OUTPUT, "suppressed")
+        elif enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):
+            yield change(_OUTPUT, "enabled", enabled["address"])
+        elif telemetry_output.SUPPRESSED.phrase in event.message:
+            yield change(_OUTPUT, "suppressed")
 
     def _boots(self) -> Iterator[Change]:
         items, systems = self._instances.items, self._instances.systems
@@ -321,8 +323,7 @@ def _subscriptions(
     unsubscribed = rows.sbn_msg_type[at] == MsgType.UNSUB
     # A bridge says the same twice a second: of each connection the first of each content tells, unless one of
     # them takes back what others asked for.
-    key = np.stack((session, contents)) if len(at) else np.zeros((2, 0), np.int64)
-    first = np.sort(np.unique(key, axis=1, return_index=True)[1])
+    first, _ = numbered(session, contents)
     places = np.arange(len(at)) if unsubscribed.any() else first
     lists: dict[int, set[int]] = {}
     for place in places.tolist():
