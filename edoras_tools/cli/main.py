@@ -254,8 +254,7 @@ class _Edoras(Group):
         name, *rest = args or [""]
         if rest and name in {"--install-completion", "--show-completion"} and not ctx.resilient_parsing:
             raise typer.BadParameter(f"{name} takes no value: run it alone, in the shell that it is for")
-        parsed: list[str] = super().parse_args(ctx, args)
-        return parsed
+        return super().parse_args(ctx, args)
 
 
 def program(*names: str, completes: bool = False) -> typer.Typer:

@@ -71,8 +71,7 @@ Metrics = Annotated[
 
 def measured(watcher: AbstractContextManager[Any], metrics: Endpoint | None) -> AbstractContextManager[Any]:
     """Return a watcher that also serves the figures of what it watches, where that is asked for."""
-    served: AbstractContextManager[Any] = doors.part("metrics")(watcher, metrics) if metrics else watcher
-    return served
+    return doors.part("metrics")(watcher, metrics) if metrics else watcher
 
 
 def print_json(value: Mapping[str, Any]) -> None:

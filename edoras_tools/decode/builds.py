@@ -70,8 +70,7 @@ class CommandTable:
         """Tell which commands an app accepts with exactly this length."""
         app = self._app[msg_id]
         one, other = self._lengths[:, app, code]
-        fits: NDArray[np.bool_] = self._taken[app, code] & (one != 0) & ((length == one) | (length == other))
-        return fits
+        return self._taken[app, code] & (one != 0) & ((length == one) | (length == other))
 
 
 LOOKED_AT: Final = 48
@@ -245,10 +244,7 @@ def conversations(batch: PacketBatch) -> NDArray[np.intp]:
     ports = batch.source_port.astype(np.uint32) << 16 | batch.destination_port
     parts = zip((source, target, ports), _MIX, strict=True)
     first, second, third = (item * np.uint32(factor) for item, factor in parts)
-    stirred: NDArray[np.intp] = (
-        (first ^ second >> np.uint32(7) ^ third) * np.uint32(_MIX[0]) >> np.uint32(16)
-    ).astype(np.intp)
-    return stirred
+    return ((first ^ second >> np.uint32(7) ^ third) * np.uint32(_MIX[0]) >> np.uint32(16)).astype(np.intp)
 
 
 def _conversation(datagram: Datagram) -> int:

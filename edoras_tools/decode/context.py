@@ -297,8 +297,7 @@ class Context:
 
     def routes_on(self, link: Link) -> NDArray[np.int16]:
         """Return the route of each MsgId on a link, i16 (65536,); ``NO_ROUTE`` where there is none."""
-        routes: NDArray[np.int16] = self.route_of[self.route_row[link]]
-        return routes
+        return self.route_of[self.route_row[link]]
 
     @property
     def detected(self) -> tuple[Any, ...]:

@@ -176,8 +176,7 @@ class Conversations(msgspec.Struct, eq=False):
             return rows[:0]  # the time of a batch; to judge them takes that of all flows
         self.judge()
         out = [flow is not None and flow.kind in LEFT_OUT for flow in flows]
-        members: NDArray[np.intp] = rows[np.array(out, bool)[which]]
-        return members
+        return rows[np.array(out, bool)[which]]
 
     def judge(self) -> list[Flow]:
         """Return all flows, each with its kind."""

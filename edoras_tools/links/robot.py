@@ -42,8 +42,7 @@ class RobotLink(LinkProtocol):
         """Return how commands go to the robot, or its states to the flight app."""
         port = CFS_PORT if up else ROBOT_PORT
         layouts = [layout for layout, to in SENT_TO.items() if to == port]
-        sending: LinkSending = self.part("sending:FormSending")(self, port, layouts)
-        return sending
+        return self.part("sending:FormSending")(self, port, layouts)
 
     def recognise(self, facts: Seen) -> Any:
         """Return how sure it is: certain where a struct of that length is bound to that port."""

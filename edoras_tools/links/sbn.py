@@ -81,8 +81,7 @@ class SoftwareBusNetworkFraming(Framing):
         )
         # Zeros, of which payloads are full, would be messages without content.
         standard = _KNOWN_TYPES[kind] & (kind != sbn.MsgType.NO_MSG) & head[:, self.sender].any(axis=1)
-        fits: NDArray[np.bool_] = standard & (size == expected) & (end - at >= self.head)
-        return fits
+        return standard & (size == expected) & (end - at >= self.head)
 
 
 class SoftwareBusNetworkLink(LinkProtocol):
@@ -165,10 +164,7 @@ def _read_as_legacy(rows: BatchRows) -> NDArray[np.bool_]:
     window = gather(rows.batch.data, offset + slot.start, slot.end - slot.start)
     short = rows.datagram("length") < sbn.HEADER.size
     short |= rows.column("packet_offset") == offset + sbn.LEGACY_HEADER.size
-    legacy: NDArray[np.bool_] = short | (
-        sbn.HEADER.column("spacecraft_id", window, -slot.start) != spacecraft
-    )
-    return legacy
+    return short | (sbn.HEADER.column("spacecraft_id", window, -slot.start) != spacecraft)
 
 
 class _Columns:

@@ -112,8 +112,7 @@ class TypeStore:
             WireError: the message is not valid; says which field, where, and what it needs.
         """
         name, plan = self.plan(type_name)
-        value: dict[str, Any] = reader.decode(name, plan, bytes(cdr))
-        return value
+        return reader.decode(name, plan, bytes(cdr))
 
     def spans(self, type_name: str, cdr: bytes) -> list[ValueSpan]:
         """Return every leaf of a message as (dotted path, value, start, end).

@@ -112,8 +112,7 @@ class Bindings:
             raise ConfigError(f"{layout.origin}: {key}: {why}; bind what follows it")
         type_name = self.define(layout, struct, whole=True)
         if layout.entries:
-            bound: Bound = layout.entries.bind(key, layout, struct, type_name)
-            return bound
+            return layout.entries.bind(key, layout, struct, type_name)
         name = struct.name.removesuffix("_t")
         topic = f"/cfs/{name}/{key}".replace(":", "_") if self._often[name] > 1 else f"/cfs/{name}"
         return Bound(key, layout, struct, self._prefix + topic, type_name)

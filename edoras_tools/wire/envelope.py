@@ -262,5 +262,4 @@ def intact_rows(
         return np.ones(len(offset), bool)
     whole = length + np.int32(envelope.size)
     crc = (crc16_rows if envelope.crc == CRC16_BYTES else crc32_rows)(data, offset, whole)
-    right: NDArray[np.bool_] = trailer.column("crc", gather(data, offset + whole, envelope.crc)) == crc
-    return right
+    return trailer.column("crc", gather(data, offset + whole, envelope.crc)) == crc

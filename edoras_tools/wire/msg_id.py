@@ -92,8 +92,7 @@ class _Version2(MsgIds):
         word = _first_words(head)
         low = word & _APID | VERSION_1.is_command(word) * np.int32(_COMMAND_2)
         subsystem = head[:, _SUBSYSTEM_AT].astype(np.int32) << 8
-        msg_ids: NDArray[np.int32] = np.where(length > _SUBSYSTEM_AT, subsystem, np.int32(0)) | low
-        return msg_ids
+        return np.where(length > _SUBSYSTEM_AT, subsystem, np.int32(0)) | low
 
     def words(self, msg_id: _Ids) -> tuple[_Ids, int | NDArray[np.int32]]:
         return _SECONDARY | (msg_id & _COMMAND_2) << 5 | msg_id & _APID, msg_id >> 8

@@ -81,8 +81,7 @@ class GroundDataLink(LinkProtocol):
 
     def send(self, site: Site, *, up: bool) -> LinkSending:
         """Return how its frames go to the ground system, or to flight software."""
-        sending: LinkSending = self.part("sending:GroundDataSending")(self, self.framing, up=up)
-        return sending
+        return self.part("sending:GroundDataSending")(self, self.framing, up=up)
 
     def recognise(self, facts: Seen) -> Any:
         """Recognise a start word, or the header of a TC or TM frame that fits the datagram."""

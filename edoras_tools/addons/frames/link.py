@@ -147,8 +147,7 @@ class TransferFramesLink(LinkProtocol):
         )
         if form is None:
             raise ConfigError(f"no mission file says where {kinds} frames go: name one with 'frames' by -c")
-        sending: LinkSending = self.part("sending:FrameSending")(self, port, form)
-        return sending
+        return self.part("sending:FrameSending")(self, port, form)
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read the headers of one frame."""

@@ -94,8 +94,7 @@ class RacsBridgeLink(LinkProtocol):
 
     def send(self, site: Site, *, up: bool) -> LinkSending:
         """Return how its messages go to the ROS side, the server; or, as that server, to the cFS side."""
-        sending: LinkSending = self.part(f"sending:{'Server' if up else 'Bridge'}Sending")(self)
-        return sending
+        return self.part(f"sending:{'Server' if up else 'Bridge'}Sending")(self)
 
     def recognise(self, facts: Seen) -> Any:
         """Recognise the 32 bytes of a header; pings and handshakes are not of the link."""

@@ -66,8 +66,7 @@ class MessageBlock(NamedTuple):
         parts = gather(self.data, self.offset + 4, 8).copy().view("<u4")  # behind the encapsulation
         big = self.data[self.offset + 1] % 2 == 0
         seconds, rest = np.where(big[:, None], parts.byteswap(), parts).astype(np.int64).T
-        stamps: NDArray[np.int64] = seconds * SECOND + rest
-        return stamps
+        return seconds * SECOND + rest
 
 
 class TopicReader:

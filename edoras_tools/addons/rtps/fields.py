@@ -58,8 +58,7 @@ def _submessages(rows: ColumnRows) -> NamedSubmessages:
         table = named_submessages(rows.batch, rows.indices()[own])
         return table._replace(row=own[table.row])
 
-    result: NamedSubmessages = rows.once("rtps", make)
-    return result
+    return rows.once("rtps", make)
 
 
 def _writers(rows: ColumnRows) -> Series:

@@ -140,8 +140,7 @@ def _whole_samples(data: NDArray[np.uint8], parts: Submessages) -> tuple[SampleD
 def _of_users(guids: NDArray[np.void]) -> NDArray[np.bool_]:
     """Tell which endpoints are not built in."""
     kind = guids.view(np.uint8).reshape(-1, GUID_BYTES)[:, -1]
-    users: NDArray[np.bool_] = (kind & BUILT_IN_KIND) != BUILT_IN_KIND
-    return users
+    return (kind & BUILT_IN_KIND) != BUILT_IN_KIND
 
 
 def distinct_guids(guids: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.int64]]:

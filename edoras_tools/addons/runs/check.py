@@ -105,8 +105,7 @@ def junit(results: Sequence[CheckResult], names: tuple[str, str, str], seconds: 
                 case, "failure", {"message": observed, "type": "expectation"}
             ).text = f"{printable(item.about)}: {name}; found {observed}"
     indent(root)
-    document: bytes = tostring(root, encoding="utf-8", xml_declaration=True)
-    return document
+    return tostring(root, encoding="utf-8", xml_declaration=True)
 
 
 def write_junit(

@@ -56,8 +56,7 @@ def open_in_wireshark(parts: Sequence[Part], row: int, settings: Settings) -> su
         block.batch if isinstance(rows, range) else block.batch.take(np.asarray(rows))
         for block, _, rows in parts
     )
-    process: subprocess.Popen[bytes] = doors.part("wireshark")(batches, row, settings)
-    return process
+    return doors.part("wireshark")(batches, row, settings)
 
 
 __all__ = ["ViewOptions", "Viewer"]

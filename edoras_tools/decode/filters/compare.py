@@ -143,7 +143,7 @@ def _within(values: NDArray[Any], low: float, high: float) -> NDArray[np.bool_]:
     if low > limits.max or high < limits.min or low > high:
         return np.zeros(len(values), bool)
     if low == high:
-        return values == values.dtype.type(low)  # type: ignore[no-any-return]
+        return values == values.dtype.type(low)
     inside = np.ones(len(values), bool)
     if low > limits.min:
         inside &= values >= values.dtype.type(low)
@@ -227,8 +227,7 @@ def _lifted(holds: Callable[[Any], bool]) -> Test:
 
     def test(series: Series) -> NDArray[np.bool_]:
         table = series.table or ()
-        passed: NDArray[np.bool_] = np.fromiter(map(holds, table), bool, len(table))[series.values]
-        return passed
+        return np.fromiter(map(holds, table), bool, len(table))[series.values]
 
     return test
 

@@ -320,8 +320,7 @@ def _messages(name: str, routes: tuple[int, ...], rows: ColumnRows) -> Owned:
         owner, offset, length = owner[order], offset[order], length[order]
         return owner, rows.context.types.columns(name, rows.batch.data, offset, length)
 
-    owned: Owned = rows.once(("messages", name), make)
-    return owned
+    return rows.once(("messages", name), make)
 
 
 def samples_of(rows: ColumnRows) -> list[KnownSamples]:
@@ -335,8 +334,7 @@ def samples_of(rows: ColumnRows) -> list[KnownSamples]:
             groups += link.sample_reader().known_samples(context.types, context.endpoints, rows.batch, own)
         return groups
 
-    samples: list[KnownSamples] = rows.once("samples", make)
-    return samples
+    return rows.once("samples", make)
 
 
 def structs_of(rows: ColumnRows) -> dict[Bound, Held]:
@@ -349,8 +347,7 @@ def structs_of(rows: ColumnRows) -> dict[Bound, Held]:
         result = payloads(structs, rows.column, rows.datagram, rows.batch.data)
         return {item.bound: item for item in structs.payloads_of(result, rows.column, rows.batch.data)}
 
-    result: dict[Bound, Held] = rows.once("structs", make)
-    return result
+    return rows.once("structs", make)
 
 
 def held_messages(bound: Bound, rows: ColumnRows) -> Owned:
@@ -365,8 +362,7 @@ def held_messages(bound: Bound, rows: ColumnRows) -> Owned:
         )
         return item.rows if item else nothing, columns
 
-    result: Owned = rows.once(("struct", bound.topic), make)
-    return result
+    return rows.once(("struct", bound.topic), make)
 
 
 def _may_hold(routes: tuple[int, ...], rows: ColumnRows) -> NDArray[np.bool_]:

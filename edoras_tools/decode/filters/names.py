@@ -381,14 +381,12 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
             return [getattr(message, name) for message in decoded.messages]
         packet = decoded.layer("ccsds")
         if packet is None:
-            bare: str | None = getattr(decoded.message, name, None)
-            return bare
+            return getattr(decoded.message, name, None)
         msg_id = packet.values()["msg_id"]
         route = int(context.routes_on(decoded.link)[msg_id])
         route = route if route != NO_ROUTE else int(context.any_route_of[msg_id])
         if route == NO_ROUTE:
-            value: str | None = getattr(decoded.message, name, None)
-            return value
+            return getattr(decoded.message, name, None)
         return of_spacecraft(texts[route], context.spacecraft.of(decoded.datagram, decoded.link))
 
     def read(rows: ColumnRows) -> Series:

@@ -164,13 +164,11 @@ class ColumnRows(PacketRows):
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one of the decoder's columns for these rows."""
-        column: NDArray[Any] = getattr(self.columns, name)[self.selection]
-        return column
+        return getattr(self.columns, name)[self.selection]
 
     def datagram(self, name: str) -> NDArray[Any]:
         """Return one of the batch's columns for these rows."""
-        column: NDArray[Any] = getattr(self.batch, name)[self.selection]
-        return column
+        return getattr(self.batch, name)[self.selection]
 
     def indices(self) -> NDArray[np.int64]:
         """Return where in the batch these rows are."""
@@ -190,18 +188,16 @@ class ColumnRows(PacketRows):
             exact, msg_id = self.column("route"), self.column("msg_id")
             return np.where(exact == NO_ROUTE, self.context.any_route_of[msg_id], exact)
 
-        routes: NDArray[np.int16] = self.once("routes", make)
-        return routes
+        return self.once("routes", make)
 
     def packets(self) -> Sequence[Decoded]:
         """Return the packets, dissected one by one."""
         from edoras_tools.decode.stack import Dissector
 
         dissector = Dissector(self.context, detail=False)
-        packets: Sequence[Decoded] = self.once(
+        return self.once(
             "packets", lambda: [dissector.dissect(self.batch[row]) for row in self.indices().tolist()]
         )
-        return packets
 
     def take(self, rows: NDArray[np.int64]) -> Self:
         """Return some of the rows, given by index."""

@@ -104,8 +104,7 @@ class MergedSource(SourceDefaults):
 
     def origin(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the place of the source that datagrams of the last batch are from."""
-        place: NDArray[np.int64] = self._origin[(number - self._first).clip(0, len(self._origin) - 1)]
-        return place
+        return self._origin[(number - self._first).clip(0, len(self._origin) - 1)]
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams in order of time; see ``Source.batches``.

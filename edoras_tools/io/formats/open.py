@@ -122,19 +122,16 @@ def _source(stream: ByteStream, path: str | Path, head: bytes, wrapped: str) -> 
     if head[:4] in MAGICS:
         return PcapSource(Window(stream, head))
     if head.startswith(_SECTION_HEADER):
-        source: Source = PCAPNG.source()(Window(stream, head))
-        return source
+        return PCAPNG.source()(Window(stream, head))
     if head.startswith(CFE_MAGIC):
-        cfe_source: Source = CFE.source()(Window(stream, head))
-        return cfe_source
+        return CFE.source()(Window(stream, head))
     if head.startswith(_MCAP):
         return _mcap(stream, path, b"" if whole_file else head)
     if head.startswith(_DATABASE):
         raise _database(stream, path, b"" if whole_file else head)
     for item in installed_formats():
         if item.magic and head.startswith(item.magic):
-            of_package: Source = item.source()(Window(stream, head))
-            return of_package
+            return item.source()(Window(stream, head))
     raise CaptureError(f"{stream.name}: {_looks_like(head, wrapped)}")
 
 

@@ -65,8 +65,7 @@ def json_value(value: Any, octets: Callable[[bytes], Any] = list) -> Any:
 def number_texts(values: NDArray[Any]) -> list[str]:
     """Return the shortest text of every number that is read back as the same number of its type."""
     if values.dtype.kind == "f" and values.itemsize < 8:
-        texts: list[str] = values.astype(str).tolist()
-        return texts
+        return values.astype(str).tolist()
     if values.itemsize == 1:
         return list(map(_OCTETS.__getitem__, values.tolist()))
     return list(map(repr, values.tolist()))
@@ -74,8 +73,7 @@ def number_texts(values: NDArray[Any]) -> list[str]:
 
 def time_texts(values: NDArray[np.datetime64]) -> list[str]:
     """Return times in UTC as ISO 8601, to the ns."""
-    texts: list[str] = np.datetime_as_string(values, "ns", timezone="UTC").tolist()
-    return texts
+    return np.datetime_as_string(values, "ns", timezone="UTC").tolist()
 
 
 def value_texts(values: NDArray[Any]) -> list[str]:

@@ -115,8 +115,7 @@ class ReceiveMany:
     def times(self, count: int) -> NDArray[np.int64]:
         """Return when the kernel received the first datagrams, i64, ns since 1970."""
         control = self._control[:count]
-        times: NDArray[np.int64] = control["seconds"] * 1_000_000_000 + control["ns"]
-        return times
+        return control["seconds"] * 1_000_000_000 + control["ns"]
 
     def destinations(self, count: int, version: int) -> NDArray[np.uint8]:
         """Return the addresses that the first datagrams were sent to, u8 (count, 4 or 16)."""

@@ -42,8 +42,7 @@ def struct_messages(
     """
 
     def column(name: str) -> NDArray[np.generic]:
-        values: NDArray[np.generic] = getattr(columns, name)
-        return values
+        return getattr(columns, name)
 
     samples = payloads(structs, column, partial(getattr, batch), batch.data)
     some: list[Held] = []

@@ -70,8 +70,7 @@ def texts_of(field: FilterField, series: Series, clean: Callable[[str], str] = s
         return ["true" if value else "false" for value in values.tolist()]
     if field.kind is ValueKind.MOMENT:
         times = values.astype("datetime64[ns]")
-        moments: list[str] = np.datetime_as_string(times, "ns" if (values % 1000).any() else "us").tolist()
-        return moments
+        return np.datetime_as_string(times, "ns" if (values % 1000).any() else "us").tolist()
     if field.kind is ValueKind.DURATION:
         return [_seconds(value) for value in values.tolist()]
     if values.dtype.kind == "f":

@@ -249,13 +249,12 @@ def open_sink(
 
     def part(path: Path) -> CaptureFileSink:
         listened = info.read_with.get("listened") if format_ is PCAPNG else None
-        frames: CaptureFileSink = make(
+        return make(
             path,
             nanosecond=info.time_resolution_ns < 1000,
             snap_length=info.snap_length,
             **({"comment": f"{LISTENED}{listened}"} if listened else {}),
         )
-        return frames
 
     def begin(path: Path) -> FileSink:
         if not format_.messages:

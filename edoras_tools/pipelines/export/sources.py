@@ -479,8 +479,7 @@ class BagTopics(TopicSource):
 
 def _invalid(columns: Columns) -> NDArray[np.bool_]:
     """Return which messages are incomplete."""
-    invalid: NDArray[np.bool_] = (columns.findings & np.uint32(Finding.CDR_INVALID)) != 0
-    return invalid
+    return (columns.findings & np.uint32(Finding.CDR_INVALID)) != 0
 
 
 def recording_names(files: Sequence[str]) -> list[str]:

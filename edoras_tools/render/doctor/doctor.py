@@ -250,8 +250,7 @@ def latency_text(value: Mapping[str, Any] | None, key: str) -> Text:
 def _latency(row: Mapping[str, Any]) -> Mapping[str, Any] | None:
     """Return the best latency figure: across cFS, else since publication, else to the robot."""
     crossing = next((item["latency"] for item in row["crossings"] if item["latency"]), None)
-    latency: Mapping[str, Any] | None = crossing or row["delay"] or row["to_robot"]
-    return latency
+    return crossing or row["delay"] or row["to_robot"]
 
 
 def _from(row: Mapping[str, Any]) -> Text:

@@ -131,8 +131,7 @@ class CdrPlan(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def build(self) -> Callable[[Sequence[Any]], Any]:
         """Makes the nested value from the flat values; as an expression three times as fast as by calls."""
-        function: Callable[[Sequence[Any]], Any] = eval(f"lambda v: {self.value}")  # noqa: S307  names are quoted
-        return function
+        return eval(f"lambda v: {self.value}")  # noqa: S307  names are quoted
 
     @cached_property
     def least(self) -> int:

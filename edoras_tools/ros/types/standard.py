@@ -50,8 +50,7 @@ def standard(distro: str) -> dict[str, str]:
 
 @cache
 def _table() -> dict[str, Any]:
-    table: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
-    return table
+    return json.loads(FILE.read_text(encoding="utf-8"))
 
 
 def converted(name: str, types: Typesdict) -> Definition:

@@ -53,8 +53,7 @@ def read_at(data: NDArray[np.uint8], positions: NDArray[np.integer[Any]], dtype:
     Returns:
         A fresh array of ``dtype``, one element a position.
     """
-    values: NDArray[Any] = at_every_byte(data, np.dtype(dtype).itemsize)[positions].view(dtype)
-    return values
+    return at_every_byte(data, np.dtype(dtype).itemsize)[positions].view(dtype)
 
 
 def gather(data: NDArray[np.uint8], offset: NDArray[np.int64], width: int) -> NDArray[np.uint8]:
@@ -218,5 +217,4 @@ def word_sums(
     sums -= words[start >> 2] & ((np.uint64(1) << inner) - np.uint64(1))
     sums += words[end >> 2] & ((np.uint64(1) << outer) - np.uint64(1))
     sums *= np.where(start & 1, np.uint64(1), np.uint64(256))
-    folded: NDArray[np.int64] = (sums % np.uint64(0xFFFF)).astype(np.int64)
-    return folded
+    return (sums % np.uint64(0xFFFF)).astype(np.int64)

@@ -82,8 +82,7 @@ class CfeFile(msgspec.Struct, frozen=True):
         first, second = rows[:-1], rows[1:]
         pairs = (first[:, 0] == second[:, 0]) & (first[:, 1] == 0) & (second[:, 1] == 1)
         spans = np.stack([first[:, 0], first[:, 2], second[:, 2] - first[:, 2]], axis=1)[pairs]
-        ordered: NDArray[np.int64] = spans[np.argsort(spans[:, 1], kind="stable")]
-        return ordered
+        return spans[np.argsort(spans[:, 1], kind="stable")]
 
     def summary(self) -> dict[str, Any]:
         """Return it in the shape of ``info --json``."""

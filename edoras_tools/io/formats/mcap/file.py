@@ -423,5 +423,4 @@ def record_bytes(*records: McapRecord) -> bytes:
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
-    data: bytes = builder.end()  # type: ignore[no-untyped-call]
-    return data
+    return builder.end()  # type: ignore[no-untyped-call]

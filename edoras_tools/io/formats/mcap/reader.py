@@ -304,8 +304,7 @@ class McapSource(SourceDefaults):
                 f"{self._name}: is damaged, perhaps only where nothing was asked for; "
                 "`edoras info --verify` says where"
             )
-        positions: list[int] = heads["position"][needed].tolist()
-        return positions
+        return heads["position"][needed].tolist()
 
     def _first(self, inside: Mapping[int, int], channels: Collection[int]) -> int:
         """Return where in a chunk the first message of some channels is; beyond all where there is none.

@@ -297,8 +297,7 @@ class PcapngSource(RecordSource):
 
         def successor(positions: NDArray[np.int64]) -> NDArray[np.int64]:
             length = length_at[positions].view(dtype)
-            after: NDArray[np.int64] = (length & np.uint32(_MULTIPLE_OF_4)) + positions
-            return after
+            return (length & np.uint32(_MULTIPLE_OF_4)) + positions
 
         def step(position: int) -> int:
             return position + (int(unpack(data.data, position + 4)[0]) & _MULTIPLE_OF_4)
