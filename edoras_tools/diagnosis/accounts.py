@@ -137,9 +137,11 @@ def _is_task(case: Case, period_ns: int) -> bool:
 
 def _delay(case: Case, stream: Stream) -> Latency | None:
     """Return how long telemetry waited between publication and the wire, more than its luckiest packet."""
+    if stream.link.only_to_cfs or stream.instance == NOBODY:
+        return None
     mission = case.rows.mission_time_ns[stream.rows]
     timed = (case.instances.of_row[stream.rows] == stream.instance) & (mission > 0)
-    if stream.link.only_to_cfs or stream.instance == NOBODY or not timed.any():
+    if not timed.any():
         return None
     offset = case.instances.items[stream.instance].offset_ns
     return latency_of(np.asarray(stream.time_ns[timed] - mission[timed] - offset))

@@ -341,7 +341,7 @@ def _hand_on_unseen(rows: Rows, output: Places, label: Places, on_sbn: Mask) -> 
         fits = (first > 0) & (last < len(own)) & (ahead > 0) & (ahead < step) & (step < MODULUS // 2)
         return np.where(fits, np.abs(ahead - share * step), np.inf)
 
-    for _, pair in groups(kind * (int(label.max()) + 1) + label, np.flatnonzero(on_sbn)):
+    for _, pair in groups(kind * (int(label.max(initial=0)) + 1) + label, np.flatnonzero(on_sbn)):
         for most in (1, np.inf):  # those first of which it is sure: they stand among its sender's
             other = np.flatnonzero(~on_sbn & (kind == kind[pair[0]]) & (label != label[pair[0]]))
             far = astray(other, pair)

@@ -401,7 +401,7 @@ def _changes(times: NDArray[np.int64], counts: NDArray[np.int64]) -> list[int]:
     # A clock that jumps may leave centuries between two rows, or lead back.
     second = np.cumsum(np.clip(np.diff((times - times[0]) // SECOND, prepend=0), 0, _SILENT))
     offered = np.bincount(second, weights=counts)
-    if len(offered) < _FEW:
+    if len(offered) < _FEW or offered.max() - offered.min() <= _LEAST_HZ:
         return []
     rates, cuts, begin = offered.tolist(), [], 0
     window: list[float] = []  # in order, so that the median needs no sorting
