@@ -407,6 +407,7 @@ class Examination:
         faults = [item for item in self.faults if item.time_ns <= until_ns]
         self.faults = [item for item in self.faults if item.time_ns > until_ns]
         capture = Capture(zero_ns=self._zero_ns())
+        self._recorder.ends = True
         self._before.append(self._judged(capture, faults, last=False))
         size, self._recorder = len(self._recorder), self._begin(self._recorder.conversations)
         # What a chapter was judged by refers to itself: 150 MB that would stay for long; a short one, little.
@@ -417,8 +418,9 @@ class Examination:
         self._apart = apart
         self._recorder = self._begin(self._recorder.conversations)
 
-    def diagnose(self, capture: Capture | None = None) -> Diagnosis:
-        """Judge all that was taken."""
+    def diagnose(self, capture: Capture | None = None, *, ends: bool = False) -> Diagnosis:
+        """Judge all that was taken; ``ends``: for the last time."""
+        self._recorder.ends = ends
         capture = capture or Capture()
         zero_ns = self._zero_ns() if capture.zero_ns is None else capture.zero_ns
         evidence = self._evidence.by_link
@@ -439,7 +441,7 @@ class Examination:
         rest = replace(
             whole, zero_ns=result.zero_ns, evidence={}, unwrappers={}, host=(), lacking=(), astray=(), cut=0
         )
-        others = {number: other.diagnose(rest) for number, other in sorted(self._others.items())}
+        others = {number: other.diagnose(rest, ends=ends) for number, other in sorted(self._others.items())}
         return side_by_side({FIRST_SPACECRAFT: result, **others}, self.context.mission)
 
     def _zero_ns(self) -> int | None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from edoras_tools.decode.conversations import LEFT_OUT, ConversationKind, Flow
 from edoras_tools.diagnosis.evidence.copies import (
@@ -110,6 +110,8 @@ def prepare(
         kind[kind == _PLACE[ConversationKind.STRANGER]] = _PLACE[ConversationKind.FOREIGN]
     foreign = kind == _PLACE[ConversationKind.FOREIGN]
     rest = _Left(rows, np.arange(len(rows)))
+    count, source_of = len(rows), rows.source
+    del rows  # so that a column is there twice, and never the table
     rest.keep(~foreign)
     crowded, crowd = _crowd(rest.rows)
     rest.keep(~crowded)
@@ -138,7 +140,7 @@ def prepare(
         rest.rows = followed(rest.rows)
     relayed = before_proxy(rest.rows, proxied)
     rest.keep(~relayed)
-    sources = names[rows.source[payloads.ingest["row"]]]
+    sources = names[source_of[payloads.ingest["row"]]]
     copy, duplicate, perhaps, alone, behind_ns = _doubled(rest.rows, payloads, sources, endpoints, proxied)
     doubled = rest.rows.take(np.flatnonzero(perhaps))
     single = np.flatnonzero(~copy)
@@ -149,8 +151,8 @@ def prepare(
     else:
         rest.keep(~copy)
     stranger = kind[rest.places] == _PLACE[ConversationKind.STRANGER]
-    if len(rest.places) < len(rows) or stranger.any():
-        payloads = payloads.over(np.where(stranger, -1, rest.places), len(rows))
+    if len(rest.places) < count or stranger.any():
+        payloads = payloads.over(np.where(stranger, -1, rest.places), count)
     if behind_ns.any():
         payloads = payloads.timed(rest.rows.time_ns)
     surely, perhaps_astray = _find_astray(rest.rows, astray)
@@ -187,7 +189,9 @@ class _Left(msgspec.Struct):
     def keep(self, some: Mask) -> None:
         """Keep some of them."""
         if not some.all():
-            self.rows, self.places = self.rows.take(some), self.places[some]
+            own, columns = np.flatnonzero(some), asdict(self.rows)
+            self.rows, self.places = self.rows.take(own[:0]), self.places[own]
+            self.rows = Rows(**{name: columns.pop(name)[own] for name in list(columns)})
 
 
 def _crowd(rows: Rows) -> tuple[Mask, Integers]:

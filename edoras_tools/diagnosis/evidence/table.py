@@ -186,6 +186,7 @@ class Recorder:
         states: of robots, and what passes them on.
         samples: (link, MsgId) to a few CDR messages, shortest and longest among them.
         left_out: datagrams that belong to no link.
+        ends: whether this is judged once, and nothing is taken after that: ``rows`` are not kept.
     """
 
     def __init__(
@@ -210,6 +211,7 @@ class Recorder:
         self._told: list[SequenceRows] = []
         self._count = self._kept = 0
         self.left_out = 0
+        self.ends = False
 
     def __len__(self) -> int:
         return self._count
@@ -309,7 +311,10 @@ class Recorder:
             parts = {name: [getattr(part, name) for part in self._parts] for name in Rows.__struct_fields__}
             self._parts.clear()  # so that no more than one column is there twice
             self._parts.append(Rows(**{name: np.concatenate(parts.pop(name)) for name in list(parts)}))
-        return _counting(self._parts[0], self._sequences.whole(self._told))
+        whole = self._parts[0], self._sequences.whole(self._told)
+        if self.ends:
+            self._parts, self._told = [], []
+        return _counting(*whole)
 
     def _ends(self, batch: PacketBatch) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Number the endpoints of a batch: the source and the destination of each row."""

@@ -81,6 +81,7 @@ class _Judge:
         """Judge what was kept; return the diagnosis, pickled: its arrays stay valid."""
         recorder, self._recorder = self._recorder, Recorder(self._examination.context)
         recorder.conversations.flows, recorder.left_out = chapter.flows, chapter.left_out
+        recorder.ends = True
         self._examination.progress = lambda _position, _of: None  # one process shows the progress
         diagnosis = self._examination.judged(recorder, chapter)
         return pickle.dumps(replace(diagnosis, capture=Capture(), case=None))
@@ -245,7 +246,7 @@ def examine(
     pace = pace or Pace(lambda: 0)
     host = tuple(source.host())
 
-    def diagnose() -> Diagnosis:
+    def diagnose(*, ends: bool = False) -> Diagnosis:
         statistics = source.statistics
         warnings = *bench.columns.context.notes, *statistics.warnings
         capture = Capture(
@@ -260,7 +261,7 @@ def examine(
             shared=statistics.shared,
             astray=tuple(statistics.astray),
         )
-        diagnosis, choice = examination.diagnose(capture), choices.choice()
+        diagnosis, choice = examination.diagnose(capture, ends=ends), choices.choice()
         return diagnosis.limited(choice) if choice else diagnosis
 
     judged, pause = pace.clock(), pace.every_ns
@@ -298,7 +299,7 @@ def examine(
                 judged = pace.clock()
                 # Judging takes at most a fifth of the time, however large the capture is.
                 pause = max(pace.every_ns, 5 * (judged - now))
-        return Findings(diagnose(), source, loop.failure)
+        return Findings(diagnose(ends=True), source, loop.failure)
 
 
 def list_missing(
