@@ -127,7 +127,8 @@ class _Capture:
     def report(self, progress: Progress) -> Recovery:
         """Read all of it."""
         with suppress(CaptureError, KeyError):  # its header cannot be read
-            return self._read(progress)
+            if (report := self._read(progress)).whole or report.messages["packets"]:
+                return report
         best: Recovery | None = None
         for opening in _OPENINGS[self._kind]:
             self._opening, before = opening, self._opening

@@ -104,6 +104,15 @@ def test_a_capture_without_its_beginning(tmp_path, wholes, kind):
     assert repair(target, None).whole
 
 
+def test_a_section_header_without_its_type_costs_no_packet(tmp_path, wholes):
+    """Its byte order can be read, and no interface behind it."""
+    data = wholes["pcapng"][0]
+    source, target = tmp_path / "bad.pcapng", tmp_path / "made.pcapng"
+    source.write_bytes(bytes(8) + data[8:])
+    repair(source, target)
+    assert records("pcapng", target.read_bytes()) == records("pcapng", data)
+
+
 def test_a_capture_of_nothing(tmp_path):
     for name in ("a.pcap", "a.pcapng", "a.db3"):
         (tmp_path / name).write_bytes(bytes(5000))

@@ -5,6 +5,7 @@ import signal
 from functools import cache
 from types import SimpleNamespace
 
+import many
 import pytest
 from effort import every
 from places import ROOT
@@ -88,6 +89,13 @@ class Broken(SourceDefaults):
 
     def close(self):
         self.closed = True
+
+
+def test_peers_alone_are_judged(tmp_path):
+    """Two of one boot, and no Telemetry Output that sends."""
+    many.peers(tmp_path / "peers.pcap", 5)
+    source = open_files([tmp_path / "peers.pcap"])
+    assert examine(source, Settings().workbench()).diagnosis.verdicts
 
 
 def test_what_was_read_before_a_failure_is_judged():

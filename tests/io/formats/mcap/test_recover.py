@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 import struct
+import time
 from zlib import crc32
 
 import damage
@@ -395,6 +396,21 @@ def test_one_wrong_bit_in_the_first_chunk_costs_names_only(tmp_path, foreign):
     assert report.lost
     source.write_bytes(foreign(CompressionType.NONE).read_bytes()[:-3000].replace(b"\0\0\0x", b"\0\0\0y", 1))
     assert {*recover(source, made, unproved=True).messages} == {"/chatter_0", "/chatter_1"}
+
+
+@pytest.mark.parametrize("opcodes", [b"\x05", b"\x06", b"\x0f", bytes(range(3, 16)) + b"\x80", b"\x80"])
+def test_a_flood_of_empty_records_is_one_place(tmp_path, foreign, opcodes):
+    """None but private ones can be empty; neither costs a search, or a line, each."""
+    raw = foreign(chunked=False).read_bytes()
+    at = [match.start() for match in re.finditer(rb"(?s)\x05\x56\0{7}", raw)][100]
+    flood = b"".join(bytes([opcode]) + bytes(8) for opcode in opcodes) * (60_000 // len(opcodes))
+    source, made = tmp_path / "bad.mcap", tmp_path / "made.mcap"
+    source.write_bytes(raw[:at] + flood + raw[at:])
+    began = time.process_time()
+    report = recover(source, made)
+    assert time.process_time() - began < 2
+    assert sum(report.messages.values()) == len(everything(made)[0]) == 200
+    assert (len(report.losses), report.lost_bytes) == ((0, 0) if opcodes == b"\x80" else (1, len(flood)))
 
 
 @pytest.mark.parametrize("bit", [8, 11, 12, 13])

@@ -109,14 +109,15 @@ class FileBytes:
 
     def find(self, pattern: re.Pattern[bytes], start: int, end: int) -> Iterator[int]:
         """Yield every position from ``start`` up to ``end`` where a short pattern matches."""
-        for first in range(start, min(end, self.size), _WINDOW):
-            stop = min(first + _WINDOW, end)
-            data = self.read(first, stop + _OVERLAP)
-            if data.count(0) == len(data):  # a hole, which may be large
-                continue
-            for match in pattern.finditer(data):
-                if first + match.start() < stop:
-                    yield first + match.start()
+        window = 1 << 12  # most searches end soon
+        while start < min(end, self.size):
+            stop = min(start + window, end)
+            data = self.read(start, stop + _OVERLAP)
+            # A hole may be large.
+            for match in pattern.finditer(data if data.count(0) < len(data) else b""):
+                if start + match.start() < stop:
+                    yield start + match.start()
+            start, window = stop, min(2 * window, _WINDOW)
 
     def crc(self, start: int, end: int) -> int:
         """Return the CRC-32 of a range of bytes."""

@@ -45,9 +45,14 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary
 
 _PLACES: Final = re.compile(
-    rb"(?s)(?=[\x01-\x0f].{4}\x00{4}|\x89MCAP0\r\n|\x28\xb5\x2f\xfd|\x04\x00{3}zstd|\x03\x00{3}lz4)"
+    rb"(?s)(?=[\x01-\x0f](?!\x00{8}[\x01-\x0f\x80-\xff]\x00{8}).{4}\x00{4}"
+    rb"|\x89MCAP0\r\n|\x28\xb5\x2f\xfd|\x04\x00{3}zstd|\x03\x00{3}lz4)"
 )
-"""Where something may prove itself: a record's prefix, a magic, a zstd frame, a compression's name."""
+"""Where something may prove itself: a record's prefix, a magic, a zstd frame, a compression's name.
+
+Not an empty record before another: none but private ones can be empty, and a file may hold a million."""
+_EMPTY: Final = re.compile(rb"(?:[\x80-\xff]\x00{8})+")
+_RUN_BYTES: Final = 1 << 16
 _FRAME: Final = b"\x28\xb5\x2f\xfd"
 _NAMES: Final = (b"\x04\0\0\0zstd", b"\x03\0\0\0lz4")
 _NAME_AT: Final = 28
@@ -149,7 +154,7 @@ class Scan:
         if prefix is None:
             return None
         opcode, start, end = prefix
-        if opcode == Opcode.CHUNK:
+        if opcode == Opcode.CHUNK and end > start:
             return self._chunk(place, start, end, searched=searched)
         piece = self._record(place, opcode, start, end, searched=searched) if end <= file.size else None
         if piece is None and not searched:  # a chunk of which only the first bytes are damaged?
@@ -194,6 +199,9 @@ class Scan:
         if self._idle > MOST_IDLE or (private and (searched or not self._follows(end, 1))):
             return None
         if private:
+            if run := _EMPTY.match(self._file.read(place, place + _RUN_BYTES)):
+                self._idle += run.end() // RECORD_HEAD.size - 1
+                return Piece(opcode, place, place + run.end())
             return self._chunk(place, start, end, searched=True) or Piece(opcode, place, end)
         record = parse(opcode, self._file.read(start, end))
         if record is None or (searched and not self._follows(end, _TRIES)):
