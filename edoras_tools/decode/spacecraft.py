@@ -93,7 +93,8 @@ class Spacecraft:
         peers = np.flatnonzero(side == _PEER)
         if len(peers):
             to_bridge, from_bridge = (
-                self._bridge_ports[port[peers]] for port in (batch.destination_port, batch.source_port)
+                self._bridge_ports.take(port.take(peers))
+                for port in (batch.destination_port, batch.source_port)
             )
             side[peers] = from_bridge * np.uint8(_RECEIVER) + to_bridge * np.uint8(_SENDER)
             side[peers[to_bridge == from_bridge]] = 0

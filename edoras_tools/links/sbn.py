@@ -8,6 +8,7 @@ message several at each wake-up, until there is one.
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, prefixed
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds, sbn
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import by_value, groups
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -227,14 +228,12 @@ class _Columns:
             for name in ("spacecraft_id", "processor_id")
         )
         identity = spacecraft << 32 | processor
-        endpoint = (
-            batch.source_address[rows].astype(np.uint64) << 24
-            | batch.source_port[rows].astype(np.uint64) << 8
-        )
-        endpoint |= batch.ip_version[rows]
+        host = batch.source_address[rows].astype(np.uint64) << 8 | batch.ip_version[rows]
+        # Ports first: they have 16 bits, which sort several times as fast, and mostly each has one host.
+        ports = (near for _, near in by_value(batch.source_port[rows]))
         foreign = np.zeros(len(rows), bool)
         streams = np.zeros(len(rows), bool) if batch.streams is None else batch.streams[rows]
-        for _, same in by_value(endpoint):
+        for _, same in chain.from_iterable(groups(host, near) for near in ports):
             first = int(rows[same[0]])
             key = (batch.address(int(batch.source_address[first]), first), int(batch.source_port[first]))
             peer = peers.identity(key, int(batch.number[first]) - int(streams[same[0]]))
@@ -262,7 +261,7 @@ class _Columns:
         for old, at in ((False, sbn.HEADER.size), (True, sbn.LEGACY_HEADER.size)):
             pick = np.flatnonzero(whole & (legacy == old))
             rows = members[pick]
-            head = self.head[rows, at : at + sbn.SUBSCRIPTIONS.size]
+            head = self.head.take(rows, axis=0)[:, at : at + sbn.SUBSCRIPTIONS.size]
             ident = head[:, : sbn.IDENT_BYTES].view(np.uint64)
             # Word for word: ``any`` over a short axis takes many times as long.
             other = np.zeros(len(rows), bool)
