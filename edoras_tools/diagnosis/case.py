@@ -326,10 +326,9 @@ class Case:
         # Where frames are cut, no answer tells what was missed; what CI counts more does.
         cut = self.rows.has(Finding.CAPTURE_CUT).any() and not quality.lacks_answered
         own = [item for item in self.ingests if item.not_captured and cut]
-        more = [(item.endpoint, item.taken + item.not_captured, item.not_captured) for item in own]
-        return replace(
-            quality, evidence=(*quality.evidence, *(Evidence("ci_counts", *item) for item in more))
-        )
+        counts = ((item.endpoint, item.taken + item.not_captured, item.not_captured) for item in own)
+        more = (Evidence("ci_counts", *item) for item in counts)
+        return replace(quality, evidence=(*quality.evidence, *more))
 
     @cached_property
     def confidence(self) -> float:

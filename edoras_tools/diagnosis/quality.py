@@ -193,10 +193,13 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         return min(number, self.drops or 0) if self.counts else number
 
     def excludes(self, share: float, confidence: float = CONFIDENCE) -> bool:
-        """Tell whether the capture cannot have missed such a share: it would lack one of those checked."""
-        each = self._each(confidence)
+        """Tell whether the capture cannot have missed such a share: it would lack one of those checked.
+
+        One that surely missed some excludes none: which of those that are missing these are, nothing tells.
+        """
+        each, groups = self._each(confidence), () if self.lacks_answered else self.groups
         return self.known_zero or any(
-            share > largest_share(checked, missing, each) for checked, missing in self.groups if not missing
+            share > largest_share(checked, missing, each) for checked, missing in groups if not missing
         )
 
     def _each(self, confidence: float) -> float:
@@ -346,7 +349,9 @@ def _rests(
 ) -> tuple[Integers, Integers]:
     """Return what CI counted, and what was captured, between two samples at which it had read everything."""
     before = np.searchsorted(sent_ns, made_ns - _REST_NS)
-    rest = np.flatnonzero(before == np.searchsorted(sent_ns, made_ns + _LATE_NS))
+    # Nothing waits in its socket where it read as many since its last count as came.
+    usual = np.diff(total, prepend=total[:1]) == np.diff(before, prepend=before[:1])
+    rest = np.flatnonzero(usual & (before == np.searchsorted(sent_ns, made_ns + _LATE_NS)))
     # A count of just as many as were captured in all began with the first of them.
     start = rest[(total[rest] == before[rest]) & (before[rest] >= _LEAST_COUNTED)][-1:]
     if len(start):
@@ -524,12 +529,11 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
     who = rows.spacecraft_id[network].astype(np.int64) << 32 | rows.processor_id[network]
     peers = [rows.time_ns[network[members]] for _, members in by_value(who)]
     holes: tuple[list[tuple[int, int]], ...] = [], []
-    for start_ns, end_ns in zip(rows.time_ns[long].tolist(), rows.time_ns[long + 1].tolist(), strict=True):
-        others = _steady(commands, start_ns, end_ns)
-        others |= sum(_steady(times, start_ns, end_ns) for times in peers) > 1
-        missing, number = _missing_at(rows, streams, start_ns)
-        if missing >= _LEAST_STREAMS:
-            holes[not (others and 2 * missing > number)].append((start_ns, end_ns))
+    for gap in zip(rows.time_ns[long].tolist(), rows.time_ns[long + 1].tolist(), strict=True):
+        others = _steady(commands, *gap) or sum(_steady(times, *gap) for times in peers) > 1
+        missing, number = _missing_at(rows, streams, gap[0])
+        if missing:
+            holes[not (others and missing >= _LEAST_STREAMS and 2 * missing > number)].append(gap)
     return holes[0], holes[1]
 
 

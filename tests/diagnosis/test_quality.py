@@ -88,6 +88,7 @@ def test_what_lacks_none_excludes_the_share_that_the_issue_names():
 
 def test_one_that_lacks_excludes_nothing():
     assert not Quality((Evidence("inputs", 0, 1000, 1),)).excludes(1.0)
+    assert not Quality((Evidence("inputs", 0, 1000, 0), Evidence("ci_counts", 0, 200, 3))).excludes(1.0)
 
 
 def test_nothing_checked_may_have_missed_all():
@@ -163,6 +164,10 @@ def rests(sent_s, made_s, total, holes=()):
 
 def test_counts_of_ci_are_compared_where_it_rests():
     assert rests([3, 4, 9, 11], [0, 7, 10, 15], [1, 3, 4, 6]) == [[2, 3], [2, 2]]
+
+
+def test_a_count_of_ci_that_goes_on_with_what_waits_is_not_one_of_rest():
+    assert rests([3, 4, 9, 20], [0, 7, 12, 13, 25], [1, 3, 3, 4, 5]) == [[2, 2], [2, 2]]
 
 
 def test_counts_of_ci_that_fall_or_span_a_hole_are_not():
