@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.accounting.budget import limit, predict
 from edoras_tools.diagnosis.evidence import fingerprint
-from edoras_tools.diagnosis.evidence.loss_reports import Track, parse_loss_event
+from edoras_tools.diagnosis.evidence.loss_reports import Track, _returns, parse_loss_event
 from edoras_tools.diagnosis.evidence.payloads import EventRecord
 from edoras_tools.diagnosis.matching.streams import comb, find_streams
 from edoras_tools.links.ci import CI
@@ -102,6 +102,20 @@ def test_counters_wrap_and_are_set_back(values, growth, set_back):
     told = track(*values)
     assert (told.growth("msg_limits"), told.set_back) == (growth, set_back)
     assert told.older["msg_limits"] == values[0]
+
+
+@pytest.mark.parametrize(
+    ("limits", "no_subscribers", "returns"),
+    [
+        ((2, 8, 8), (13, 13, 14), False),
+        ((38, 0, 3, 40), (13, 0, 0, 1), False),
+        ((38, 0, 39, 0, 39), (13, 0, 14, 0, 14), True),
+        ((85, 131, 85, 131), (13, 65, 13, 65), True),
+        ((85, 85, 85), (13, 250, 4), False),
+    ],
+)
+def test_counters_that_fall_and_come_back_at_once_are_of_two_instances(limits, no_subscribers, returns):
+    assert _returns(np.array([np.zeros_like(limits), limits, no_subscribers, limits])) == returns
 
 
 def test_growth_takes_the_samples_around_a_time():

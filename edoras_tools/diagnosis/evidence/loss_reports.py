@@ -51,13 +51,9 @@ class Track(msgspec.Struct):
         """
         if not self.times:
             return 0
+        last, totals = len(self.times) - 1, self.totals[name]
         low = 0 if start_ns is None else max(bisect_right(self.times, start_ns) - 1, 0)
-        high = (
-            len(self.times) - 1
-            if end_ns is None
-            else min(bisect_left(self.times, end_ns), len(self.times) - 1)
-        )
-        totals = self.totals[name]
+        high = last if end_ns is None else min(bisect_left(self.times, end_ns), last)
         return max(0, totals[high] - totals[low])
 
     def beyond_steady(self, name: str, sent_ns: Integers, late_ns: int) -> tuple[Integers, int]:
@@ -115,20 +111,28 @@ def tracks(rows: Rows, payloads: Payloads, instances: Instances) -> dict[int, Tr
         first, which = numbered(way[own])
         sizes = np.bincount(which, minlength=len(first))
         for number in np.argsort(-sizes, kind="stable").tolist():
-            track = _track(samples, own[which == number], instances)
-            # Counters that step back again and again are those of two instances, and tell nothing.
-            if len(track.set_back) <= 1 + len(track.times) // 10:
-                by_instance[index] = track
+            made_ns, values = _in_order(samples, own[which == number], instances)
+            if not _returns(values):
+                by_instance[index] = Track.of(made_ns, dict(zip(_WIDTHS, values, strict=True)))
                 break
     return by_instance
 
 
-def _track(samples: Samples, rows: Places, instances: Instances) -> Track:
+def _in_order(samples: Samples, rows: Places, instances: Instances) -> tuple[Integers, Integers]:
+    """Return when each sample was made, and its counters, a row each."""
     made_ns = instances.made_ns[samples["row"][rows]]
     order = np.argsort(made_ns, kind="stable")
     # Of one time there is one sample: what comes again is the same.
     order = order[np.diff(made_ns[order], prepend=made_ns[order[:1]] - 1) > 0]
-    return Track.of(made_ns[order], {name: samples[name][rows[order]] for name in _WIDTHS})
+    return made_ns[order], np.array([samples[name][rows[order]] for name in _WIDTHS])
+
+
+def _returns(values: Integers) -> bool:
+    """Tell whether counters are those of two instances: all that they fell by comes back in one step."""
+    steps, wide = np.diff(values), np.array(list(_WIDTHS.values())) > 8  # eight bits wrap too soon to tell
+    falls = np.flatnonzero((steps[wide] < 0).any(axis=0)).tolist()
+    least = (np.maximum(values[:, at + 1 : -1] - steps[:, at, None], values[:, at, None]) for at in falls)
+    return any((values[:, at + 2 :] >= item).all(axis=0).any() for at, item in zip(falls, least, strict=True))
 
 
 PipeKind = Literal["limit", "overflow"]
@@ -224,7 +228,6 @@ def reported_losses(events: Iterable[EventRecord], instances: Instances) -> dict
     """Return everything that events name, with the events."""
     reports: dict[ReportedLoss, LossEvents] = {}
     for record in events:
-        reported = parse_loss_event(record, instances.saying(record))
-        if reported:
+        if reported := parse_loss_event(record, instances.saying(record)):
             reports.setdefault(reported, LossEvents()).records.append(record)
     return reports
