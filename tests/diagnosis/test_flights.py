@@ -508,6 +508,8 @@ CHANGED = [
     ("restarted_with_full_socket", "without 0x0884"),
     ("nobody_subscribes", "cut to 80"),
     ("sbn_restarted", "without the middle"),
+    ("delay_comes_and_goes", "1 % doubled"),
+    ("processor_restarted", "cut to 96"),
 ]
 
 

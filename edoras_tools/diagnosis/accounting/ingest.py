@@ -15,7 +15,7 @@ Rules:
    capture, as that comes out, was sent before the capture began.
 7. Within these bounds the smallest number is lost. The rest waits.
 8. Datagrams and counts may be under way for long, as over a radio link: if that explains all that seem to be
-   lost on the network, nothing is.
+   lost on the network, nothing is. It explains no more than a part where nothing came for a while.
 9. Copies that a network makes hide in the count what it loses. Where all goes to a robot, no more were lost
    behind CI than it read and did not come out; the others that did not come out were lost before it.
 """
@@ -195,6 +195,8 @@ def ingests(case: Case) -> list[Ingest]:
                 # What a slow network explains is no loss, and no copy: rule 8.
                 if not late.lost_on_network or late.not_captured < account.not_captured:
                     account = replace(late, unsure=account.unsure)
+                elif counter.stood and (more := account.lost_on_network - late.lost_on_network) > 0:
+                    account = replace(late, unsure=account.unsure + more)
             account.spare(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
             accounts.append(account.steadied() if case.unsteady_ns else account)
     return [*accounts, *_by_kernel(case, to_ci, {item.endpoint for item in accounts})]
@@ -309,6 +311,8 @@ class _Counted:
         firsts = ((int(out.min()), int(sent[out.argmin()])) for sent, out in self._read)
         self._first_out = min(firsts, default=(0, 0))
         """Until when CI surely had not read the first of those, and when it had been sent."""
+        self.stood = bool((np.diff(self._sent_until(self._seen))[np.diff(self._count) == 0] > 2).any())
+        """Whether nothing came between two samples though some were sent, as when a network becomes slow."""
 
     def account(self, under_way_ns: int = 0) -> Ingest:
         """Hold what was sent against the counts, if that was under way for so long at the most."""
@@ -410,8 +414,8 @@ class _Counted:
         if down and self._arrived is None:
             until_ns = min(self._next_sign_ns(sooner.instance, ended_ns), later.made_ns)
             if restarts := self._restarts_ns(ended_ns - self._profile.ci_wake_ns, until_ns):
-                until_ns = max(ended_ns, restarts[0])
-                return ("down", until_ns), lost, int(self._sent_until(until_ns)) - lost
+                ended_ns = max(ended_ns, restarts[0])  # what it took beside the command, it may have read
+                before, until_ns = int(self._sent_until(ended_ns)) - lost, ended_ns + self._profile.ci_wake_ns
             account.ended.append((ended_ns, until_ns))
             before += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
             ended_ns = until_ns
