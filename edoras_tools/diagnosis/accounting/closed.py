@@ -55,7 +55,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.accounting.losses import Fate, LossKind
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.timeline.table import StateSpan
     from edoras_tools.diagnosis.matching.crossing import Hop

@@ -54,7 +54,7 @@ from edoras_tools.model import Finding
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -131,7 +131,7 @@ class Commands:
         leftover.take_named()
         shared = settle_known(counts, claims, leftover.rivals())
         settle_first(counts, claims, may_be_missed(case, claims))
-        tails = {claim.flow: sum(claim.taken.values()) for claim in claims if claim.rank == Rank.POSSIBLE}
+        self._tails = {item.flow: sum(item.taken.values()) for item in claims if item.rank == Rank.POSSIBLE}
         pipes.tell()
         stops.tell()
         self.losses += stops.losses
@@ -140,7 +140,7 @@ class Commands:
         for account in case.ingests:
             before_ci.rest(account)
             before_ci.wait(account)
-        self._end(fates, tails, shared)
+        self._end(fates, shared)
         for account in case.ingests:
             before_ci.outnumbered(account)
         leftover.share(shared)
@@ -525,11 +525,11 @@ class Commands:
     def _leave_open(self, fate: Fate, number: int) -> None:
         """Leave so many unaccounted for, but those that the capture missed, or the bus counted of nobody.
 
-        Or of what a closed way out would not have sent either.
+        Or of what a closed way out would not have sent either, or what may be behind a stream's last message.
         """
         losses = [item for item in [*self.losses, *self.telemetry.losses] if item.kind in _COUNTED]
         others = sum(item.lost for item in losses if item.stream is None or item.closed)
-        others += self._case.may_lack(len(fate.stream), max(0, number))
+        others += self._case.may_lack(len(fate.stream), max(0, number)) + sum(self._tails.values())
         fate.ends["unaccounted"] = max(0, number - others)
         fate.ends["elsewhere"] = max(0, number) - fate.ends["unaccounted"]
 
@@ -553,11 +553,10 @@ class Commands:
         inside = int(((times > counted_ns[0]) & (times <= counted_ns[-1] - TAIL_NS)).sum())
         self._leave_open(fate, inside - (len(times) - self._untold(fate)) - fate.commanded)
 
-    def _end(self, fates: Sequence[Fate], tails: Mapping[int, int], shared: Sequence[Shared]) -> None:
+    def _end(self, fates: Sequence[Fate], shared: Sequence[Shared]) -> None:
         """Tell what became of what is left, rules 6 and 7.
 
         Args:
-            tails: id of a stream to what counters have of it behind its last message.
             shared: counts that several kinds of traffic share.
         """
         rest, counts = [item.number for item in shared], self._case.loss_counts
@@ -565,7 +564,7 @@ class Commands:
             own = [at for at, item in enumerate(shared) if id(fate.stream) in item.flows]
             fate.ends["shared"] = sum(shared[at].number for at in own)
             if fate.seen:
-                self._rest(fate, tails)
+                self._rest(fate)
                 self._share(fate, own, rest)
                 lost = (loss for loss in self.losses if loss.stream is fate.stream)
                 to_end = fate.spans[-1] in [loss.span for loss in lost if loss.kind in COUNTERS]
@@ -595,9 +594,9 @@ class Commands:
                 lost.append(len(times) - passed)
         return min(fate.waiting, max([0, *lost]))
 
-    def _rest(self, fate: Fate, tails: Mapping[int, int]) -> None:
+    def _rest(self, fate: Fate) -> None:
         ends = fate.ends
-        behind = sum(tails.get(id(hop.out), 0) for hop in fate.hops)
+        behind = sum(self._tails.get(id(hop.out), 0) for hop in fate.hops)
         fate.passed[np.flatnonzero(fate.open & fate.edge)[:behind]] = True
         ends["passed_on"] = int((fate.open & fate.passed).sum())
         fate.open &= ~fate.passed
