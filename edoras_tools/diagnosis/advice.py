@@ -234,7 +234,7 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     queue = replace(queue, depth=_depth(case, loss, queue))
     slower = f"publish at most {_safe(rate):g} Hz"
     if loss.stream is None:
-        return Advice(why, slower)
+        return Advice(why, slower if limit else _raised(case, msg_id, telemetry_output.USUAL_LIMIT))
     arrivals = published_into(case, loss.stream).around(loss, queue.round_ns)
     own = arrivals.only(msg_id)
     if not limit:

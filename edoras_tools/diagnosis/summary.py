@@ -46,7 +46,7 @@ _HARM: Final = frozenset({"struct_overrun", "ci_cut", "ground_bridge_buffer", "f
 _NAMES: Final = 2
 """So many topics are named."""
 _MOMENT_S: Final = 0.1
-_SHARES: Final = ((1.0, "All"), (0.5, "Over half of the"), (0.4, "Nearly half of the"))
+_SHARES: Final = ((0.5, "Over half of the"), (0.4, "Nearly half of the"))
 _RARE: Final = 0.01
 _NAMED: Final = 3
 """Of more MsgIds that share a loss the number is told."""
@@ -230,8 +230,8 @@ def _problem(
     rows, lost = [row for row, _ in members], sum(number for _, number in members)
     remedy, advice = (_useful(own[0].remedy), own[0].advice) if own else ("", None)
     if cause not in CAUSES:
-        text = _more(own[0].reason, own) if own else f"{_names(result, rows)}: {cause.replace('_', ' ')}"
-        text = "e.g. " * (len(own) > 1) + text.removeprefix(f"{lost:,} ")
+        text = _each(cause, own) if own else f"{_names(result, rows)}: {cause.replace('_', ' ')}"
+        text = text.removeprefix(f"{lost:,} ")
     else:
         of = sent_of(result, rows)
         unseen = of < lost or not rows[0].link
@@ -257,6 +257,15 @@ def _promising(result: Diagnosis, problems: Sequence[tuple[Problem, Sequence[Row
 
 def _more(reason: str, own: Sequence[Verdict]) -> str:
     return reason if len(own) == 1 else f"{reason} (and {len(own) - 1:,} more of this kind)"
+
+
+def _each(cause: str, own: Sequence[Verdict]) -> str:
+    """Return what several verdicts of one cause say: what is wrong with most, and with which first."""
+    which, _, text = own[0].reason.partition(": ")
+    if len(own) == 1 or not cause.startswith("bad_"):
+        return "e.g. " * (len(own) > 1) + _more(own[0].reason, own)
+    others = len({item.reason.partition(": ")[2] for item in own}) - 1
+    return f"{text} (first: {which})" + f", and {plural(others, 'other fault')}" * (others > 0)
 
 
 def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
@@ -299,6 +308,8 @@ def _name(result: Diagnosis, row: Row) -> str:
     unnamed = "an unknown MsgId" if row.msg_id is None else f"0x{row.msg_id:04x}"
     if among := {f"0x{msg_id:04x}" for _, msg_id, _ in row.among}:
         unnamed = " or ".join(sorted(among)) if len(among) <= _NAMED else f"one of {len(among)} MsgIds"
+    elif row.msg_id is None and row.hop.startswith(UDP_PORT):
+        unnamed = f"sent to {row.hop}"
     return result.topics.get(row.route) or row.topic or row.name or unnamed
 
 
@@ -375,10 +386,11 @@ def _lost(result: Diagnosis, proven: int) -> str:
     routes, of = {_route(row) for row in rows}, sent_of(result, rows)
     has_name = (rows[0].topic, rows[0].msg_id) != ("", None)
     if len(routes) == 1 and rows[0].link and of > 1 and has_name:
-        harmed = any(cause in _HARM for row in rows for cause in row.lost)
-        arrived = "never arrived whole" if harmed else "never arrived"
+        whole = "" if _HARM.isdisjoint(chain.from_iterable(row.lost for row in rows)) else " whole"
         name = _name(result, rows[0])
-        return f"{_share(proven, of, noun)} {arrived}: {proven:,} of {of:,} {name} {were} lost."
+        if proven == of:
+            return f"None of the {of:,} {name} {noun} arrived{whole}."
+        return f"{_share(proven, of, noun)} never arrived{whole}: {proven:,} of {of:,} {name} {were} lost."
     lines = sorted((item for item in result.headlines if item.missing), key=lambda item: -item.missing)
     if len(lines) < len(routes) or len(lines) > _NAMES + 1:
         del lines[_NAMES:]

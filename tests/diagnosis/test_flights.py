@@ -83,6 +83,11 @@ FLIGHTS = {
     "thousand_a_second": (8766, {"limit": 6065, "socket": 2701}),
     "limits_changed_in_overload": (156, {"limit": 156}),
     "bus_memory_used_up": (0, {}),
+    "large_frames_vanish": (100, {"limit": 21, "after": 79}),
+    "three_operators": (
+        173,
+        {"limit": 91, "route": 35, "ci_stopped": 25, "port_closed": 21, "unknown": 1},
+    ),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -554,7 +559,7 @@ def test_commands_to_a_port_that_nobody_named_are_not_examined_unless_errors_quo
     found = examined("sent_to_another_port")
     assert not found.unnamed
     assert "nobody listened on 127.0.0.1:1334" in first_screen(found)
-    assert summarize(found).headline == "36 commands were lost: an unknown MsgId."
+    assert summarize(found).headline == "36 commands were lost: sent to port 127.0.0.1:1334."
 
 
 def test_those_of_them_that_no_error_quotes_are_not_examined(tmp_path):
@@ -628,3 +633,17 @@ def test_a_peer_that_goes_on_without_subscribing_anew_stood_still(tmp_path):
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", kept))
     assert "sbn_timeout" not in by_cause(found)
     assert found.uncertain > 20
+
+
+def test_a_limit_that_an_event_tells_is_none_that_is_assumed():
+    """A command without its limit was accepted: 0 may wait, and adding it again changes nothing."""
+    text = first_screen(examined("added_too_short"))
+    assert "TO keeps 0 of this MsgId" in text
+    assert "to-add 0x082e --limit 4" in text
+    assert "keeps 4" not in text
+
+
+def test_what_went_to_an_address_that_never_speaks_may_be_lost():
+    found = examined("sent_to_another_address")
+    assert (found.lost + found.unaccounted, found.uncertain) == (0, 48)
+    assert "nothing comes from 10.5.0.33, as it does from 10.5.0.3" in first_screen(found)

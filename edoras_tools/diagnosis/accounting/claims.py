@@ -311,6 +311,10 @@ def settle_possible(
     Returns:
         what several share.
     """
+    # What a gap shows is lost, and what may follow a stream's last message is not: that gets what is left.
+    behind = {claim.flow for claim in claims if claim.rank == Rank.POSSIBLE}
+    gaps = [item for item in claims if item.rank in (Rank.PRESSED, Rank.MISSING) and item.flow in behind]
+    settle(counts, gaps, _APART_NS)
     tables = _tables(counts, claims).values()
     shared: dict[tuple[int, PipeKind, frozenset[int]], Shared] = {}
     has_rest = True
@@ -415,13 +419,8 @@ class _Table:
         return frozenset() if is_all or len(flows) == 1 else flows
 
     def _unseen(self, rivals: Sequence[Rival], span: Sequence[int]) -> list[Rival]:
-        return [
-            rival
-            for rival in rivals
-            if (rival.instance, rival.kind) == (self.instance, self.kind)
-            and rival.start_ns <= span[1]
-            and span[0] <= rival.end_ns
-        ]
+        own = [rival for rival in rivals if (rival.instance, rival.kind) == (self.instance, self.kind)]
+        return [rival for rival in own if rival.start_ns <= span[1] and span[0] <= rival.end_ns]
 
     def give_surplus(
         self, second: int, takers: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]

@@ -441,12 +441,8 @@ class Stops:
                 self._mark_unsent(fate)
                 continue
             self._mark_unread(fate)
-            own = [
-                item
-                for item in gone
-                if case.into_system(fate.stream, item.system)
-                and item.app not in executive_services.SCHEDULERS
-            ]
+            own = [item for item in gone if item.app not in executive_services.SCHEDULERS]
+            own = [item for item in own if case.into_system(fate.stream, item.system)]
             if own:
                 self._unfollowed(fate, own)
 
@@ -624,11 +620,8 @@ class Stops:
     def _unfollowed(self, fate: Fate, own: Sequence[Outage]) -> None:
         """Apply rules 9 and 10."""
         case, times = self._case, fate.stream.time_ns
-        pipes = {
-            reported.pipe
-            for reported in case.reported_losses
-            if reported.at_pipe and reported.msg_id == fate.stream.msg_id and not reported.at_output
-        }
+        reported = [item for item in case.reported_losses if item.msg_id == fate.stream.msg_id]
+        pipes = {item.pipe for item in reported if item.at_pipe and not item.at_output}
         surely = [item for item in own if any(pipe.startswith(item.app) for pipe in pipes)]
         # What is known to be for an application tells that another MsgId need not be for it.
         own = surely or [item for item in own if item.app not in {hop for _, hop, _ in self._causes}]

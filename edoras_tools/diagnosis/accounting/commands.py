@@ -472,6 +472,7 @@ class Commands:
         for fate in fates:
             if fate.unfollowed is None and fate.stream.link.only_to_cfs:
                 self._leave_to_nobody(fate)
+                self._leave_to_silence(fate)
             if fate.unfollowed is not None:
                 open_ = int((fate.open & fate.unfollowed).sum())
                 fate.ends["unaccounted"] = min(open_, self._untold(fate))
@@ -487,6 +488,17 @@ class Commands:
                 fate.unfollowed = fate.open.copy()
                 fate.unfollowed_since = f"0x803: {more:,} more messages without a subscriber meanwhile"
 
+    def _leave_to_silence(self, fate: Fate) -> None:
+        """Leave open what went to an address from which nothing comes, where others answer its sender."""
+        case, places = self._case, self._case.endpoints
+        heard = {places[at].address for at in np.unique(case.rows.source).tolist()}
+        own = [item for item in case.streams if item.link.only_to_cfs and item.sender == fate.stream.sender]
+        answers = sorted(heard & {places[item.receiver].address for item in own})
+        address = places[fate.stream.receiver].address
+        if answers and address not in heard and not fate.seen:
+            fate.unfollowed = fate.open.copy()
+            fate.unfollowed_since = f"nothing comes from {address}, as it does from {' and '.join(answers)}"
+
     def _untold(self, fate: Fate) -> int:
         """Return of how many messages nothing has told what became of them."""
         lost = sum(loss.lost for loss in self.losses if loss.stream is fate.stream)
@@ -500,11 +512,8 @@ class Commands:
         """
         rows = self._case.rows
         robot = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
-        unseen = [
-            fate
-            for fate in fates
-            if fate.stream.link.only_to_cfs and not (fate.seen or fate.stream.is_housekeeping)
-        ]
+        unseen = [fate for fate in fates if fate.stream.link.only_to_cfs and not fate.seen]
+        unseen = [fate for fate in unseen if not fate.stream.is_housekeeping]
         total = sum(len(fate.stream) for fate in unseen)
         own = [fate for fate in unseen if total - len(fate.stream) < len(robot)]
         if len(own) != 1 or any(hop.out.link.last_hop for hop in self._case.hops):

@@ -122,12 +122,11 @@ def _unfollowed(case: Case, fate: Fate) -> Verdict:
         why = f"Telemetry Output counted {fate.commanded:,} commands meanwhile"
         evidence = ["0x880: its counters of commands taken and refused, between the first and the last here"]
     else:
-        why = "nothing here shows whether an application took them"
-        evidence = [fate.unfollowed_since]
+        why, evidence = f"{fate.unfollowed_since}; nothing here shows whether an application took them", []
         times = times[fate.unfollowed]
     open_ = fate.reached is None and fate.commanded is None
     return warning(
-        f"{fate.ends['unaccounted']:,} of {len(stream):,} messages that went into cFS on "
+        f"{fate.ends['unaccounted']:,} of {len(stream):,} messages sent to cFS on "
         f"{case.name(stream.msg_id)} {'may be lost' if open_ else 'are not accounted for'}: {why}",
         *evidence,
         *case.drops_text(),
@@ -438,13 +437,13 @@ def unreachable(case: Case) -> Iterator[Verdict]:
         yield error(
             f"{plural(len(rows), 'message')} of {case.name(item.stream.msg_id)} did not reach {endpoint}: "
             "ICMP errors about them came back",
-            "edoras sniff --link icmp shows what each error says",
             msg_id=item.stream.msg_id if item.own else None,
             place=(item.stream.link.label, f"{UDP_PORT} {endpoint}"),
             lost=len(rows),
             of=len(rows),
             span=case.span(item.stream.rows[rows]),
-            remedy="look at the route to that host, and at firewalls on the way",
+            remedy="edoras sniff --link icmp shows what they say: no route to that host, a firewall, or "
+            "messages too large for the way",
         )
 
 

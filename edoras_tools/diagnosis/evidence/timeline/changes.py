@@ -211,6 +211,11 @@ class SoftwareChanges:
                     yield result
         elif enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):
             yield change(_OUTPUT, "enabled", enabled["address"])
+        elif added := telemetry_output.ADDED.pattern.fullmatch(event.message):
+            commands = self._payloads.outputs(telemetry_output.ADD_PACKET)
+            # Those that are whole say it themselves.
+            if (msg_id := int(added["msg_id"], 16)) in {item.entry for item in commands if not item.is_whole}:
+                yield change(StateOwner("entry", "", msg_id), "subscribed", int(added["limit"]))
         elif telemetry_output.SUPPRESSED.phrase in event.message:
             yield change(_OUTPUT, "suppressed")
 
@@ -262,13 +267,8 @@ def capture_changes(away: Sequence[tuple[int, int]]) -> Iterator[Change]:
 
 
 def _system(instances: Instances, observer: SbnParty) -> int:
-    name, host = observer
-    fits = [
-        system
-        for item, system in zip(instances.items, instances.systems, strict=True)
-        if item.name == name and item.host == host
-    ]
-    return fits[0] if fits else 0
+    pairs = zip(instances.items, instances.systems, strict=True)
+    return next((system for item, system in pairs if (item.name, item.host) == observer), 0)
 
 
 def _between(rows: Rows, network: Network, at: Integers, peer: SbnParty, observer: SbnParty) -> Mask:
