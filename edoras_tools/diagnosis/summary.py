@@ -230,8 +230,7 @@ def _problem(
     rows, lost = [row for row, _ in members], sum(number for _, number in members)
     remedy, advice = (_useful(own[0].remedy), own[0].advice) if own else ("", None)
     if cause not in CAUSES:
-        text = _each(cause, own) if own else f"{_names(result, rows)}: {cause.replace('_', ' ')}"
-        text = text.removeprefix(f"{lost:,} ")
+        text = _each(cause, own, lost) if own else f"{_names(result, rows)}: {cause.replace('_', ' ')}"
     else:
         of = sent_of(result, rows)
         unseen = of < lost or not rows[0].link
@@ -259,11 +258,11 @@ def _more(reason: str, own: Sequence[Verdict]) -> str:
     return reason if len(own) == 1 else f"{reason} (and {len(own) - 1:,} more of this kind)"
 
 
-def _each(cause: str, own: Sequence[Verdict]) -> str:
-    """Return what several verdicts of one cause say: what is wrong with most, and with which first."""
+def _each(cause: str, own: Sequence[Verdict], lost: int) -> str:
+    """Return what several verdicts of one cause say, by which so many were lost."""
     which, _, text = own[0].reason.partition(": ")
     if len(own) == 1 or not cause.startswith("bad_"):
-        return "e.g. " * (len(own) > 1) + _more(own[0].reason, own)
+        return "e.g. " * (len(own) > 1) + _more(own[0].reason, own).removeprefix(f"{lost:,} ")
     others = len({item.reason.partition(": ")[2] for item in own}) - 1
     return f"{text} (first: {which})" + f", and {plural(others, 'other fault')}" * (others > 0)
 

@@ -192,33 +192,18 @@ class SequenceRows(msgspec.Struct, frozen=True, eq=False):
     restarts: NDArray[np.int32]
 
 
-class _Run(msgspec.Struct, eq=False):
-    """Packets of one stream whose counts go up by one.
-
-    Attributes:
-        count: of the first.
-        rows: theirs, of the batch.
-        place: how many packets of the stream came before the first.
-        prints: their fingerprints.
-        boots: capture time less packet time of each; ``_NO_BOOT`` without one.
-    """
-
-    count: int
-    rows: NDArray[np.int64]
-    place: int
-    prints: NDArray[np.uint32]
-    boots: NDArray[np.int64]
-
-
 class _Runs(msgspec.Struct, frozen=True, eq=False):
-    """The runs of a batch.
+    """Packets of the streams of a batch, and runs of them: of one stream, with counts that go up by one.
 
     Attributes:
-        begins: where each begins in the columns.
+        begins: where each run begins in the columns below.
         ends: where it ends.
-        steps: from the packet before, of the same stream; 0 where there is none.
+        steps: from the count before a run, of the same stream; 0 where there is none.
         count: of each packet.
-        rows, prints, places, boots: as in ``_Run``, of each packet.
+        rows: of the batch.
+        prints: their fingerprints.
+        places: how many packets of the stream came before each.
+        boots: capture time less packet time; ``_NO_BOOT`` without one.
     """
 
     begins: NDArray[np.int64]
@@ -229,12 +214,6 @@ class _Runs(msgspec.Struct, frozen=True, eq=False):
     prints: NDArray[np.uint32]
     places: NDArray[np.int64]
     boots: NDArray[np.int64]
-
-    def run(self, index: int) -> _Run:
-        """Return one of them."""
-        begin, own = self.begins[index], slice(self.begins[index], self.ends[index])
-        place = int(self.places[begin])
-        return _Run(int(self.count[begin]), self.rows[own], place, self.prints[own], self.boots[own])
 
 
 class SequenceStream(msgspec.Struct, eq=False):
@@ -297,39 +276,40 @@ class SequenceStream(msgspec.Struct, eq=False):
         strand = self._strands[0]
         strand.prints[strand.last % REPEATED] = newest
 
-    def take(self, run: _Run, out: _Told) -> None:
+    def take(self, runs: _Runs, index: int, out: _Told) -> None:
         """Take a run; what it tells goes to ``out``."""
-        if len(self._strands) == 1 and (self._strands[0].last + 1) % MODULUS == run.count:
+        begin, end = int(runs.begins[index]), int(runs.ends[index])
+        prints, boots, place = runs.prints[begin:end], runs.boots[begin:end], int(runs.places[begin])
+        at, first = 0, int(runs.count[begin])
+        if len(self._strands) == 1 and (self._strands[0].last + 1) % MODULUS == first:
             # One strand goes on whatever the boots are.
-            self._strands[0].advance(run.prints, _newest(run.boots))
-            self._went_on(self._strands[0], run.place + len(run.rows) - 1, out)
+            self._strands[0].advance(prints, _newest(boots))
+            self._went_on(self._strands[0], place + len(prints) - 1, out)
             return
-        at, boots = 0, run.boots
-        while at < len(run.rows):
-            count, out.row = (run.count + at) % MODULUS, int(run.rows[at])
-            boot = int(boots[at])
+        while at < len(prints):
+            count, out.row, boot = (first + at) % MODULUS, int(runs.rows[begin + at]), int(boots[at])
             strands = [item for item in self._strands if item.may_have(boot)]
             # The boot is not known: perhaps a clock was set, so the next count of a strand still belongs to
             # it.
             ready = [item for item in strands or self._strands if (item.last + 1) % MODULUS == count]
             if ready:
                 # The boot of each packet chooses among several strands.
-                end = len(run.rows) if len(self._strands) == 1 else _same_boot(boots, at)
-                ready[0].advance(run.prints[at:end], _newest(boots[at:end]))
-                self._went_on(ready[0], run.place + end - 1, out)
+                end = len(prints) if len(self._strands) == 1 else _same_boot(boots, at)
+                ready[0].advance(prints[at:end], _newest(boots[at:end]))
+                self._went_on(ready[0], place + end - 1, out)
                 at = end
                 continue
-            self._jumped(strands, _Packet(count, run.place + at, boot, int(run.prints[at])), out)
+            self._jumped(strands, _Packet(count, place + at, boot, int(prints[at])), out)
             at += 1
 
     def take_all(self, runs: _Runs, first: int, end: int, out: _Told) -> None:
         """Take the runs from ``first`` to before ``end``, which are a little ahead one of the other."""
-        self.take(runs.run(first), out)
+        self.take(runs, first, out)
         newest = int(runs.count[runs.ends[first] - 1])
         single = end > first + 1 and len(self._strands) == 1 and self._strands[0].last % MODULUS == newest
         if not (single and self._go_ahead(runs, first + 1, end, out)):
             for index in range(first + 1, end):
-                self.take(runs.run(index), out)
+                self.take(runs, index, out)
 
     def _go_ahead(self, runs: _Runs, first: int, end: int, out: _Told) -> bool:
         """Take runs of which each is ahead within the window, if all may be of one boot; tell whether so."""
@@ -658,21 +638,19 @@ class SequenceCounts:
             # Of one that does not count only the first and the newest packet matter (rules 2 and 4d).
             still = bare[own].all() and (count[jumps[own]] == first).all() and stream.stands_at(first)
             if still:
-                stream.take(runs.run(own[0]), out)
+                stream.take(runs, int(own[0]), out)
                 stream.stay(int(prints[jumps[own[-1]]]))
                 continue
-            edges = [*own[parted[own]].tolist(), int(own[-1]) + 1]
-            for begin, end in pairwise(edges):
+            for begin, end in pairwise([*own[parted[own]].tolist(), int(own[-1]) + 1]):
                 stream.take_all(runs, begin, end, out)
 
     def _stream(self, key: int) -> int:
-        index = self._index.get(key)
-        if index is None:
+        if key not in self._index:
             if len(self.streams) == _MOST_STREAMS:
                 return -1
-            index = self._index[key] = len(self.streams)
+            self._index[key] = len(self.streams)
             self.streams.append(SequenceStream())
-        return index
+        return self._index[key]
 
 
 class _Groups(msgspec.Struct, frozen=True, eq=False):

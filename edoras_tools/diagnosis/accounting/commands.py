@@ -15,7 +15,7 @@ Rules:
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -51,6 +51,7 @@ from edoras_tools.diagnosis.matching.streams import counted_gaps, full_rounds
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.links.table import among
 from edoras_tools.model import Finding
+from edoras_tools.wire.arrays.order import distinct
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -469,10 +470,10 @@ class Commands:
 
         Likewise where 0x803 may have counted all of them as messages without a subscriber.
         """
+        self._leave_to_silence([fate for fate in fates if fate.stream.link.only_to_cfs])
         for fate in fates:
             if fate.unfollowed is None and fate.stream.link.only_to_cfs:
                 self._leave_to_nobody(fate)
-                self._leave_to_silence(fate)
             if fate.unfollowed is not None:
                 open_ = int((fate.open & fate.unfollowed).sum())
                 fate.ends["unaccounted"] = min(open_, self._untold(fate))
@@ -488,16 +489,17 @@ class Commands:
                 fate.unfollowed = fate.open.copy()
                 fate.unfollowed_since = f"0x803: {more:,} more messages without a subscriber meanwhile"
 
-    def _leave_to_silence(self, fate: Fate) -> None:
+    def _leave_to_silence(self, fates: Sequence[Fate]) -> None:
         """Leave open what went to an address from which nothing comes, where others answer its sender."""
-        case, places = self._case, self._case.endpoints
-        heard = {places[at].address for at in np.unique(case.rows.source).tolist()}
-        own = [item for item in case.streams if item.link.only_to_cfs and item.sender == fate.stream.sender]
-        answers = sorted(heard & {places[item.receiver].address for item in own})
-        address = places[fate.stream.receiver].address
-        if answers and address not in heard and not fate.seen:
-            fate.unfollowed = fate.open.copy()
-            fate.unfollowed_since = f"nothing comes from {address}, as it does from {' and '.join(answers)}"
+        places, answers = self._case.endpoints, defaultdict[int, set[str]](set)
+        heard = {places[at].address for at in distinct(self._case.rows.source).tolist()}
+        for stream in (fate.stream for fate in fates):
+            answers[stream.sender] |= {places[stream.receiver].address} & heard
+        for fate in fates:
+            address, others = places[fate.stream.receiver].address, answers[fate.stream.sender]
+            if others and address not in heard and not fate.seen and fate.unfollowed is None:
+                fate.unfollowed, why = fate.open.copy(), " and ".join(sorted(others))
+                fate.unfollowed_since = f"nothing comes from {address}, as it does from {why}"
 
     def _untold(self, fate: Fate) -> int:
         """Return of how many messages nothing has told what became of them."""

@@ -97,7 +97,7 @@ class Copies(NamedTuple):
 def find_copies(
     time_ns: Integers,
     identification: NDArray[np.uint16],
-    conversation: NDArray[np.integer[Any]],
+    conversation: Integers,
     tap: Prints,
     prints: Prints,
 ) -> Copies:
@@ -158,9 +158,8 @@ def find_copies(
             pairs = order[at[np.argsort(place[order[at]])]]
             off_ns = time_ns - np.interp(place, place[pairs], time_ns[pairs].astype(np.float64))
             out.behind_ns[out.alone & (np.abs(off_ns - apart_ns) < np.abs(off_ns))] = apart_ns
-    ways = conversation.astype(np.int64)
-    own = np.flatnonzero(np.isin(ways, np.unique(ways[repeated])))
-    for _, rows in groups(ways, own):
+    own = np.flatnonzero(np.isin(conversation, np.unique(conversation[repeated])))
+    for _, rows in groups(conversation, own):
         for has_id in (True, False):
             mine = rows[(identification[rows] != 0) == has_id]
             twice = mine[repeated[mine]]
@@ -177,16 +176,16 @@ def find_copies(
     return out
 
 
-def _varied(conversation: NDArray[np.integer[Any]], identification: NDArray[np.uint16], rows: Places) -> Mask:
+def _varied(conversation: Integers, identification: NDArray[np.uint16], rows: Places) -> Mask:
     """Tell which of some datagrams are of a sender that gives few of its datagrams one identification."""
     own = np.flatnonzero(np.isin(conversation, np.unique(conversation[rows])))
-    _, which = numbered(conversation[own].astype(np.int64))
+    _, which = numbered(conversation[own])
     first, _ = numbered(which, identification[own])
     varied = 2 * np.bincount(which[first]) > np.bincount(which)
     return np.asarray(varied[which[np.searchsorted(own, rows)]])
 
 
-def _of_most(conversation: NDArray[np.integer[Any]], twice: Places, first: Places) -> bool:
+def _of_most(conversation: Integers, twice: Places, first: Places) -> bool:
     """Tell whether most datagrams are there twice, on most ways: no network does that, two places do.
 
     Args:
