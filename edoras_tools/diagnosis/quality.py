@@ -508,6 +508,7 @@ _AROUND_NS: Final = 30 * SECOND
 _IDLE_NS: Final = SECOND
 _LEAST_ROWS: Final = 2
 _LEAST_STREAMS: Final = 3
+_LEAST_MISSING: Final = 3
 _MOST: Final = 64
 """Holes that are told, the longest."""
 
@@ -531,8 +532,8 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
     holes: tuple[list[tuple[int, int]], ...] = [], []
     for gap in zip(rows.time_ns[long].tolist(), rows.time_ns[long + 1].tolist(), strict=True):
         others = _steady(commands, *gap) or sum(_steady(times, *gap) for times in peers) > 1
-        missing, number = _missing_at(rows, streams, gap[0])
-        if missing:
+        missing, number, packets = _missing_at(rows, streams, gap[0])
+        if packets >= _LEAST_MISSING:
             holes[not (others and missing >= _LEAST_STREAMS and 2 * missing > number)].append(gap)
     return holes[0], holes[1]
 
@@ -557,15 +558,16 @@ def _steady(times: Integers, start_ns: int, end_ns: int) -> bool:
     return bool(1.5 * usual < end_ns - start_ns and idle <= max(3 * usual, _IDLE_NS))
 
 
-def _missing_at(rows: Rows, streams: Sequence[Places], start_ns: int) -> tuple[int, int]:
-    """Return how many streams miss counts at a time, and how many are there before and after it."""
-    missing = number = 0
+def _missing_at(rows: Rows, streams: Sequence[Places], start_ns: int) -> tuple[int, int, int]:
+    """Return how many streams miss counts at a time, how many are there around it, how many packets miss."""
+    missing = number = packets = 0
     for own in streams:
         at = int(np.searchsorted(rows.time_ns[own], start_ns, "right"))
         if _LEAST_ROWS <= at <= len(own) - _LEAST_ROWS:
             number += 1
             missing += bool(rows.missing[own[at]] > 0)
-    return missing, number
+            packets += int(rows.missing[own[at]])
+    return missing, number, packets
 
 
 class HostDrops(NamedTuple):

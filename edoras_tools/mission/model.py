@@ -327,8 +327,6 @@ class Mission(msgspec.Struct, frozen=True):
 
     def of(self, spacecraft: int) -> Mission:
         """Return the mission with the topics of a spacecraft."""
-        if spacecraft == self.number:
-            return self
         before, own = self.prefix(self.number), self.prefix(spacecraft)
         topics = (own + route.topic.removeprefix(before) for route in self.routes)
         routes = (replace(route, topic=topic) for route, topic in zip(self.routes, topics, strict=True))

@@ -71,7 +71,8 @@ class Parts:
 
     def _keys(self, subject: Subject) -> list[Any]:
         number, packets = subject.spacecraft, subject.packets
-        routes = self.ledger.mission.of(number or FIRST_SPACECRAFT).routes
+        own, mission = number or FIRST_SPACECRAFT, self.ledger.mission
+        routes = (mission if own == mission.number else mission.of(own)).routes
         keys: list[Any] = [
             key for index in packets.routes for key in (("route", number, index), routes[index].topic)
         ]

@@ -52,7 +52,7 @@ def test_what_is_sent_after_a_start_is_uncertain():
     assert found.uncertain > 0
     assert [row for row in found.balance if not row.adds_up] == []
     (verdict,) = [item for item in found.verdicts if item.rule == "crossing_loss"]
-    assert "Stop Application EDORAS_APP" in verdict.evidence[0]
+    assert "Stop Application EDORAS_APP" in verdict.reason
 
 
 def test_where_the_application_may_take_either_of_two_none_is_said_to_be_lost_by_its_stop():
