@@ -508,7 +508,6 @@ _AROUND_NS: Final = 30 * SECOND
 _IDLE_NS: Final = SECOND
 _LEAST_ROWS: Final = 2
 _LEAST_STREAMS: Final = 3
-_LEAST_MISSING: Final = 3
 _MOST: Final = 64
 """Holes that are told, the longest."""
 
@@ -533,7 +532,7 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
     for gap in zip(rows.time_ns[long].tolist(), rows.time_ns[long + 1].tolist(), strict=True):
         others = _steady(commands, *gap) or sum(_steady(times, *gap) for times in peers) > 1
         missing, number, packets = _missing_at(rows, streams, gap[0])
-        if packets >= _LEAST_MISSING:
+        if packets >= _LEAST_STREAMS:
             holes[not (others and missing >= _LEAST_STREAMS and 2 * missing > number)].append(gap)
     return holes[0], holes[1]
 

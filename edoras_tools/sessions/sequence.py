@@ -28,8 +28,8 @@ The rules:
    missing in it. Three such packets also tell that (f) was (h).
 6. How packets are cut into batches changes nothing.
 
-Counts that go up by one are taken as runs; Python looks at a packet only where the count jumps. Jumps ahead
-within the window, one after the other while there is one strand, are all rule 4e and are taken at once.
+Counts that go up by one are taken as runs; Python looks at a packet only where the count jumps. Jumps ahead,
+one after the other while there is one strand, are all rule 4e or 4g and are taken at once.
 """
 
 from __future__ import annotations
@@ -303,7 +303,7 @@ class SequenceStream(msgspec.Struct, eq=False):
             at += 1
 
     def take_all(self, runs: _Runs, first: int, end: int, out: _Told) -> None:
-        """Take the runs from ``first`` to before ``end``, which are a little ahead one of the other."""
+        """Take the runs from ``first`` to before ``end``, each of which is ahead of the one before."""
         self.take(runs, first, out)
         newest = int(runs.count[runs.ends[first] - 1])
         single = end > first + 1 and len(self._strands) == 1 and self._strands[0].last % MODULUS == newest
@@ -312,7 +312,7 @@ class SequenceStream(msgspec.Struct, eq=False):
                 self.take(runs, index, out)
 
     def _go_ahead(self, runs: _Runs, first: int, end: int, out: _Told) -> bool:
-        """Take runs of which each is ahead within the window, if all may be of one boot; tell whether so."""
+        """Take runs of which each is ahead, if all may be of one boot; tell whether so."""
         (strand,) = self._strands
         begin, stop = runs.begins[first], runs.ends[end - 1]
         rows, jumps = runs.rows[begin:stop], runs.begins[first:end] - begin
@@ -327,12 +327,14 @@ class SequenceStream(msgspec.Struct, eq=False):
         self.missing += int(missing.sum())
         strand.last, strand.behind_steps = int(position[-1]), 0
         strand.prints[position % REPEATED] = runs.prints[begin:stop]
-        strand.boot = newest
-        strand.front += len(rows)
+        strand.boot, strand.front = newest, strand.front + len(rows)
         strand.forget()
-        kept = np.flatnonzero((position[jumps] > strand.last - WINDOW) | bool(strand.holes))
-        ends, jumped = position[jumps[kept]], out.first_row + rows[jumps[kept]]
-        strand.holes += map(_Hole, (ends - missing[kept]).tolist(), ends.tolist(), jumped.tolist())
+        ends = position[jumps]
+        closed = (ends <= strand.last - np.where(missing > WINDOW, _REMEMBERED, WINDOW)) & (not strand.holes)
+        kept = slice(int(np.append(closed, False).argmin()), None)
+        columns = ends - missing, ends, out.first_row + rows[jumps]
+        strand.holes += map(_Hole, *(column[kept].tolist() for column in columns))
+        self.leaps += int((missing >= WINDOW).sum())
         self._went_on(strand, int(runs.places[stop - 1]), out)
         return True
 
@@ -627,11 +629,10 @@ class SequenceCounts:
         owners = groups.owner(rest[jumps])
         steps = (count[jumps] - count[jumps - 1]).astype(np.int64) % MODULUS
         steps[np.flatnonzero(np.diff(owners, prepend=-1))] = 0
-        places = rest + np.repeat(place, sizes)[rest]
         mission = columns.mission_time_ns[rows]
         boots = np.where(mission > 0, batch.time_ns[rows] - mission, _NO_BOOT)
-        runs = _Runs(jumps, ends, steps, count, rows, prints, places, boots)
-        parted = (steps <= 1) | (steps > WINDOW)
+        runs = _Runs(jumps, ends, steps, count, rows, prints, rest + np.repeat(place, sizes)[rest], boots)
+        parted = (steps <= 1) | (steps >= FORWARD) | (steps > WINDOW) & (count[jumps] < _FIRST_COUNTS)
         bare = (ends - jumps == 1) & (mission[jumps] <= 0)
         for owner, own in by_value(owners):
             stream, first = streams[owner], int(count[jumps[own[0]]])

@@ -113,8 +113,6 @@ def find_copies(
     count = len(time_ns)
     copy, duplicate, at_once, alone = np.zeros((4, count), bool)
     out = Copies(copy, duplicate, at_once, alone, np.zeros(count, np.int64))
-    if count < 2:
-        return out
     key = (prints ^ conversation.astype(np.uint64) * MIX) * MIX ^ identification
     ranked = np.sort(key)  # several times as fast as to order all rows, most of which are there once
     several = np.flatnonzero(perhaps_in(key, ranked[1:][ranked[1:] == ranked[:-1]]))

@@ -100,6 +100,10 @@ class SoftwareChanges:
         self._instances = instances
         self._resets = resets
         self._jumps = [item for item in jumps if item.clock != "capture"]
+        # Those that are whole say their limit themselves.
+        self._cut = {
+            item.entry for item in payloads.outputs(telemetry_output.ADD_PACKET) if not item.is_whole
+        }
 
     def changes(self) -> Iterator[Change]:
         """Yield all changes, those of a boot last."""
@@ -212,9 +216,7 @@ class SoftwareChanges:
         elif enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):
             yield change(_OUTPUT, "enabled", enabled["address"])
         elif added := telemetry_output.ADDED.pattern.fullmatch(event.message):
-            commands = self._payloads.outputs(telemetry_output.ADD_PACKET)
-            # Those that are whole say it themselves.
-            if (msg_id := int(added["msg_id"], 16)) in {item.entry for item in commands if not item.is_whole}:
+            if (msg_id := int(added["msg_id"], 16)) in self._cut:
                 yield change(StateOwner("entry", "", msg_id), "subscribed", int(added["limit"]))
         elif telemetry_output.SUPPRESSED.phrase in event.message:
             yield change(_OUTPUT, "suppressed")
