@@ -508,6 +508,7 @@ _AROUND_NS: Final = 30 * SECOND
 _IDLE_NS: Final = SECOND
 _LEAST_ROWS: Final = 2
 _LEAST_STREAMS: Final = 3
+"""Fewer packets that miss at one time are no hole; nor are they one for sure in fewer streams."""
 _MOST: Final = 64
 """Holes that are told, the longest."""
 

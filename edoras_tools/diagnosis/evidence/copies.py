@@ -48,7 +48,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
-from edoras_tools.wire.arrays.order import by_value, groups, numbered, perhaps_in, quantiles
+from edoras_tools.wire.arrays.order import by_value, distinct, groups, numbered, perhaps_in, quantiles
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def find_copies(
             pairs = order[at[np.argsort(place[order[at]])]]
             off_ns = time_ns - np.interp(place, place[pairs], time_ns[pairs].astype(np.float64))
             out.behind_ns[out.alone & (np.abs(off_ns - apart_ns) < np.abs(off_ns))] = apart_ns
-    own = np.flatnonzero(np.isin(conversation, np.unique(conversation[repeated])))
+    own = np.flatnonzero(np.isin(conversation, distinct(conversation[repeated])))
     for _, rows in groups(conversation, own):
         for has_id in (True, False):
             mine = rows[(identification[rows] != 0) == has_id]
@@ -176,7 +176,7 @@ def find_copies(
 
 def _varied(conversation: Integers, identification: NDArray[np.uint16], rows: Places) -> Mask:
     """Tell which of some datagrams are of a sender that gives few of its datagrams one identification."""
-    own = np.flatnonzero(np.isin(conversation, np.unique(conversation[rows])))
+    own = np.flatnonzero(np.isin(conversation, distinct(conversation[rows])))
     _, which = numbered(conversation[own])
     first, _ = numbered(which, identification[own])
     varied = 2 * np.bincount(which[first]) > np.bincount(which)
