@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.lib.stride_tricks import sliding_window_view
 
 from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS
@@ -52,6 +53,8 @@ _LATE: Final = 1.01
 _FITS: Final = 0.5, 1.2
 _FEW: Final = 5
 """What was lost is explained by a model if it is between these shares of what the model loses, or so near."""
+_STEPS: Final = 5
+"""So many steps between messages show how close together the next ones came."""
 _PAUSE: Final = 2
 """A pause is longer than so many rounds."""
 _MOST: Final = 255
@@ -318,8 +321,9 @@ def published_at(case: Case, stream: Stream) -> Integers:
     inside = np.repeat((pause_ns > _PAUSE * case.profile.to_wake_ns) & (counts > 1), counts)
     whole = np.flatnonzero(counts[:-1] == 1)
     if len(whole):
-        last = whole[np.maximum(np.searchsorted(whole, np.arange(len(counts))) - 1, 0)]
-        step_ns = pause_ns[last]
+        before = sliding_window_view(np.pad(pause_ns[whole], (_STEPS - 1, 0), "edge"), _STEPS)
+        usual_ns = np.maximum(pause_ns[whole], np.median(before, axis=1).astype(np.int64))
+        step_ns = usual_ns[np.maximum(np.searchsorted(whole, np.arange(len(counts))) - 1, 0)]
     else:
         step_ns = case.profile.to_wake_ns // (2 * counts)
     nth = place - np.repeat(at, counts)

@@ -38,7 +38,7 @@ from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied
 from edoras_tools.diagnosis.evidence.table import followed
 from edoras_tools.diagnosis.evidence.timeline.changes import SoftwareChanges, capture_changes, network_changes
 from edoras_tools.diagnosis.evidence.timeline.table import Timeline
-from edoras_tools.diagnosis.evidence.unreachable import Unreachable, find_unreachable
+from edoras_tools.diagnosis.evidence.unreachable import Unreachable, find_unreachable, tells_more
 from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.stalls import stalls
@@ -341,20 +341,23 @@ class Case:
         return 0 if excluded else min(number, self.quality.may_have_missed(size, self.confidence))
 
     @cached_property
-    def shut(self) -> list[tuple[Flow, int]]:
-        """What looks like a link's on ports that nobody named, and for how many nobody listened there."""
+    def shut(self) -> list[tuple[Flow, int, int]]:
+        """What looks like a link's on ports that nobody named; how much of it reached nobody, or may."""
         errors = self._errors.errors()
         errors = errors.take(errors.closed)
         which = np.where(errors.identification != 0, errors.identification, errors.time_ns)
-        quoted = set(zip(errors.source.tolist(), errors.destination.tolist(), which.tolist(), strict=True))
-        number = Counter((self.endpoints[a], self.endpoints[b]) for a, b, _ in quoted)
+        columns = (errors.source, errors.destination, which, errors.time_ns)
+        quoted: dict[tuple[Endpoint, Endpoint], dict[int, int]] = {}
+        for a, b, at, when in zip(*(column.tolist() for column in columns), strict=True):
+            quoted.setdefault((self.endpoints[a], self.endpoints[b]), {})[at] = when
         flows = [item for item in self.prepared.flows if item.kind is ConversationKind.UNNAMED]
-        return [(item, many) for item in flows if (many := number[item.source, item.destination])]
+        both = [(item, own) for item in flows if (own := quoted.get((item.source, item.destination)))]
+        return [(item, len(own), tells_more(item, list(own.values()))) for item, own in both]
 
     @property
     def unnamed(self) -> list[Unnamed]:
-        """The same, where errors do not say of most of it that it reached nobody."""
-        closed = {id(flow) for flow, number in self.shut if number > _MOST * flow.datagrams}
+        """The same, where errors do not say that it reached nobody."""
+        closed = {id(flow) for flow, number, more in self.shut if number + more >= flow.datagrams}
         return unnamed(flow for flow in self.prepared.flows if id(flow) not in closed)
 
     @cached_property

@@ -460,9 +460,7 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
             way = LedgerWay(LedgerTraffic(link=item.stream.link.label), len(item.stream))
             _to_port(case, way, item)
             yield way
-    for flow, number in case.shut:
-        # What no error quotes may have come before the port was closed, or its error is not here.
-        rest = (flow.datagrams - number) * (2 * number > flow.datagrams)
+    for flow, number, rest in case.shut:
         way = LedgerWay(LedgerTraffic(link=flow.looks_like.label), number + rest)
         way.hop(f"{UDP_PORT} {flow.destination}", dict.fromkeys(("in", "lost"), "ICMP errors"))
         text, times = _UNREACHED[PORT_CLOSED].format(flow.destination), (flow.first_ns, flow.last_ns)

@@ -88,6 +88,8 @@ FLIGHTS = {
         173,
         {"limit": 91, "route": 35, "ci_stopped": 25, "port_closed": 21, "unknown": 1},
     ),
+    "restarted_at_a_high_rate": (131, {"down": 80, "limit": 51}),
+    "stopped_without_a_word": (83, {"limit": 52, "stopped": 31}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -172,6 +174,17 @@ def test_what_nothing_counts_is_a_narrow_range(name, lost):
     proven = found.lost + found.unaccounted
     assert proven <= lost <= proven + found.uncertain
     assert found.uncertain <= max(3, 0.25 * lost)
+
+
+@pytest.mark.parametrize(
+    ("name", "lost"),
+    [("bursts_of_loss", 187), ("enabled_behind_a_flood", 115), ("second_beside_the_first", 57)],
+)
+def test_what_witnesses_leave_to_several_places_is_a_range(name, lost):
+    """A gap may be a loss on the network, and its count a command's; CI's first count came late."""
+    found = examined(name)
+    proven = found.lost + found.unaccounted
+    assert proven <= lost <= proven + found.uncertain
 
 
 def test_what_a_counter_had_when_it_was_reset_may_be_lost(tmp_path):
@@ -570,6 +583,20 @@ def test_those_of_them_that_no_error_quotes_are_not_examined(tmp_path):
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", kept))
     assert by_cause(found) == {"port_closed": 10}
     assert [item.datagrams for item in found.unnamed] == [36]
+
+
+def test_of_a_closed_port_whose_host_sends_few_errors_the_rest_may_be_lost():
+    found = examined("few_errors_come_back")
+    assert by_cause(found) == {"port_closed": 13}
+    assert found.uncertain == 35
+    assert not found.unnamed
+    found = truth.examined(FOLDER / "few_errors_come_back.pcap.zst", ("--port", "ci:1243"))
+    assert (by_cause(found), found.uncertain) == ({"port_closed": 43}, 5)
+
+
+def test_a_cfs_that_is_started_beside_another_one_is_no_restart():
+    text = first_screen(examined("second_beside_the_first"))
+    assert "was started at 14.2 s beside another one, which ran until 18.2 s" in text
 
 
 def test_an_error_that_a_network_doubles_is_about_one_datagram(tmp_path):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS
+from edoras_tools.diagnosis.accounting.losses import COUNTERS, LEAD_NS, TAIL_NS
 from edoras_tools.diagnosis.evidence.loss_reports import PipeKind, Track
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value, numbered
@@ -48,6 +48,8 @@ class Rank(IntEnum):
 
 _APART_NS: Final = 3 * SECOND
 """What is missing, and what is counted within so long of it, are not two things."""
+_BOOTS_NS: Final = LEAD_NS + SECOND
+"""A boot may count what was sent so short before it: when it was is known to a second."""
 BEFORE: Final = -1
 Place = tuple[int, PipeKind, int]
 """A count: of which instance, of which kind, and in which second of that counter; ``BEFORE`` its first."""
@@ -276,7 +278,7 @@ def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: 
     for claim in claims:
         low_ns, own = claim.low_ns, [(at, counts[at]) for at in claim.instances]
         watched = any(item.times[0] <= low_ns <= item.times[-1] for _, item in own)
-        may = [at for at, item in own if item.boot_ns < low_ns < item.times[0] and not watched]
+        may = [at for at, item in own if item.boot_ns - _BOOTS_NS < low_ns < item.times[0] and not watched]
         if claim.rank not in (Rank.PRESSED, Rank.ABSENT) or len(may) != 1:
             continue
         spared = min(claim.open, missed[claim.flow])
@@ -337,19 +339,9 @@ def settle_possible(
                         item.number += number
                         item.end_ns = span[1]
     if not rivals:
-        _pass_on(counts, [claim for claim in claims if claim.rank != Rank.MISSING])
+        sure = [claim for claim in claims if claim.rank != Rank.MISSING]
+        _improve(_tables(counts, sure), sure, alone=True)
     return list(shared.values())
-
-
-def _pass_on(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
-    """Give what is left by moving counts of others, where one traffic alone can have lost more."""
-    tables = _tables(counts, claims)
-    for (instance, kind), table in tables.items():
-        for second in np.flatnonzero(table.left).tolist():
-            flows = {claims[at].flow for at in _reached(tables, claims, (instance, kind, second))}
-            place = instance, kind, second
-            while len(flows) == 1 and table.left[second] and (path := _path(tables, claims, place, set())):
-                _shift(table, claims, path)
 
 
 def _reached(
@@ -460,12 +452,21 @@ class _Table:
         return before - int(self.left[second])
 
 
-def _improve(tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim]) -> None:
-    """Give what is left by moving counts between claims; what leads to no open claim is looked at once."""
+def _improve(
+    tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], *, alone: bool = False
+) -> None:
+    """Give what is left by moving counts between claims; what leads to no open claim is looked at once.
+
+    Args:
+        alone: only where one traffic alone can have lost more.
+    """
     dead: set[int] = set()
     for (instance, kind), table in tables.items():
         for second in np.flatnonzero(table.left).tolist():
-            while table.left[second] and (path := _path(tables, claims, (instance, kind, second), dead)):
+            place = instance, kind, second
+            if alone and len({claims[at].flow for at in _reached(tables, claims, place)}) != 1:
+                continue
+            while table.left[second] and (path := _path(tables, claims, place, dead)):
                 _shift(table, claims, path)
 
 

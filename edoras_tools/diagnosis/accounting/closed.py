@@ -457,7 +457,8 @@ class Stops:
         times = fate.stream.time_ns
         back = times[fate.arrived & (times > item.start_ns + WAITS_NS)]
         until_ns = int(back[0]) if len(back) else NEVER
-        if until_ns == NEVER and (item.end_ns is None or self._case.end_ns - item.end_ns > READY_NS):
+        left_ns = READY_NS + 1 if item.end_ns is None else self._case.end_ns - item.end_ns
+        if until_ns == NEVER and not 0 <= left_ns <= READY_NS:
             self._await_no_more(fate, item)
         # What arrived last was taken before it stopped.
         last_ns = times[fate.arrived & (times <= item.start_ns + WAITS_NS)].max(initial=0)
@@ -472,9 +473,8 @@ class Stops:
             if NEVER in {until_ns, last_ns or NEVER}:  # what that was, the capture does not show
                 self._hold(fate, inside)
                 inside = np.zeros(len(times), bool)
-        again = np.zeros(len(times), bool)
-        if item.end_ns is not None and until_ns > item.end_ns + TAIL_NS:
-            again = times > item.end_ns  # it runs, and passes nothing on
+        back_ns = NEVER if item.end_ns is None or until_ns <= item.end_ns + TAIL_NS else item.end_ns
+        again = times > back_ns  # it runs, and passes nothing on
         self.mark(fate, inside & ~again, "stopped", item.app, item.witness)
         self.mark(fate, inside & again, "restart_failed", item.app, item.witness)
 

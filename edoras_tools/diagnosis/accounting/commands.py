@@ -147,6 +147,7 @@ class Commands:
         leftover.share(shared)
         settle_rest(counts, claims)
         settle_doubted(counts, claims)
+        leftover.trade(telemetry.claims)
         telemetry.tell()
         self._name([item for item in case.refused if item.by_type])
         doubt(case, telemetry, fates, self.losses)
@@ -154,9 +155,8 @@ class Commands:
         self.uncaptured = leftover.uncaptured
         self.refused_of: dict[int, list[tuple[Verdict, int, Among]]] = {}
         for item in case.refused:
-            number, among = self.placed.get(id(item), (0, None))
-            if among is not None:
-                self.refused_of.setdefault(id(among.stream), []).append((item, number, among))
+            if placed := self.placed.get(id(item)):
+                self.refused_of.setdefault(id(placed[1].stream), []).append((item, *placed))
         self._spare_refused()
         self._follow_on(fates)
         self._number(fates)
@@ -261,10 +261,12 @@ class Commands:
         elif fate.seen and stream.link.only_to_cfs:
             self._uncounted(fate, stops)
         if fate.seen or all(stream.receiver != item.endpoint for item in case.ingests):
-            closed = np.flatnonzero(fate.open & case.unreachable.closed[stream.rows])
-            if (silent := case.unheard.get(id(stream))) is not None:
-                closed = np.setdiff1d(closed, silent.unheard)
+            errors, silent = case.unreachable, case.unheard.get(id(stream))
+            masks = (mask[stream.rows] for mask in (errors.closed, errors.uncertain))
+            unheard = silent.unheard if silent else ()
+            closed, perhaps = (np.setdiff1d(np.flatnonzero(fate.open & own), unheard) for own in masks)
             self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
+            fate.ends["crowded"] += fate.claim(perhaps[: len(perhaps) * stream.link.only_to_cfs])
         regroup(case, fate)
 
     def _uncounted(self, fate: Fate, stops: Stops) -> None:
@@ -732,17 +734,11 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
             spare -= min(spare, number - share)
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
     for fate in unseen:
-        spare -= _leave_missed(case, fate, spare)
-
-
-def _leave_missed(case: Case, fate: Fate, spare: int) -> int:
-    """Take back what the capture may have missed, and so many more; return how many more."""
-    absent = fate.ends["unaccounted"]
-    missed = case.may_lack(len(fate.stream), absent)
-    more = min(spare, absent - missed)
-    fate.ends["missed"] += missed + more
-    fate.ends["unaccounted"] -= missed + more
-    return more
+        missed = case.may_lack(len(fate.stream), fate.ends["unaccounted"])
+        more = min(spare, fate.ends["unaccounted"] - missed)
+        spare -= more
+        fate.ends["missed"] += missed + more
+        fate.ends["unaccounted"] -= missed + more
 
 
 def _mistaken(case: Case, losses: Sequence[Loss]) -> int:

@@ -10,7 +10,8 @@ Rules:
    sent until it was told to restart, or until its cFS fell silent. If it was told to reset its counters, it
    ran on.
 5. Loss while more wait than two wake-ups read, or while it mostly reads all that it can, is its full
-   socket; at a rate that it can read, the network.
+   socket; at a rate that it can read, the network. So is what is missing at the first count already, where
+   by then never more can have waited than a socket holds.
 6. CI takes datagrams in the order in which they came. What it takes before it reads the first one of the
    capture, as that comes out, was sent before the capture began.
 7. Within these bounds the smallest number is lost. The rest waits.
@@ -340,9 +341,6 @@ class _Counted:
                 begin, lost, before = self._restarted(account, last, first, lost, before)
             else:
                 begin = self._first_count()
-                older = 0 if begin[0] == "down" else min(_older(low, high), self._most_older(end))
-                before = older
-                low[0] = min(low[0], max(before, high.min()))  # what CI counts later was not lost before
                 if busy[1:2].any():
                     low[0] = -_MODULUS  # how much it had read before the first sample, nothing tells
                     idle = np.flatnonzero(np.diff(count[part]) < most)
@@ -351,11 +349,14 @@ class _Counted:
                     wakes = (own[0].made_ns - self._case.start_ns) // self._profile.ci_wake_ns
                     if count[end - 1] != sent[end - 1] and count[0] >= most * (wakes - 1):
                         account.older_until_ns = min(behind, own[0].seen_ns + DRAINS_NS)
+                before = 0 if begin[0] == "down" else min(_older(low, high), self._most_older(end))
+                low[0] = min(low[0], max(before, high.min()))  # what CI counts later was not lost before
             drained = np.diff(count[part], prepend=count[first]) < most
             unread = 0 if first else self._unseen()
+            full = 0 if first else self._most_waited(before) - self._profile.socket_queue
             # What was sent before the capture began may wait, and is not lost here.
             high = high - before if first else np.minimum(high - before, sent[part])
-            run = _Run(self._seen[part], low - before, high, drained, busy, 2 * most, unread)
+            run = _Run(self._seen[part], low - before, high, drained, busy, 2 * most, full, unread)
             lost = _follow(account, run, lost, begin, room)
             if begin[0] in _OUTAGES:
                 self._end_with_outage(account, begin)
@@ -516,6 +517,14 @@ class _Counted:
         until = [item for item in self._own[:end] if item.seen_ns <= out_ns]
         return min(most, int(self._sent_until(went_ns)) - until[-1].count) if until else most
 
+    def _most_waited(self, before: int) -> int:
+        """Return the most that waited or were lost at a time until a first count, if it reads all it can."""
+        first = self._own[0]
+        sent_ns = self._sent_ns[self._sent_ns < first.made_ns]
+        later = 2 + (first.made_ns - sent_ns) // self._profile.ci_wake_ns
+        read = np.maximum(first.count + before - self._most * later, 0)
+        return int((np.arange(1, len(read) + 1) - read).max(initial=0))
+
     def _first_count(self) -> tuple[Cause, int]:
         """Return what lost those that were sent before a first count and are not in it, and since when.
 
@@ -556,12 +565,9 @@ class _Counted:
     def _most_read(self, own: Sequence[_Sample], until_ns: int) -> int:
         """Return how many a CI can have read until a time: what it counted, and its best rate."""
         seconds = max(0, until_ns - own[-1].made_ns) / SECOND
-        rates = [self._most * SECOND / self._profile.ci_wake_ns]
-        rates += [
-            (later.count - sooner.count) * SECOND / max(1, later.made_ns - sooner.made_ns)
-            for sooner, later in pairwise(own)
-        ]
-        return own[-1].count + ceil(seconds * max(rates)) + 2 * self._most
+        rates = ((b.count - a.count) * SECOND / max(1, b.made_ns - a.made_ns) for a, b in pairwise(own))
+        fastest_hz = max([self._most * SECOND / self._profile.ci_wake_ns, *rates])
+        return own[-1].count + ceil(seconds * fastest_hz) + 2 * self._most
 
 
 def _read_by(hops: Sequence[Hop]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -603,7 +609,7 @@ class _Run(NamedTuple):
     """Samples of one count: when seen, and the least and most that was lost until then (rules 1 to 3).
 
     ``drained`` tells which read fewer than a wake-up can, ``busy`` which read nearly all that they can; more
-    than ``many`` wait in a socket that gets full.
+    than ``many`` wait in a socket that gets full, before the first no more than ``full`` beyond its room.
     ``unread`` were sent before the first count and did not come out: lost, or a CI read them that restarted;
     None where nothing shows what comes out.
     """
@@ -614,6 +620,7 @@ class _Run(NamedTuple):
     drained: NDArray[np.bool_]
     busy: NDArray[np.bool_]
     many: int
+    full: int
     unread: int | None
 
 
@@ -657,13 +664,15 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
                 # Rule 5: a socket that is full held many before.
                 since = slice(last, level.first + 1)
                 full = int(run.high[since].max()) - number > run.many
-                cause = "socket" if full or run.busy[since].mean() > _MOSTLY else "network"
-                since_ns = int(run.seen[last])
                 missing_first = int(run.high[: level.first].min())
+                early = not account.losses and run.unread is None and missing_first >= number
+                full |= run.busy[since].mean() > _MOSTLY
+                cause = "socket" if full and not (early and number > run.full) else "network"
+                since_ns = int(run.seen[last])
                 if not account.losses and run.unread is not None:
                     # As far as its counts tell, these were missing at the first of them already.
                     lost += max(0, min(run.unread, number - lost, missing_first))
-                elif not account.losses and {cause, begin[0]} == {"network"} and missing_first >= number:
+                elif early and {cause, begin[0]} == {"network"}:
                     account.unsure += number - lost  # or a CI read them that started again since
                     lost = number
             until_ns = int(run.seen[level.first])

@@ -132,6 +132,8 @@ READY_NS: Final = 5 * SECOND
 """An application that was started may take so long until it does its work."""
 WAITS_NS: Final = SECOND
 """What was sent so short before the end may still come out."""
+_LAST: Final = 5
+"""So many show how long a message takes at the end."""
 _BURST_NS: Final = 50 * MILLISECOND
 """What is sent within so long is taken together."""
 
@@ -283,24 +285,20 @@ def follow(case: Case, stream: Stream) -> Fate:
         for masks in ([hop.arrived for hop in hops], [hop.known for hop in hops])
     )
     open_ = followed & ~arrived if hops else np.ones(size, bool)
-    delay = max((int(np.quantile(hop.delays_ns, 0.99)) for hop in hops if len(hop.delays_ns)), default=0)
+    delay = max((_longest(hop.delays_ns) for hop in hops if len(hop.delays_ns)), default=0)
     last_ns = times[arrived][-1] if arrived.any() else 0
     since_ns = max(case.end_ns - delay - WAITS_NS, last_ns - 2 * WAITS_NS)
     waits = open_ & (times > since_ns) & ~case.unreachable.closed[stream.rows] & bool(hops)
     # What may have come out while the capturing interface was away did so unseen.
     unseen = case.is_away(times, times + delay + WAITS_NS) & open_ & bool(hops)
     waits |= unseen
-    return Fate(
-        stream,
-        hops,
-        stream.spans,
-        arrived,
-        _newer(case, hops, open_, times),
-        open_ & ~waits,
-        waits,
-        ~followed & ~arrived & bool(hops),
-        unseen,
-    )
+    blind, newer = ~followed & ~arrived & bool(hops), _newer(case, hops, open_, times)
+    return Fate(stream, hops, stream.spans, arrived, newer, open_ & ~waits, waits, blind, unseen)
+
+
+def _longest(delays_ns: NDArray[np.int64]) -> int:
+    """Return how long a message takes at the end: as usual, or a little longer than the last ones did."""
+    return min(int(np.quantile(delays_ns, 0.99)), 2 * int(delays_ns[-_LAST:].max()) + WAITS_NS)
 
 
 def regroup(case: Case, fate: Fate) -> None:

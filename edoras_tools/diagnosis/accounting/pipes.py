@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.diagnosis.accounting.claims import Place
     from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, PipeKind, ReportedLoss
@@ -128,16 +129,8 @@ class Pipes:
     def claim(self, fate: Fate) -> None:
         """Claim counts for messages that did not come out, of each cFS that they may have gone to."""
         stream = fate.stream
-        group = [
-            instance
-            for instance in self._counts
-            if self._case.goes_to(stream, instance) and self._leaves(fate, instance)
-        ]
-        kinds = [
-            kind
-            for kind in COUNTERS
-            if any(self._from_events(stream, kind, instance)[0] for instance in group)
-        ]
+        group = [at for at in self._counts if self._case.goes_to(stream, at) and self._leaves(fate, at)]
+        kinds = [kind for kind in COUNTERS if any(self._from_events(stream, kind, at)[0] for at in group)]
         has_events = bool(kinds)
         # Of traffic that nobody can follow events tell that it has a part in what others' counts may be.
         if not group or not (fate.seen or (has_events and self._case.hops)):
@@ -501,6 +494,25 @@ class Leftover:
         for item in self._case.outages:
             if item.app in TICKS:
                 yield item, self._case.end_ns if item.end_ns is None else item.end_ns
+
+    def trade(self, claims: Sequence[Claim]) -> None:
+        """Leave open what may have been counted in place of gaps, where some show losses behind cFS.
+
+        Args:
+            claims: of gaps, with all that they were given.
+        """
+        behind = {at for own in claims if own.rank == Rank.MISSING and own.open for at in own.instances}
+        given: Counter[Place] = Counter()
+        for own in claims:
+            given.update(own.taken if own.rank == Rank.PRESSED else ())
+        for at, kind in {place[:2] for place in given if place[0] in behind}:
+            both = [(place[2], most) for place, most in given.items() if place[:2] == (at, kind)]
+            spans = [(self._counts[at].span([second]), most) for second, most in both if second != BEFORE]
+            for item in self._candidates(at, kind):
+                if (fate := self._fates.get(id(item.stream))) is not None and not fate.seen:
+                    sent = fate.stream.time_ns[fate.open]
+                    more = (min(most, item.beyond(sent, *span)) for span, most in spans)
+                    fate.ends["earlier"] += sum(number for number in more if number > 0)
 
     def tell(self) -> None:
         """Make losses of what nothing explains."""

@@ -30,6 +30,7 @@ from edoras_tools.wire.arrays.order import numbered
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from edoras_tools.decode.conversations import Flow
     from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder, PortErrors
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
@@ -85,6 +86,17 @@ class Unreachable(NamedTuple):
     refused: Mask
     uncertain: Mask
     spans: Sequence[ClosedSpan] = ()
+
+
+def tells_more(flow: Flow, errors_ns: list[int]) -> int:
+    """Return of how many more of a flow errors tell that they may have reached nobody: none, or the rest.
+
+    Args:
+        errors_ns: when each of them came: about most of it, or all the time, as often as a host sends any.
+    """
+    longest_ns = int(np.diff([flow.first_ns, *sorted(errors_ns), flow.last_ns]).max())
+    is_shut = longest_ns <= _PATIENCE_NS or 2 * len(errors_ns) > flow.datagrams
+    return max(0, flow.datagrams - len(errors_ns)) * is_shut
 
 
 def find_unreachable(

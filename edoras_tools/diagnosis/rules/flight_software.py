@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.event_services import SQUELCHED, EventType
 from edoras_tools.cfs.executive_services import COMMAND_MSG_ID as ES_COMMAND_MSG_ID
@@ -31,6 +29,10 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
 
 
+_BOOTS_NS: Final = 3 * SECOND
+"""A clock tells to a second or two when a cFS began."""
+
+
 def cfs_restart(case: Case) -> Iterator[Verdict]:
     """A cFS started anew while the capture ran: its clock, counts and counters began again.
 
@@ -51,11 +53,13 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
         earlier = next((item for item in reversed(own) if item.last_ns < later.first_ns), None)
         if earlier is None:
             continue
-        span = earlier.last_ns, later.first_ns
+        span, boot_ns = (earlier.last_ns, later.first_ns), later.boot_ns(case.profile)
+        if not max(case.start_ns, earlier.first_ns) < boot_ns < earlier.last_ns - _BOOTS_NS:
+            boot_ns = 0
         if earlier.name or later.name or _down(case, *span):  # frames that were cut name nobody
             moved = (later.offset_ns - earlier.offset_ns) / SECOND
             how = f"mission time against the capture's moved by {moved:.1f} s"
-            yield _restarted(case, case.label(index), span, how)
+            yield _restarted(case, case.label(index), span, how, boot_ns)
 
 
 def cfs_stalled(case: Case) -> Iterator[Verdict]:
@@ -89,19 +93,18 @@ def _down(case: Case, start_ns: int, end_ns: int) -> list[Loss]:
     ]
 
 
-def _restarted(case: Case, whose: str, span: tuple[int, int], how: str) -> Verdict:
-    """Return that a cFS was started again; ``how`` it shows."""
+def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, beside_ns: int = 0) -> Verdict:
+    """Return that a cFS was started again; ``how`` it shows, and when, if the one before still ran."""
     rows, down = case.rows, _down(case, *span)
     commanded = (rows.known_id == ES_COMMAND_MSG_ID) & (rows.function_code == RESTART)
     commanded &= (rows.time_ns > span[0] - SECOND) & (rows.time_ns < span[1])
-    orders = [
-        f"packet {rows.number[row]}: the processor was told to restart"
-        for row in np.flatnonzero(commanded).tolist()
-    ]
     lost, msg_ids = sum(loss.lost for loss in down), {loss.msg_id for loss in down}
     noun = "command" if all(loss.stream is None or loss.stream.is_command for loss in down) else "message"
-    between, meanwhile = span, "counts begin again"
-    remedy = f"enable Telemetry Output: {case.inject(ENABLE_OUTPUT)}"
+    began = f"restarted between {case.at(span[0])} and {case.at(span[1])}"
+    meanwhile, remedy = "counts begin again", f"enable Telemetry Output: {case.inject(ENABLE_OUTPUT)}"
+    if beside_ns:
+        began = f"was started at {case.at(beside_ns)} beside another one, which ran until {case.at(span[0])}"
+        meanwhile = "only the later one gets what is sent to CI's port"
     if lost:
         span = min(loss.start_ns for loss in down), max(loss.end_ns for loss in down)
         times = f"from {case.at(span[0])} to {case.at(span[1])}"
@@ -109,9 +112,9 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str) -> Verdi
         remedy = f"send nothing until cFS runs again; then {remedy}"
     return verdict(
         Severity.ERROR if lost else Severity.WARNING,
-        f"{whose} restarted between {case.at(between[0])} and {case.at(between[1])}: {meanwhile}",
+        f"{whose} {began}: {meanwhile}",
         how,
-        *orders,
+        *(f"packet {at}: the processor was told to restart" for at in rows.number[commanded].tolist()),
         *dict.fromkeys(line for loss in down for line in loss.evidence),
         msg_id=down[0].msg_id if len(msg_ids) == 1 else None,
         link=down[0].stream.link.label if len(msg_ids) == 1 and down[0].stream else "ci" if down else None,
@@ -170,25 +173,20 @@ def event_suppression(case: Case) -> Iterator[Verdict]:
     """
     for instance, track in case.tracks.items():
         for kind, (name, number) in _COUNTERS.items():
-            reports = [
-                report
-                for reported, report in case.reported_losses.items()
-                if reported.instance == instance and reported.kind == kind
-            ]
+            both, again = case.reported_losses.items(), case.inject("evs-reset-filters", NAME)
+            reports = [own for item, own in both if (item.instance, item.kind) == (instance, kind)]
             last_ns = max((report.last_ns for report in reports), default=0)
-            events = sum(report.count for report in reports)
-            if not reports or track.growth(name, last_ns + LEAD_NS) < 2 or track.growth(name) <= events:
-                continue
-            yield note(
-                f"cFS reported CFE_SB {number} {plural(events, 'time')}, the last at {case.at(last_ns)}, "
-                f"while its counter grew by {track.growth(name):,}: cFS stops this event after "
-                f"{STOPS_AFTER}, "
-                "until its filter is reset, and events may be lost themselves",
-                f"after the last of them +{track.growth(name, last_ns + LEAD_NS):,} in 0x803",
-                hop="event services",
-                span=(last_ns, track.times[-1]),
-                remedy=f"trust the counter; to hear of it again: {case.inject('evs-reset-filters', NAME)}",
-            )
+            events, later = sum(report.count for report in reports), track.growth(name, last_ns + LEAD_NS)
+            if reports and later > 1 and track.growth(name) > events:
+                yield note(
+                    f"cFS reported CFE_SB {number} {plural(events, 'time')}, the last at {case.at(last_ns)}, "
+                    f"while its counter grew by {track.growth(name):,}: cFS stops this event after "
+                    f"{STOPS_AFTER}, until its filter is reset, and events may be lost themselves",
+                    f"after the last of them +{later:,} in 0x803",
+                    hop="event services",
+                    span=(last_ns, track.times[-1]),
+                    remedy=f"trust the counter; to hear of it again: {again}",
+                )
 
 
 def event_squelch(case: Case) -> Iterator[Verdict]:
@@ -196,13 +194,11 @@ def event_squelch(case: Case) -> Iterator[Verdict]:
 
     Name the application whose events are not all here.
     """
-    apps = set()
+    firsts: dict[tuple[str, str], EventRecord] = {}
     for record in case.said(case.start_ns, case.end_ns, SQUELCHED.app, event_ids=[SQUELCHED.event_id]):
         match = SQUELCHED.pattern.search(record.message)
-        app = match["app"] if match else record.message
-        if (record.sender, app) in apps:
-            continue
-        apps.add((record.sender, app))
+        firsts.setdefault((record.sender, match["app"] if match else record.message), record)
+    for (_, app), record in firsts.items():
         yield note(
             f"events of {app} on cFS {record.sender} are squelched: it says more than Event Services lets "
             "through",

@@ -72,8 +72,7 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
     ways = dict.fromkeys(
         "to the robot" if hop.out.link == ROBOT else f"as {case.name(hop.out.msg_id)}" for hop in fate.hops
     )
-    missing = stream.time_ns[np.flatnonzero(fate.open)]
-    visible = bool(case.tracks)
+    missing, visible = stream.time_ns[fate.open], bool(case.tracks)
     evidence = [f"{int(fate.arrived.sum()):,} came out {', '.join(ways)} with the same values"]
     accounts = case.ingests_at(stream.receiver)
     last_ns = max((item.last_ns for item in accounts), default=case.end_ns)
@@ -113,8 +112,7 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
 
 def _unfollowed(case: Case, fate: Fate) -> Verdict:
     """Say that nobody can follow what was sent after an application stopped, or if none subscribed to it."""
-    stream = fate.stream
-    times = stream.time_ns
+    stream, times = fate.stream, fate.stream.time_ns
     if fate.reached is not None:
         why = f"the robot got {fate.reached:,}, and which they were is cut off"
         evidence = ["datagrams counted: to CI, and on the robot link"]
@@ -171,13 +169,11 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
     else:
         where = "are missing, and the bus lost none of them: they were lost behind cFS, or by the capture"
         remedy = (
-            "capture on the cFS host too: packets seen there but not here were lost by the network, those "
-            "missing there as well by that host's own queue (tc -s qdisc)"
+            "look at the network between the captures, and at the queue of the cFS host (tc -s qdisc)"
+            if case.capture.shared
+            else "capture on the cFS host too: packets seen there but not here were lost by the network, "
+            "those missing there as well by that host's own queue (tc -s qdisc)"
         )
-        if case.capture.shared:
-            remedy = (
-                "look at the network between the captures, and at the queue of the cFS host (tc -s qdisc)"
-            )
     return error(
         f"{lost:,} of {of:,} messages on {names[0] if one else f'{len(names)} MsgIds'} {where}",
         *evidence,
@@ -223,10 +219,7 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
         *case.drops_text(),
         msg_id=streams[0].msg_id if len(streams) == 1 else None,
         link=streams[0].link.label if len({stream.link for stream in streams}) == 1 else None,
-        span=(
-            min(int(stream.time_ns[0]) for stream in streams),
-            max(int(stream.time_ns[-1]) for stream in streams),
-        ),
+        span=(int(min(own.time_ns[0] for own in streams)), int(max(own.time_ns[-1] for own in streams))),
         remedy="these are lost if the kernel dropped none; pcapng keeps its count of drops, and so does: "
         "edoras record",
         confidence="low",
@@ -238,10 +231,9 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
 
     Say which capture would tell.
     """
-    for loss in case.losses:
-        if loss.kind != "unknown" or loss.stream is None:
-            continue
-        clean, pipe, why = limit(loss.stream.link, loss.msg_id, case.profile, to_cfs=False)
+    unknown = ((loss, loss.stream) for loss in case.losses if loss.kind == "unknown")
+    for loss, own in ((loss, own) for loss, own in unknown if own is not None):
+        clean, pipe, why = limit(own.link, loss.msg_id, case.profile, to_cfs=False)
         offered = loss.offered_hz
         likely = f"published at {offered:.0f}/s; {why}: {clean:g}/s, so {pipe} is the likely place"
         yield error(
@@ -251,7 +243,7 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
             *([likely] if offered > clean else ()),
             *case.drops_text(),
             msg_id=loss.msg_id,
-            place=(loss.stream.link.label, pipe if offered > clean else None),
+            place=(own.link.label, pipe if offered > clean else None),
             lost=loss.lost,
             of=loss.of,
             span=(loss.start_ns, loss.end_ns),
@@ -301,11 +293,11 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
             where = f"on the {BUS}" if loss.hop == BUS else f"at {loss.hop}"
             which = " or ".join(dict.fromkeys(case.name(msg_id) for _, msg_id, _ in loss.rivals))
             question = f"whether of {which}" if which else "which"
-            lost = plural(loss.lost, "message")
             ids = {msg_id for _, msg_id, _ in loss.rivals}
             helped = any(item.hop == loss.hop and item.msg_id in ids for item in case.losses)
             yield error(
-                f"{lost} lost {where} of {case.label(loss.instance)}; the capture cannot show {question}",
+                f"{plural(loss.lost, 'message')} lost {where} of {case.label(loss.instance)}; the capture "
+                f"cannot show {question}",
                 *loss.evidence,
                 hop=loss.hop,
                 lost=loss.lost,
@@ -324,11 +316,8 @@ def superseded(case: Case) -> Iterator[Verdict]:
 
     Count them apart from loss: this is how the two-robot application works.
     """
-    for fate in case.commands.fates.values():
-        number = fate.ends["superseded"]
-        if not number:
-            continue
-        stream = fate.stream
+    for fate in (own for own in case.commands.fates.values() if own.ends["superseded"]):
+        number, stream = fate.ends["superseded"], fate.stream
         outs = " and ".join(case.name(hop.out.msg_id) for hop in fate.hops)
         yield habit(
             f"{number:,} of {len(stream):,} messages on {case.name(stream.msg_id)} gave way to a "
@@ -349,11 +338,9 @@ def older_losses(case: Case) -> Iterator[Verdict]:
     for instance, track in case.tracks.items():
         limits, overflows = track.older.get("msg_limits", 0), track.older.get("pipe_overflows", 0)
         first_ns = max(track.times[0], case.start_ns)  # it was made before it came
-        of = limits + overflows
         counts = case.loss_counts.get(instance)
-        own = of - sum(counts.first.values()) if counts else 0
-        if of > own:
-            losses = f"{of - own:,} loss{'es' * (of - own > 1)}"
+        if older := sum(counts.first.values()) if counts else limits + overflows:
+            losses, own = f"{older:,} loss{'es' * (older > 1)}", limits + overflows - older
             beside = f", beside {own:,} of what is here" if own else ""
             yield note(
                 f"{losses} counted by {case.label(instance)} before {case.at(first_ns)}{beside}: older than "
@@ -377,15 +364,14 @@ def port_closed(case: Case) -> Iterator[Verdict]:
     """
     before: dict[Endpoint, int] = {}
     for span in case.unreachable.spans:
-        open_ns = before.get(span.port, 0)
-        before[span.port] = span.end_ns
-        lost, uncertain = (_within(case, span, open_ns, cause) for cause in (PORT_CLOSED, None))
+        since_ns, before[span.port] = before.get(span.port, 0), span.end_ns
+        lost, uncertain = (_within(case, span, since_ns, cause) for cause in (PORT_CLOSED, None))
         if not lost and not uncertain:
             continue
-        again = span.end_ns != NEVER
-        times = f"the first at {case.at(span.start_ns)}, the last at {case.at(span.last_ns)}"
+        again, errors = span.end_ns != NEVER, plural(span.errors, "ICMP error")
+        start, last = case.at(span.start_ns), case.at(span.last_ns)
         evidence = [
-            f"{plural(span.errors, 'ICMP error')} (port unreachable), {times}",
+            f"{errors} (port unreachable), the first at {start}, the last at {last}",
             f"open again at {case.at(span.end_ns)}" if again else "not open again in this capture",
         ]
         if uncertain:
@@ -394,8 +380,8 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         names = listed([f"{count:,} of {name}" for name, count in lost.most_common()], _MOST_NAMED)
         until = case.at(span.end_ns) if again else "the end of the capture"
         if not again and case.end_ns - span.last_ns > _NO_MORE_NS:
-            until = f"{case.at(span.last_ns)}, after which nothing was sent there"
-        reason = f"nobody listened on {span.port} from {case.at(span.start_ns)} to {until}"
+            until = f"{last}, after which nothing was sent there"
+        reason = f"nobody listened on {span.port} from {start} to {until}"
         if number:
             reason += f": {plural(number, 'message')} reached nobody ({names})"
         if span.step_ns:
@@ -412,11 +398,12 @@ def port_closed(case: Case) -> Iterator[Verdict]:
             remedy="start the program that listens there before what sends to it; if it ended, its own log "
             "says why",
         )
-    for flow, number in case.shut:
+    for flow, number, more in case.shut:
         yield error(
             f"nobody listened on {flow.destination}: {plural(number, 'datagram')} that look like "
             f"{flow.looks_like.name} traffic reached nobody",
             f"{plural(number, 'ICMP error')} (port unreachable) from {case.at(flow.first_ns)} on",
+            *[f"{plural(more, 'more datagram')} may have reached nobody: a host sends few errors"][:more],
             hop=f"{UDP_PORT} {flow.destination}",
             lost=number,
             span=(flow.first_ns, flow.last_ns),
