@@ -36,7 +36,7 @@ from __future__ import annotations
 
 from collections import Counter
 from functools import cache, cached_property
-from math import exp, lgamma, log, log1p, sqrt
+from math import ceil, exp, lgamma, log, log1p, sqrt
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import msgspec
@@ -191,6 +191,12 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         each = self._each(confidence)
         number = min((largest_number(count, *group, each) for group in self.groups), default=count)
         return min(number, self.drops or 0) if self.counts else number
+
+    @property
+    def longest_run(self) -> int:
+        """The most in a row that it can have missed, where it surely missed some; else 0."""
+        share = self.upper_share() if self.lacks_answered else 0.0
+        return ceil(log(1 - CONFIDENCE) / log(min(share, _MOSTLY_ONCE))) if share else 0
 
     def excludes(self, share: float, confidence: float = CONFIDENCE) -> bool:
         """Tell whether the capture cannot have missed such a share: it would lack one of those checked.

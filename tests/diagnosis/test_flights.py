@@ -384,6 +384,12 @@ def test_nothing_is_proven_of_a_msg_id_beyond_what_was_lost_of_it(name):
     assert all(row.adds_up for row in found.balance)
 
 
+def test_a_peer_that_did_not_subscribe_when_a_capture_began_lost_no_more_than_it_was_sent(tmp_path):
+    items = mutations.part(0.3, 1)(mutations.frames(FOLDER / "unsubscribed.pcap.zst"), random)
+    result = truth.diagnosed(mutations.write(tmp_path / "x.pcap", items), ())
+    assert truth.bounds(result)[0] <= FLIGHTS["unsubscribed"][0] <= sum(truth.bounds(result))
+
+
 def test_stalls_of_a_cfs_that_sends_little_are_named():
     found = examined("stood_still_when_idle")
     assert len([item for item in found.verdicts if item.rule == "cfs_stalled"]) == 3
@@ -528,6 +534,9 @@ CHANGED = [
     ("sbn_restarted", "without the middle"),
     ("delay_comes_and_goes", "1 % doubled"),
     ("processor_restarted", "cut to 96"),
+    ("killed_with_backlog", "1 % removed"),
+    ("sbn_restarted", "times late by up to 200 ms"),
+    ("two_cfs", "cut to 64"),
 ]
 
 

@@ -202,10 +202,7 @@ class Telemetry:
             if claim.rank == Rank.POSSIBLE:  # behind the last message that came, where no gap shows it
                 self.parts[claim.key].missing += sum(claim.taken.values())
         for part in self.parts:
-            if part.closed:
-                self._tell_closed(part)
-            else:
-                self._tell(part)
+            (self._tell_closed if part.closed else self._tell)(part)
 
     def _claim(self, stream: Stream) -> None:
         """Divide what is missing from a stream by spans and seconds."""
@@ -216,8 +213,7 @@ class Telemetry:
         gaps = self._missing(stream) if hop is None else self._not_handed_on(stream, hop)
         owner, times = case.owner(stream), stream.time_ns
         away = case.is_away(times[gaps.at], times[np.minimum(gaps.at + 1, len(stream) - 1)])
-        if away.any():
-            self.ends[id(stream)]["away"] = int(gaps.number[away].sum())
+        self.ends[id(stream)]["away"] = int(gaps.number[away].sum())
         gaps = gaps.take(~away)
         closed = closed_at(case, stream, gaps.at)
         way = stream.sender, stream.receiver
@@ -497,9 +493,16 @@ class Telemetry:
         if part.kinds and not is_counted:
             self._lose(part, part.kinds[0], rest, of, "high").uncounted = rest
         elif not is_counted and self._cut(part.stream):
-            self.ends[id(part.stream)]["untold"] += rest
+            ends, twice = self.ends[id(part.stream)], min(rest, self._handed_on(part.stream))
+            ends["uncertain"] += twice
+            ends["untold"] += rest - twice
         else:
             self._unexplained(part, rest, of, grown=any(grown))
+
+    def _handed_on(self, stream: Stream) -> int:
+        """Return how many of what SBN brings are missing behind Telemetry Output: the same may be missing."""
+        alike = (item for item in self._case.streams if item.link.only_from_cfs and stream.link.peers)
+        return sum(int(item.missing.sum()) for item in alike if item.msg_id == stream.msg_id)
 
     def _unexplained(self, part: Part, number: int, of: int, *, grown: bool) -> None:
         """Make a loss of what no counter has: behind cFS, where nothing else can have lost it."""

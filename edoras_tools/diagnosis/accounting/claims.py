@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 class Rank(IntEnum):
     """Which claims are served first: those of messages that surely are missing, and have a cause."""
 
+    NOBODY = -1
+    """What was sent while nobody took it, where the capture may have missed what others lack."""
     PRESSED = 0
     """What surely is missing, where an event names it or its pipe was full."""
     ABSENT = 1
@@ -237,9 +239,9 @@ def settle_known(
         rivals: traffic that is not in the capture.
     """
     for ranks, slack_ns in (
-        ((Rank.PRESSED, Rank.ABSENT, Rank.CLOSED), _APART_NS),
-        ((Rank.PRESSED, Rank.ABSENT, Rank.CLOSED, Rank.OWN_PACKETS), 0),
-        ((Rank.QUIET, Rank.INTO_STOP), 0),
+        (range(Rank.NOBODY, Rank.OWN_PACKETS), _APART_NS),
+        (range(Rank.NOBODY, Rank.QUIET), 0),
+        (range(Rank.QUIET, Rank.MISSING), 0),
     ):
         sure = [claim for claim in claims if claim.rank in ranks]
         settle(counts, sure)

@@ -449,8 +449,8 @@ class Stops:
     def mark(self, fate: Fate, rows: NDArray[np.bool_], kind: LossKind, hop: str, text: str) -> None:
         """Mark messages that one more cause lost, but for those that a counter has as lost at a pipe."""
         if rows.any():
-            fate.stop[rows] = len(self._causes)
-            self._causes.append((kind, hop, text))
+            self._causes += [(kind, hop, text)] * ((kind, hop, text) not in self._causes)
+            fate.stop[rows] = self._causes.index((kind, hop, text))
 
     def _mark(self, fate: Fate, item: Outage) -> None:
         """Mark the messages that an application that was stopped did not take (rule 8)."""
@@ -527,7 +527,7 @@ class Stops:
         if all(hop.out.link.peers for hop in fate.hops):
             for each in fate.hops:
                 way = Way(each.out.msg_id, each.out.link, system, peer=peer(each.out.receiver, ""))
-                ways.append((way, self._untaken(fate, each, _newest(fate, each))))
+                ways.append((way, self._untaken(fate, each, _newest(fate, each, case.profile.sbn_wake_ns))))
         times = stream.time_ns
         closed = [
             (_CLOSED[reason.span.change.subject.kind], reason, newest)
@@ -544,11 +544,7 @@ class Stops:
                 fate.newer |= inside & ~newest
                 inside &= newest
                 fate.unread |= inside
-                cause = kind, hop, text
-                if cause in self._causes:
-                    fate.stop[inside] = self._causes.index(cause)
-                else:
-                    self.mark(fate, inside, *cause)
+                self.mark(fate, inside, kind, hop, text)
 
     def _untaken(self, fate: Fate, hop: Hop, newest: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Tell which messages an application sends on, as many before the first one as nobody took by 0x803.
@@ -575,11 +571,9 @@ class Stops:
         An application is woken at other times, too.
         """
         unsure = np.zeros(len(inside), bool)
-        rows = np.flatnonzero(inside & ~newest)
-        arrived = np.flatnonzero(fate.arrived)
+        rows, arrived = np.flatnonzero(inside), np.flatnonzero(fate.arrived)
         if fate.keeps_newest and len(rows) and len(arrived) and not arrived[0] < rows[0] < arrived[-1]:
-            sent = np.flatnonzero(inside & newest)
-            unsure[[rows[-1], *sent[-1:]]] = True
+            unsure[[own for is_sent in (True, False) for own in rows[newest[rows] == is_sent][-1:]]] = True
             self._hold(fate, unsure)
         return unsure
 
@@ -611,6 +605,12 @@ class Stops:
             for place in np.unique(fate.stop[open_ & (fate.stop >= 0)]).tolist():
                 rows = np.flatnonzero(open_ & (fate.stop == place))
                 fate.claim(rows)
+                # The capture may have missed so many in a row that came out beside them.
+                most = self._case.quality.longest_run
+                inner = rows[most : max(most, len(rows) - most)]
+                fate.ends["missed"] += len(rows) - len(inner)
+                if not len(rows := inner):
+                    continue
                 kind, hop, text = self._causes[place]
                 evidence = [text]
                 if number := fate.counted_in_stop[place]:
@@ -642,15 +642,19 @@ class Stops:
         fate.unfollowed_since = first.witness
 
 
-def _newest(fate: Fate, hop: Hop) -> NDArray[np.bool_]:
+def _newest(fate: Fate, hop: Hop, wake_ns: int) -> NDArray[np.bool_]:
     """Tell which messages an application that keeps the newest would send: the last of each of its rounds.
 
     Where it counts what it sends, as many as are missing there, spread evenly.
+
+    Args:
+        wake_ns: SBN sends once in so long, so that rounds seem long and short in turn.
     """
     out = hop.out
     times, out_ns = fate.stream.time_ns, out.time_ns
     steps = np.diff(out_ns)[out.missing[:-1] == 0]
-    period = int(np.median(steps)) if len(steps) >= _LEAST_ROUNDS else 0
+    steps = steps[steps <= 2 * np.median(steps)] if len(steps) >= _LEAST_ROUNDS else steps[:0]
+    period = int(max(np.median(steps), (steps.sum() + wake_ns) / len(steps))) if len(steps) else 0
     newest = np.ones(len(times), bool)
     if fate.newer.any() and period >= _FASTER * float(np.median(np.diff(times))):
         read = out_ns - _delay(times, out_ns, hop)

@@ -29,7 +29,7 @@ from edoras_tools.diagnosis.accounting.claims import (
     settle_rest,
     shares,
 )
-from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, UDP_PORT, Stops
+from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, UDP_PORT, Stops, silenced_at
 from edoras_tools.diagnosis.accounting.ingest import BeforeCi
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
@@ -107,8 +107,7 @@ class Commands:
         fates = list(self.fates.values())
         self._by_packet: dict[tuple[str | None, int | None], list[Fate]] = {}
         for fate in fates:
-            key = fate.stream.link.label, fate.stream.msg_id
-            self._by_packet.setdefault(key, []).append(fate)
+            self._by_packet.setdefault((fate.stream.link.label, fate.stream.msg_id), []).append(fate)
         self._spans = {key: _spans(own) for key, own in self._by_packet.items()}
         for fate in fates:
             self._damaged(fate)
@@ -125,13 +124,15 @@ class Commands:
             self._not_taken(fate, stops)
             self._pass_on(fate)
             pipes.claim(fate)
-        hold_back(case, telemetry.claims)
-        _prefer_stopped(case, pipes.claims)
         counts, claims = case.loss_counts, [*telemetry.claims, *pipes.claims]
+        hold_back(case, claims)
         leftover = Leftover(case, self.fates, pipes)
         leftover.take_named()
         shared = settle_known(counts, claims, leftover.rivals())
-        settle_first(counts, claims, may_be_missed(case, claims))
+        open_ = Counter[int]()
+        for claim in claims:
+            open_[claim.flow] += claim.open
+        settle_first(counts, claims, may_be_missed(case, open_))
         self._tails = {item.flow: sum(item.taken.values()) for item in claims if item.rank == Rank.POSSIBLE}
         pipes.tell()
         stops.tell()
@@ -329,7 +330,9 @@ class Commands:
             if stream is not None:
                 self.relayed[id(stream)] = item
             number = len(item.lost_ns)
-            number -= self._case.may_lack(item.of, number) if number else 0
+            # What CI counts more than is here came out of it, too.
+            unseen = sum(own.not_captured for own in self._case.ingests)
+            number -= max(min(unseen, number), self._case.may_lack(item.of, number)) if number else 0
             if number:
                 span = int(item.lost_ns.min()), int(item.lost_ns.max())
                 text = f"{number:,} of {item.of:,} went into {item.relay} and did not come out of it"
@@ -462,9 +465,13 @@ class Commands:
                     counts[other.out_rows - 1] -= 1
             passed = np.concatenate(([0], np.cumsum(counts)))[out]
             room = np.concatenate(([0], np.diff(passed) - 1, [0]))
-            # Of those in one place the first may be it, as far as there is room.
+            # Of those in one place the first may be it, as far as there is room, that gave way to none.
+            order = np.lexsort((open_, fate.newer[open_], behind))
             nth = np.arange(len(behind)) - np.searchsorted(behind, behind)
-            fate.passed[open_[nth < room[behind]]] = True
+            fate.passed[open_[given := order[nth < room[behind]]]] = True
+            if self._case.unsteady_ns:  # or another one, sent a little before or later
+                others = open_[~(fate.passed | fate.newer)[open_]]
+                fate.passed[others[: int(room.sum()) - len(given)]] = True
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True
 
     def _follow_on(self, fates: Sequence[Fate]) -> None:
@@ -622,7 +629,7 @@ class Commands:
         more = min(unaccounted, ends["passed_on"]) if fate.newer.any() else 0
         ends["superseded"] += more
         # Where times are wrong, what is late may be taken for another.
-        ends["missed" if self._case.unsteady_ns else "unaccounted"] = unaccounted - more
+        ends["missed" if self._case.unsteady_ns else "unaccounted"] += unaccounted - more
 
     @staticmethod
     def _share(fate: Fate, own: Sequence[int], rest: list[int]) -> None:
@@ -659,25 +666,21 @@ def _in_order(hop: Hop) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def hold_back(case: Case, claims: Sequence[Claim]) -> None:
     """Keep counts from what the capture may have missed, where no event names it and no pipe was full of it.
 
-    Such a claim takes what nothing else explains; a capture that lacks frames lacks what explains it, too.
+    Such a claim takes what nothing else explains; a capture that lacks frames lacks what explains it, too. So
+    what nobody took, and is lost in any case, has counts before what such a capture may have missed.
     """
     groups: dict[int, list[Claim]] = {}
     for claim in claims:
         if claim.rank == Rank.MISSING:
             groups.setdefault(claim.flow, []).append(claim)
+        elif claim.rank in {Rank.CLOSED, Rank.INTO_STOP} and case.quality.lacks_answered:
+            claim.rank = Rank.NOBODY
     missing = sum(claim.number for own in groups.values() for claim in own)
     if missing and not case.quality.excludes(missing / (sum(map(len, case.streams)) + missing)):
         for stream in case.streams:
             own = groups.get(id(stream), [])
             for claim, share in zip(own, _missed(case, stream, [item.number for item in own]), strict=True):
                 claim.number, claim.doubted = claim.number - share, claim.doubted + share
-
-
-def _prefer_stopped(case: Case, claims: Sequence[Claim]) -> None:
-    """Let what nobody took have counts first, where the capture may have missed what others lack."""
-    for claim in claims if case.quality.lacks_answered else ():
-        if claim.rank in {Rank.CLOSED, Rank.INTO_STOP}:
-            claim.rank = Rank.PRESSED
 
 
 def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
@@ -689,17 +692,13 @@ def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
 
 def _spans(fates: Sequence[Fate]) -> NDArray[np.int64]:
     """Return when each stream began, and when it ended: i64 (2, n), ns since 1970."""
-    times = [fate.stream.time_ns for fate in fates]
-    return np.array([[item.min() for item in times], [item.max() for item in times]])
+    return np.array([[edge(fate.stream.time_ns) for fate in fates] for edge in (np.min, np.max)])
 
 
-def may_be_missed(case: Case, claims: Sequence[Claim]) -> dict[int, int]:
-    """Return id of a stream to how many the capture may have missed of those that no count explains yet."""
-    open_ = Counter[int]()
-    for claim in claims:
-        open_[claim.flow] += claim.open
-    sizes = {id(stream): len(stream) for stream in case.streams}
-    return {flow: case.may_lack(sizes[flow], number) for flow, number in open_.items()}
+def may_be_missed(case: Case, lacking: Counter[int]) -> dict[int, int]:
+    """Return id of a stream to how many the capture may have missed of so many that lack."""
+    own = (item for item in case.streams if id(item) in lacking)
+    return {id(item): case.may_lack(len(item), lacking[id(item)]) for item in own}
 
 
 def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Sequence[Loss]) -> None:
@@ -734,11 +733,12 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
             spare -= min(spare, number - share)
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
     for fate in unseen:
-        missed = case.may_lack(len(fate.stream), fate.ends["unaccounted"])
-        more = min(spare, fate.ends["unaccounted"] - missed)
-        spare -= more
+        absent = fate.ends["unaccounted"]
+        missed = case.may_lack(len(fate.stream), absent)
+        more = min(spare, absent - missed)
         fate.ends["missed"] += missed + more
         fate.ends["unaccounted"] -= missed + more
+        spare -= more
 
 
 def _mistaken(case: Case, losses: Sequence[Loss]) -> int:
@@ -747,7 +747,7 @@ def _mistaken(case: Case, losses: Sequence[Loss]) -> int:
     for loss in losses if case.quality.lacks_answered else ():
         if loss.kind in COUNTERS and loss.stream is not None:
             lost[id(loss.stream)] += loss.lost
-    return sum(case.may_lack(len(item), lost[id(item)]) for item in case.streams if lost[id(item)])
+    return sum(may_be_missed(case, lost).values())
 
 
 def _leave_quiet(case: Case, telemetry: Telemetry) -> None:
@@ -755,11 +755,7 @@ def _leave_quiet(case: Case, telemetry: Telemetry) -> None:
     for loss in telemetry.losses if case.quiet else ():
         among = loss.among
         if loss.kind not in COUNTERS and among is not None and among.missing is not None:
-            times = among.stream.time_ns
-            inside = np.zeros(len(among.rows), bool)
-            for start_ns, end_ns in case.quiet:
-                behind = np.minimum(among.rows + 1, len(times) - 1)
-                inside |= (times[among.rows] <= start_ns) & (times[behind] >= end_ns)
+            inside = silenced_at(among.stream, among.rows, case.quiet)
             _take_back(telemetry, loss, min(loss.lost, int(among.missing[inside].sum())))
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
 

@@ -144,16 +144,18 @@ class Ingest(msgspec.Struct):
         self.losses.append(loss)
 
     def spare(self, again_ns: NDArray[np.int64]) -> None:
-        """Leave open as many losses on the network as there are copies then: the capture may have made them.
+        """Leave open as many losses on the network as there are copies by then: the capture may make some.
 
         Args:
             again_ns: when copies were sent.
         """
+        spared = 0
         for at, loss in enumerate(self.losses):
-            copies = int(((again_ns > loss.since_ns) & (again_ns <= loss.end_ns)).sum())
+            copies = int((again_ns <= loss.end_ns).sum()) - spared
             if number := min(loss.lost, copies) * (loss.cause == "network"):
                 self.losses[at] = replace(loss, lost=loss.lost - number)
-                self.unsure += number
+                spared += number
+        self.unsure += spared
         self.losses = [loss for loss in self.losses if loss.lost]
 
     def steadied(self) -> Ingest:
@@ -832,13 +834,15 @@ class BeforeCi:
         """
         # Of what an application keeps the newest of, others than lost ones did not come out.
         all_out = [fate for fate in self._to(account) if fate.seen and not fate.keeps_newest]
-        size = sum(len(fate.stream) for fate in all_out)
+        size, quality = sum(len(fate.stream) for fate in all_out), self._case.quality
+        # Where a few are known to be missed, no share is excluded: what did not come out here are few.
+        shows = any(item.missing for item in quality.evidence if item.kind != "periods")
         for before in account.losses if size and self._case.loss_counts else ():
             may = self._open(all_out, before, before.since_ns)
             number = sum(int(own.sum()) for _, own in may)
-            number -= self._case.may_lack(size, number)
+            missed = quality.may_have_missed(size) if shows else self._case.may_lack(size, number)
             text = "so many did not come out, and its counts leave room for them"
-            self._spread(may, before, min(number, before.more), [text])
+            self._spread(may, before, min(max(0, number - missed), before.more), [text])
 
     def wait(self, account: Ingest) -> None:
         """Tell which messages may wait in CI's socket at its last count, once all else is told: the latest.

@@ -162,13 +162,12 @@ def no_subscriber(case: Case) -> Iterator[Verdict]:
 
     Say which, where an event or the only command before a count tells.
     """
-    rows, counted = case.rows, {}
+    rows, counted, unseen = case.rows, {}, any(item.not_captured for item in case.ingests)
     for instance, track in case.tracks.items():
-        for msg_id, members, number in _unwanted(case, track):
+        for msg_id, members, number in () if unseen else _unwanted(case, track):
             counted[instance, msg_id] = members, number
     reports = {item: events for item, events in case.reported_losses.items() if item.kind == "no_subscriber"}
-    sent = [item for item in reports if item.sender.startswith(_HANDS_IN)]
-    for item in sent:
+    for item in (item for item in reports if item.sender.startswith(_HANDS_IN)):
         link: Link = CI if item.sender.startswith("CI") else SBN
         members = np.flatnonzero((rows.link == link) & (rows.msg_id == item.msg_id))
         _, number = counted.pop((item.instance, item.msg_id), (members, len(members)))
