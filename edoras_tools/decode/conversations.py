@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 
+from edoras_tools.decode.builds import PLACES, conversations
 from edoras_tools.links import table
 from edoras_tools.model import OTHER, Columns, Endpoint, Finding, Link, PacketBatch
 from edoras_tools.wire import ccsds, cfe, sbn
@@ -221,12 +222,21 @@ class Conversations(msgspec.Struct, eq=False):
         return self.flows.get(key)
 
 
-def links_in_doubt(batch: PacketBatch, columns: Columns, context: Context) -> NDArray[np.bool_]:
-    """Return which links with packets have a datagram in a batch that is not sound, bool (256,), by code."""
+def in_doubt(batch: PacketBatch, columns: Columns, context: Context) -> NDArray[np.bool_]:
+    """Return the datagrams, bool, of conversations that a batch leaves in doubt: not all of one are sound.
+
+    Where most of one are not, it depends on the others of its link what it is: all of these are returned.
+    """
+    link, packets = columns.link, table.accepted(lambda link: link.packets)
     _, sound = _soundness(columns, slice(None), context.known)
-    doubt = np.zeros(1 << 8, np.bool_)
-    doubt[columns.link[~sound & (batch.length > 0)]] = True
-    return doubt & table.accepted(lambda link: link.packets)
+    odd = np.flatnonzero(~sound & (batch.length > 0) & packets[link])
+    if not len(odd):
+        return np.zeros(len(batch), np.bool_)
+    place = conversations(batch)
+    unsound = np.bincount(place[odd], minlength=PLACES)
+    if (unsound * _SHARE > np.bincount(place, minlength=PLACES) * (_SHARE - 1)).any():
+        return np.asarray(np.bincount(link[odd], minlength=1 << 8)[link] > 0)
+    return np.asarray(unsound[place] > 0)
 
 
 def foreign(flows: Iterable[Flow]) -> list[str]:

@@ -248,13 +248,8 @@ class Variants:
 
     def _first(self, sample: _Kept, conversation: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the first kind that explains each packet; what a plain command shows; ``_NOTHING``."""
-        first = np.full(len(sample.length), _NOTHING)
-        rest = np.arange(len(first))
-        for number, headers in enumerate(cfe.TOLD):
-            if len(rest):
-                fits = self._fitting(sample.take(rest)).by(headers)
-                first[rest[fits]] = number
-                rest = rest[~fits]
+        fitting = self._fitting(sample)
+        first = np.select([fitting.by(headers) for headers in cfe.TOLD], range(len(cfe.TOLD)), _NOTHING)
         timed = np.flatnonzero((first == _EXTENDED) & ~_commands(sample))
         for _, members in by_value(conversation[timed]):
             if len(members) > 1:

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from edoras_tools import __version__
-from edoras_tools.decode.conversations import LEFT_OUT, Conversations, links_in_doubt
+from edoras_tools.decode.conversations import LEFT_OUT, Conversations, in_doubt
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.links.protocol import LinkProtocol
@@ -340,8 +340,8 @@ class Independence:
         fragments = (columns.findings & np.uint32(Finding.FRAGMENT)).any()
         several = self._context.spacecraft.several
         self._apart = self._apart and batch.streams is None and not (fragments or several)
-        if self._apart and (doubt := links_in_doubt(batch, columns, self._context)).any():
-            self._suspects.add(batch, columns, doubt[columns.link])
+        if self._apart and (doubt := in_doubt(batch, columns, self._context)).any():
+            self._suspects.add(batch, columns, doubt)
         if self._apart and self._repeats and self._sequences and not self._repeats.possible:
             # What was captured twice in a stream that only goes on would have come twice in it.
             streams = self._sequences.follow(batch, columns).stream

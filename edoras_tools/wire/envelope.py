@@ -239,13 +239,14 @@ def holds(
     size = envelope.size
     start = head[:, size : size + 4]
     encapsulated = (start[:, 0] == 0) & (start[:, 1] <= 1) & (start[:, 2] == 0) & (start[:, 3] == 0)
-    if not encapsulated.any():
-        return np.asarray(encapsulated)
-    length = envelope.layout.column("buffer_length", head).astype(np.uint64)
-    capacity = capacity_column(envelope, head, length)
-    space = np.maximum(have - size - envelope.crc, 0).astype(np.uint64)
-    fits = (have >= size + 4) & (length >= 4) & (length <= capacity) & (length <= space)
-    return np.asarray(fits & encapsulated)
+    rows = np.flatnonzero(encapsulated)
+    if len(rows):
+        head, have = head[rows], have[rows]
+        length = envelope.layout.column("buffer_length", head).astype(np.uint64)
+        capacity = capacity_column(envelope, head, length)
+        space = np.maximum(have - size - envelope.crc, 0).astype(np.uint64)
+        encapsulated[rows] = (have >= size + 4) & (length >= 4) & (length <= capacity) & (length <= space)
+    return np.asarray(encapsulated)
 
 
 def intact_rows(
