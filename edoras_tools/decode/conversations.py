@@ -24,11 +24,10 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 
-from edoras_tools.decode.builds import PLACES, conversations
 from edoras_tools.links import table
 from edoras_tools.model import OTHER, Columns, Endpoint, Finding, Link, PacketBatch
 from edoras_tools.wire import ccsds, cfe, sbn
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import distinct, numbered
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.msg_id import VERSION_1
 
@@ -41,6 +40,8 @@ if TYPE_CHECKING:
 
 _SHARE: Final = 20
 """One sound datagram in so many makes a conversation cFS's."""
+_FEW: Final = 8
+"""Pairs of ports that are looked at one by one."""
 _MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 _KNOWN_TYPES: Final = np.isin(np.arange(256), list(sbn.MsgType))
 _BEGINNING: Final = 0xE800, 0x0800
@@ -223,20 +224,21 @@ class Conversations(msgspec.Struct, eq=False):
 
 
 def in_doubt(batch: PacketBatch, columns: Columns, context: Context) -> NDArray[np.bool_]:
-    """Return the datagrams, bool, of conversations that a batch leaves in doubt: not all of one are sound.
+    """Return the datagrams, bool, of conversations that a batch leaves in doubt: some in them are not sound.
 
-    Where most of one are not, it depends on the others of its link what it is: all of these are returned.
+    Where hardly any is, what a conversation is depends on the others, and all of these links are returned.
     """
     link, packets = columns.link, table.accepted(lambda link: link.packets)
     _, sound = _soundness(columns, slice(None), context.known)
-    odd = np.flatnonzero(~sound & (batch.length > 0) & packets[link])
-    if not len(odd):
-        return np.zeros(len(batch), np.bool_)
-    place = conversations(batch)
-    unsound = np.bincount(place[odd], minlength=PLACES)
-    if (unsound * _SHARE > np.bincount(place, minlength=PLACES) * (_SHARE - 1)).any():
-        return np.asarray(np.bincount(link[odd], minlength=1 << 8)[link] > 0)
-    return np.asarray(unsound[place] > 0)
+    odd = np.flatnonzero(~(sound | (batch.length == 0)) & packets.take(link))
+    ports = batch.source_port.astype(np.uint32) << 16 | batch.destination_port
+    pairs = distinct(ports[odd]).tolist()
+    each = [ports == pair for pair in pairs[:_FEW]]
+    if len(pairs) > _FEW or any(
+        _SHARE * np.count_nonzero(sound & own) < np.count_nonzero(own) for own in each
+    ):
+        return np.asarray(np.isin(link, distinct(link[odd])))
+    return np.logical_or.reduce(each) if each else np.zeros(len(batch), np.bool_)
 
 
 def foreign(flows: Iterable[Flow]) -> list[str]:
@@ -327,7 +329,7 @@ def _soundness(
     first = cfe.known_ids(msg_id, columns.headers[rows])
     begins = (msg_id >= 0) & ((first & _BEGINNING[0]) == _BEGINNING[1])
     mismatched = (findings & np.uint32(Finding.LENGTH_MISMATCH)) != 0
-    sound = begins & (~mismatched | described[msg_id])
+    sound = begins & (~mismatched | described.take(msg_id))
     peer = columns.sbn_msg_type[rows] >= 0
     begins |= peer & ((findings & np.uint32(Finding.SBN_UNKNOWN_TYPE)) == 0)
     sound |= peer & ((findings & np.uint32(_NO_MESSAGE)) == 0)
