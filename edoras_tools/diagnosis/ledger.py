@@ -267,13 +267,6 @@ class Row(LedgerTraffic, frozen=True):
         """Whether something counts what is lost there; if not, 0 means nothing."""
         return bool(self.lost) or not self.counted.get("lost", "").startswith(NOT_COUNTED)
 
-    @property
-    def adds_up(self) -> bool:
-        """Whether rule 2 holds, and nothing is negative."""
-        rest: list[int] = [getattr(self, name) for name in ENDINGS[1:]]
-        figures = (self.came, self.out, self.duplicated, *self.lost.values(), *rest)
-        return min(figures) >= 0 and self.came + self.duplicated == self.out + self.all_lost + sum(rest)
-
     def as_json(self, topic: str | None) -> dict[str, Any]:
         """Return it in the shape of ``doctor --json``."""
         return {

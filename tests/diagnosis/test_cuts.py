@@ -15,6 +15,7 @@ from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.wire.robot import ROBOT_COMMAND, ROBOT_PORT
+from tests.support.balance import wrong_rows
 
 PLACES = 40
 CI_PORT, TWIST = 1234, 0x1827
@@ -69,7 +70,7 @@ def cuts(batches, side):
 
 def adds_up(found):
     """Check the sums of a diagnosis: of every row, every headline, and every hop of a command's chain."""
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     for line in found.headlines:
         rest = line.superseded + line.lost + line.waiting + line.not_captured + line.unaccounted
         rest += line.uncertain + line.shared

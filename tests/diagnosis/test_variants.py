@@ -21,6 +21,7 @@ from edoras_tools.links import table
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.doctor.doctor import limits
+from tests.support.balance import wrong_rows
 
 TRUTH = {
     "a_rover": 92,
@@ -369,7 +370,7 @@ def test_two_cfs_of_one_name_lose_each_its_own(tmp_path, one, other, late_ms):
     for row in found.balance:  # equal telemetry is of one spacecraft, though of two cFS
         place = row.instance and row.instance.rpartition(" ")[2]
         lost[f"10.0.0.{row.spacecraft}" if row.spacecraft else place] += row.all_lost
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     assert found.unaccounted == 0
     assert lost == Counter({"10.0.0.1": TRUTH[one]}) + Counter({"10.0.0.2": TRUTH[other]})
 
@@ -393,7 +394,7 @@ def test_two_cfs_of_one_name_at_one_address_are_told_by_their_clocks(whole, tmp_
     shift_ns = first[0].time_ns - second[0].time_ns + late_ms * MS
     items = merged(first, [item.at(shift_ns) for item in second])
     found = diagnosed(write(tmp_path / "x.pcap", items), one)
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     assert (found.lost, found.unaccounted) == AT_ONE_PLACE[one, other]
     # Each publishes what is seen of it: the counts of the other are no gaps.
     assert published(found) == sum((published(whole(name)) for name in (one, other)), Counter())
@@ -415,7 +416,7 @@ def test_two_builds_on_one_host_one_after_the_other_lose_each_its_own(tmp_path, 
     first, second = captured(one), captured(other)
     later = [item.at(first[-1].time_ns + 100 * SECOND - second[0].time_ns) for item in second]
     found = diagnosed(write(tmp_path / "x.pcap", [*first, *later]), one)
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     assert (found.lost, found.unaccounted) == (TRUTH[one] + TRUTH[other], 0)
 
 
@@ -423,7 +424,7 @@ def test_a_telemetry_output_that_may_have_been_told_to_stop_lost_nothing(tmp_pat
     """It was told to send nothing for 15 s; in a capture of telemetry alone nothing tells that it was."""
     kept = [item for item in captured("n1_to_remove_all") if item.destination[1] == 1235]
     found = diagnosed(write(tmp_path / "x.pcap", kept), "n1_to_remove_all")
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     assert (found.lost, found.unaccounted) == (0, 30)
     told = [item for item in found.verdicts if item.rule == "unexplained_gap"]
     assert len(told) == 2
@@ -435,7 +436,7 @@ def test_a_peer_that_may_not_have_been_connected_missed_nothing(tmp_path):
     """The bridge was killed and came back; of SBN only what cFS sends was captured."""
     kept = [item for item in captured("f_sbn_disconnect") if item.destination[1] != 2234]
     found = diagnosed(write(tmp_path / "x.pcap", kept), "f_sbn_disconnect")
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     assert (found.lost, found.unaccounted) == (0, 11)
     (told,) = [item for item in found.verdicts if item.rule == "unexplained_gap"]
     assert "nothing that the peer sends is in the capture" in told.reason
@@ -445,7 +446,7 @@ def test_what_a_peer_sends_unseen_is_no_ground_for_a_cause(tmp_path):
     """Two cFS that hand on each other's packets, their SBN not captured: its pipes lost some, no network."""
     kept = [item for item in captured("d3_cpu1_cpu2") if item.destination[1] == 1235]
     found = diagnosed(write(tmp_path / "x.pcap", kept), "d3_cpu1_cpu2")
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     assert not {item.rule for item in found.verdicts} & {"no_subscriber", "lost_after_cfs"}
 
 
@@ -459,7 +460,7 @@ def test_what_two_cfs_tell_of_one_loss_is_counted_once(tmp_path):
         lost[item.rule] += item.lost or 0
     # Two of the gaps fall into seconds in which the cFS that they are behind counted losses itself.
     assert (lost["unexplained_gap"] + 2, lost["unattributed_loss"]) == (2118, 2218 - 2118)
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
 
 
 @pytest.mark.parametrize("link", UNNAMED)
@@ -498,7 +499,7 @@ def test_frames_that_are_cut_anywhere_say_no_more_than_whole_ones(whole, tmp_pat
     name = "d3_cpu1_cpu2"
     found = diagnosed(write(tmp_path / "x.pcap", captured(name), snap=snap), name)
     assert found.verdicts[0].rule == "cut_frames"
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     whole = whole(name)
 
     def lost_by(found):
@@ -544,7 +545,7 @@ def test_what_is_cut_out_of_the_middle_is_not_lost(whole, tmp_path, name, start,
     kept = [item for item, inside in zip(items, between(items, start, end), strict=True) if not inside]
     found = diagnosed(write(tmp_path / "x.pcap", kept), name)
     whole = whole(name)
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     assert any(item.rule == "not_examined" and "a hole of" in item.reason for item in found.verdicts)
     assert "lost_after_cfs" not in {item.rule for item in found.verdicts}
     assert found.lost <= whole.lost
@@ -581,7 +582,7 @@ def test_a_network_that_fails_one_way_is_no_hole_of_the_capture(tmp_path, direct
 @pytest.mark.parametrize("name", ROBOT_GOT)
 def test_what_reached_the_robot_is_counted_where_its_values_are_cut(tmp_path, name, snap):
     found = diagnosed(write(tmp_path / "x.pcap", captured(name), snap=snap), name)
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     (line,) = [item for item in found.headlines if item.sent == ROBOT_GOT[name][1]]
     assert (line.arrived, line.sent) == ROBOT_GOT[name]
     assert line.sent == line.arrived + line.lost + line.unaccounted + line.waiting

@@ -20,6 +20,7 @@ from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.robot import ROBOT_PORT
+from tests.support.balance import wrong_rows
 
 SENT, REACHED_THE_ROBOT = 310, 174
 TWIST, OTHER = 0x1827, 0x1828
@@ -50,7 +51,7 @@ def test_what_is_sent_after_a_start_is_uncertain():
     assert SENT - REACHED_THE_ROBOT <= line.lost + line.uncertain <= SENT - REACHED_THE_ROBOT + 6
     assert (line.unaccounted, line.uncertain) == (0, found.uncertain)
     assert found.uncertain > 0
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     (verdict,) = [item for item in found.verdicts if item.rule == "crossing_loss"]
     assert "Stop Application EDORAS_APP" in verdict.reason
 
@@ -61,7 +62,7 @@ def test_where_the_application_may_take_either_of_two_none_is_said_to_be_lost_by
     assert sum(row.lost.get("stopped", 0) for row in found.balance) == 0
     stopped = sum(row.lost.get("stopped", 0) for row in whole.balance)
     assert found.uncertain == whole.uncertain + stopped
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
 
 
 @pytest.mark.parametrize("rule", ["app_outage", "crossing_loss"])

@@ -6,6 +6,7 @@ import pytest
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.wire import cfe
+from tests.support.balance import wrong_rows
 
 NOOP = cfe.emit_command(telemetry_output.COMMAND_MSG_ID, telemetry_output.NOOP, b"", sequence_flags=0)
 UNKNOWN = cfe.emit_command(telemetry_output.COMMAND_MSG_ID, 77, b"", sequence_flags=0)
@@ -27,7 +28,7 @@ def commanded(lab, came, shown):
 
 def unaccounted(found):
     rows = [row for row in found.balance if row.msg_id == telemetry_output.COMMAND_MSG_ID]
-    assert [row for row in rows if not row.adds_up] == []
+    assert wrong_rows(rows) == []
     return {row.hop: row.unaccounted for row in rows if row.unaccounted}
 
 

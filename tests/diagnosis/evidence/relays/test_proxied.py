@@ -16,6 +16,7 @@ from edoras_tools.links import table
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.sessions.faults.machine import FaultPlan
 from edoras_tools.sessions.faults.rules import parse_rule
+from tests.support.balance import wrong_rows
 
 CI, TO = 1234, 1235
 TWIST = 0x1827
@@ -71,7 +72,7 @@ def test_a_capture_from_in_front_of_it_counts_nothing_twice(tmp_path, link, port
     alone = diagnosed(tmp_path, kept, faults)
     merged = sorted([*kept, *in_front(whole, port, moved=moved)], key=lambda item: item.time_ns)
     found = diagnosed(tmp_path, merged, faults)
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     assert by_cause(found) == by_cause(alone)
     assert by_cause(found)["proxy"] == len(faults) > 20
     assert found.unaccounted == alone.unaccounted
@@ -92,7 +93,7 @@ def by_cause(found):
 def test_what_it_dropped_from_telemetry_is_not_blamed_on_cfs(tmp_path, seed):
     kept, faults, machine = relayed(["drop:0.1,link=to"], seed)
     found = diagnosed(tmp_path, kept, faults)
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     dropped = machine.struck[0]
     assert dropped > 20
     # Those before a stream's first and behind its last leave no gap: they are the proxy's all the same.
@@ -121,7 +122,7 @@ def test_what_it_dropped_on_the_way_to_ci_was_sent_and_is_lost_there(tmp_path, s
 def test_doubles_and_what_it_did_else_are_said_and_not_lost(tmp_path):
     kept, faults, _ = relayed(["duplicate:0.05,link=to", "corrupt:0.01,link=to"])
     found = diagnosed(tmp_path, kept, faults)
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     assert by_cause(found)["proxy"] == 0
     doubled = sum(fault.kind == "duplicate" for fault in faults)
     assert sum(row.duplicated for row in found.balance if row.hop == "proxy") == doubled
@@ -138,7 +139,7 @@ def test_what_it_dropped_is_lost_once_where_two_cfs_get_that_msg_id(tmp_path):
         for at in range(9)
     ]
     found = diagnosed(tmp_path, sorted([*kept, *second], key=lambda item: item.time_ns), faults)
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     assert by_cause(found)["proxy"] == len(faults) > 20
     assert len(missing(found.case)) == found.lost
 
@@ -172,7 +173,7 @@ def test_what_it_did_and_what_cfs_counted_are_all_that_was_sent(lab, msg_id, see
     feeds = tuple(((item.time_ns - lab.start_ns) / 1e9, CI, item.payload) for item in through)
     sent, counters = lab.simulate("rover", seconds=seconds, hz=0.0, feeds=feeds)
     found = lab.examine(lab.merged(sent, *through), lab.mission("rover_ground"), faults=faults)
-    assert [row for row in found.balance if not row.adds_up] == []
+    assert wrong_rows(found.balance) == []
     rows = {row.hop: row for row in found.balance if row.msg_id == TWIST}
     dropped, doubled = machine.struck
     assert min(dropped, doubled) > 5
