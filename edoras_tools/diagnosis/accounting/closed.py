@@ -427,7 +427,7 @@ class Stops:
 
     def __init__(self, case: Case, fates: Sequence[Fate]) -> None:
         self._case = case
-        self._causes: list[tuple[LossKind, str, str]] = []
+        self._causes: dict[tuple[LossKind, str, str], int] = {}
         self.losses: list[Loss] = []
         self._fates = [fate for fate in fates if not fate.stream.is_housekeeping]
         gone = [item for item in case.outages if item.app not in _LINKS]
@@ -449,8 +449,7 @@ class Stops:
     def mark(self, fate: Fate, rows: NDArray[np.bool_], kind: LossKind, hop: str, text: str) -> None:
         """Mark messages that one more cause lost, but for those that a counter has as lost at a pipe."""
         if rows.any():
-            self._causes += [(kind, hop, text)] * ((kind, hop, text) not in self._causes)
-            fate.stop[rows] = self._causes.index((kind, hop, text))
+            fate.stop[rows] = self._causes.setdefault((kind, hop, text), len(self._causes))
 
     def _mark(self, fate: Fate, item: Outage) -> None:
         """Mark the messages that an application that was stopped did not take (rule 8)."""
@@ -573,7 +572,8 @@ class Stops:
         unsure = np.zeros(len(inside), bool)
         rows, arrived = np.flatnonzero(inside), np.flatnonzero(fate.arrived)
         if fate.keeps_newest and len(rows) and len(arrived) and not arrived[0] < rows[0] < arrived[-1]:
-            unsure[[own for is_sent in (True, False) for own in rows[newest[rows] == is_sent][-1:]]] = True
+            for alike in (rows[newest[rows]], rows[~newest[rows]]):
+                unsure[alike[-1:]] = True
             self._hold(fate, unsure)
         return unsure
 
@@ -609,13 +609,13 @@ class Stops:
                 most = self._case.quality.longest_run
                 inner = rows[most : max(most, len(rows) - most)]
                 fate.ends["missed"] += len(rows) - len(inner)
-                if not len(rows := inner):
+                if not len(inner):
                     continue
-                kind, hop, text = self._causes[place]
+                kind, hop, text = list(self._causes)[place]
                 evidence = [text]
                 if number := fate.counted_in_stop[place]:
                     evidence.append(f"0x803 counted {number:,} of them: nobody read the pipe")
-                self.losses.append(fate.loss(kind, rows, evidence, hop=hop))
+                self.losses.append(fate.loss(kind, inner, evidence, hop=hop))
 
     def _unfollowed(self, fate: Fate, own: Sequence[Outage]) -> None:
         """Apply rules 9 and 10."""

@@ -468,10 +468,11 @@ class Commands:
             # Of those in one place the first may be it, as far as there is room, that gave way to none.
             order = np.lexsort((open_, fate.newer[open_], behind))
             nth = np.arange(len(behind)) - np.searchsorted(behind, behind)
-            fate.passed[open_[given := order[nth < room[behind]]]] = True
+            first = order[nth < room[behind]]
+            fate.passed[open_[first]] = True
             if self._case.unsteady_ns:  # or another one, sent a little before or later
                 others = open_[~(fate.passed | fate.newer)[open_]]
-                fate.passed[others[: int(room.sum()) - len(given)]] = True
+                fate.passed[others[: int(room.sum()) - len(first)]] = True
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True
 
     def _follow_on(self, fates: Sequence[Fate]) -> None:

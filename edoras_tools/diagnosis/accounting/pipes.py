@@ -502,11 +502,11 @@ class Leftover:
             claims: of gaps, with all that they were given.
         """
         behind = {at for own in claims if own.rank == Rank.MISSING and own.open for at in own.instances}
-        given: Counter[Place] = Counter()
+        places: Counter[Place] = Counter()
         for own in claims:
-            given.update(own.taken if own.rank == Rank.PRESSED else ())
-        for at, kind in {place[:2] for place in given if place[0] in behind}:
-            both = [(place[2], most) for place, most in given.items() if place[:2] == (at, kind)]
+            places.update(own.taken if own.rank == Rank.PRESSED else ())
+        for at, kind in {place[:2] for place in places if place[0] in behind}:
+            both = [(place[2], most) for place, most in places.items() if place[:2] == (at, kind)]
             spans = [(self._counts[at].span([second]), most) for second, most in both if second != BEFORE]
             for item in self._candidates(at, kind):
                 if (fate := self._fates.get(id(item.stream))) is not None and not fate.seen:
