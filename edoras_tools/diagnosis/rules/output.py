@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from functools import cache
 from ipaddress import AddressValueError, IPv4Address
 from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Final
@@ -90,6 +91,7 @@ def _enables(case: Case) -> list[list[CommandRecord]]:
     return list(by_endpoint.values())
 
 
+@cache
 def _is_address(text: str) -> bool:
     """Tell whether a text is an IPv4 address."""
     try:

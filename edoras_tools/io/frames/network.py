@@ -261,10 +261,8 @@ def transport_payloads(
     return payloads if keep.all() else payloads.take(keep)
 
 
-_UDP_WORDS = np.dtype((">u2", 4))
-_ADDRESSES = {4: (np.dtype((">u2", 4)), 12), 6: (np.dtype((">u2", 16)), 8)}
-"""The words of an IP header that have the addresses, and where they begin."""
-_IPV4_WORDS = np.dtype((">u2", 10))
+_HEADS: Final = {4: (np.dtype((">u2", 14)), slice(6, 10)), 6: (np.dtype((">u2", 24)), slice(4, 20))}
+"""The words of an IP header without options and of the UDP header behind it, and which are the addresses."""
 _ONES = 0xFFFF
 CHECKSUMS: Final = "", "UDP checksum wrong", "IPv4 checksum wrong", "UDP and IPv4 checksums wrong"
 """What :func:`wrong_checksums` says, in words."""
@@ -282,24 +280,21 @@ def wrong_checksums(batch: PacketBatch, network: NDArray[np.int64]) -> NDArray[n
     wrong = np.zeros(len(batch), np.uint8)
     end = batch.frame_offset + batch.frame_length
     whole = (batch.source_port > 0) & (batch.frame_length == batch.original_length)
-    whole &= (batch.offset >= network + UDP_BYTES) & (batch.offset + batch.length <= end)
+    whole &= batch.offset + batch.length <= end
     whole &= (batch.capture_findings & np.uint32(Finding.FRAGMENT | Finding.CAPTURE_CUT)) == 0
     if batch.streams is not None:
         whole &= ~batch.streams
-    for version, (kind, at) in _ADDRESSES.items():
-        rows = np.flatnonzero(whole & (batch.ip_version == version))
-        if not len(rows):
-            continue
-        head = read_at(batch.data, batch.offset[rows] - UDP_BYTES, _UDP_WORDS).astype(np.int64)
-        field, size = head[:, 3], batch.length[rows].astype(np.int64) + UDP_BYTES
-        pseudo = read_at(batch.data, network[rows] + at, kind).sum(axis=1, dtype=np.int64) + UDP + size
-        suspects = (field > 0) & (head[:, 2] == size) & ((pseudo - field) % _ONES != 0)
+    for version, (kind, addresses) in _HEADS.items():
+        plain = batch.offset == network + kind.itemsize
+        rows = np.flatnonzero(whole & (batch.ip_version == version) & plain)
+        words = np.array(read_at(batch.data, network[rows], kind).T, np.int64, order="C")
+        head, size = words[-4:], batch.length[rows].astype(np.int64) + UDP_BYTES
+        pseudo = words[addresses].sum(axis=0) + UDP + size
+        suspects = (head[3] > 0) & (head[2] == size) & ((pseudo - head[3]) % _ONES != 0)
         if suspects.any():
-            some, sums = rows[suspects], pseudo[suspects] + head[suspects].sum(axis=1)
+            some, sums = rows[suspects], pseudo[suspects] + head[:, suspects].sum(axis=0)
             sums += word_sums(batch.data, batch.offset[some], batch.length[some])
             wrong[some] = sums % _ONES != 0
         if version == 4:
-            words = read_at(batch.data, network[rows], _IPV4_WORDS)
-            plain = (words[:, 5] > 0) & (words[:, 0] >> 8 == 0x45)
-            wrong[rows[plain & (words.sum(axis=1, dtype=np.int64) % _ONES != 0)]] += 2
+            wrong[rows[(words[5] > 0) & (words[:-4].sum(axis=0) % _ONES != 0)]] += 2
     return wrong

@@ -323,12 +323,11 @@ def _subscriptions(
     edges = np.array([item.time_ns for item in ends], np.int64)
     session = np.searchsorted(edges, rows.time_ns[at])
     unsubscribed = rows.sbn_msg_type[at] == MsgType.UNSUB
-    # A bridge says the same twice a second: of each connection the first of each content tells, unless one of
-    # them takes back what others asked for.
-    first, _ = numbered(session, contents)
-    places = np.arange(len(at)) if unsubscribed.any() else first
+    # A bridge says the same twice a second: of each connection the first of each content tells, and again
+    # behind each message that takes back what others asked for.
+    first, _ = numbered(session, contents, np.cumsum(unsubscribed), unsubscribed)
     lists: dict[int, set[int]] = {}
-    for place in places.tolist():
+    for place in first.tolist():
         row, ended = int(at[place]), bool(unsubscribed[place])
         now = int(rows.time_ns[row])
         verb, state = ("UNSUB", "unsubscribed") if ended else ("SUB", "subscribed")
