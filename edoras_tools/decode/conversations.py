@@ -226,7 +226,8 @@ class Conversations(msgspec.Struct, eq=False):
 def in_doubt(batch: PacketBatch, columns: Columns, context: Context) -> NDArray[np.bool_]:
     """Return the datagrams, bool, of conversations that a batch leaves in doubt: some in them are not sound.
 
-    Where hardly any is, what a conversation is depends on the others, and all of these links are returned.
+    Where fewer than one in 20 of a conversation is sound, all datagrams of its link are returned: what it is
+    depends on the others there.
     """
     link, packets = columns.link, table.accepted(lambda link: link.packets)
     _, sound = _soundness(columns, slice(None), context.known)

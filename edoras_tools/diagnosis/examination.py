@@ -543,49 +543,34 @@ def _verdicts(parts: list[Diagnosis]) -> Iterator[Verdict]:
                 yield item
 
 
+def _together(parts: Sequence[Diagnosis]) -> dict[str, Any]:
+    """Return what several diagnoses say, in order, and the sums of what they count, by name."""
+    joined: dict[str, Any] = {
+        name: [*chain.from_iterable(getattr(part, name) for part in parts)]
+        for name in ("verdicts", "habits", "balance", "unnamed", "routes", "peers", "missing")
+    }
+    joined["verdicts"] = _sorted(joined["verdicts"])
+    joined["missing"].sort(key=attrgetter("time_ns"))
+    joined |= {name: tuple(joined[name]) for name in ("habits", "balance", "unnamed", "missing")}
+    joined |= {name: sum(getattr(part, name) for part in parts) for name in ("datagrams", "left_out")}
+    start_ns, end_ns = min(part.start_ns for part in parts), max(part.end_ns for part in parts)
+    return joined | {"start_ns": start_ns, "end_ns": end_ns}
+
+
 def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
     """Put chapters together: sums of what counts, every verdict of each."""
-    last = parts[-1]
-    habits = {(item.rule, item.msg_id, item.hop): item for part in parts for item in part.habits}
-    return Diagnosis(
-        verdicts=_sorted(_verdicts(parts)),
-        habits=tuple(habits.values()),
-        routes=_routes(row for part in parts for row in part.routes),
-        peers=[row for part in parts for row in part.peers],
-        datagrams=sum(part.datagrams for part in parts),
-        start_ns=min(part.start_ns for part in parts),
-        end_ns=max(part.end_ns for part in parts),
-        capture=capture,
-        case=last.case,
-        balance=summed(row for part in parts for row in part.balance),
-        left_out=sum(part.left_out for part in parts),
-        unnamed=last.unnamed,
-        topics=last.topics,
-        missing=tuple(sorted(chain(*(part.missing for part in parts)), key=attrgetter("time_ns"))),
-    )
+    joined, last = _together(parts), parts[-1]
+    joined["verdicts"] = _sorted(_verdicts(parts))
+    joined["habits"] = (*{(item.rule, item.msg_id, item.hop): item for item in joined["habits"]}.values(),)
+    joined |= {"routes": _routes(joined["routes"]), "balance": summed(joined["balance"])}
+    return replace(last, **joined | {"unnamed": last.unnamed}, capture=capture)
 
 
 def side_by_side(parts: Mapping[int, Diagnosis], mission: Mission) -> Diagnosis:
     """Put the diagnoses of spacecraft side by side: each row and verdict says of which it is."""
     own = [_of_one(number, part, mission) for number, part in parts.items()]
-
-    joined: dict[str, Any] = {
-        name: tuple(chain.from_iterable(getattr(part, name) for part in own))
-        for name in ("verdicts", "habits", "balance", "unnamed", "routes", "peers", "missing")
-    }
-    joined |= {name: list(joined[name]) for name in ("routes", "peers")}
-    joined |= {name: sum(getattr(part, name) for part in own) for name in ("datagrams", "left_out")}
-    joined["verdicts"] = _sorted(joined["verdicts"])
-    joined["missing"] = tuple(sorted(joined["missing"], key=attrgetter("time_ns")))
-    return replace(
-        own[0],
-        **joined,
-        start_ns=min(part.start_ns for part in own),
-        end_ns=max(part.end_ns for part in own),
-        topics=dict(chain.from_iterable(part.topics.items() for part in own)),
-        parts=parts,
-        mission=mission,
-    )
+    topics = dict(chain.from_iterable(part.topics.items() for part in own))
+    return replace(own[0], **_together(own), topics=topics, parts=parts, mission=mission)
 
 
 def _of_one(number: int, part: Diagnosis, mission: Mission) -> Diagnosis:

@@ -202,7 +202,10 @@ class Telemetry:
             if claim.rank == Rank.POSSIBLE:  # behind the last message that came, where no gap shows it
                 self.parts[claim.key].missing += sum(claim.taken.values())
         for part in self.parts:
-            (self._tell_closed if part.closed else self._tell)(part)
+            if part.closed:
+                self._tell_closed(part)
+            else:
+                self._tell(part)
 
     def _claim(self, stream: Stream) -> None:
         """Divide what is missing from a stream by spans and seconds."""

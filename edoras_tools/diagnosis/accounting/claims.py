@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class Rank(IntEnum):
     """Which claims are served first: those of messages that surely are missing, and have a cause."""
 
-    NOBODY = -1
+    NOT_TAKEN = -1
     """What was sent while nobody took it, where the capture may have missed what others lack."""
     PRESSED = 0
     """What surely is missing, where an event names it or its pipe was full."""
@@ -239,8 +239,8 @@ def settle_known(
         rivals: traffic that is not in the capture.
     """
     for ranks, slack_ns in (
-        (range(Rank.NOBODY, Rank.OWN_PACKETS), _APART_NS),
-        (range(Rank.NOBODY, Rank.QUIET), 0),
+        (range(Rank.NOT_TAKEN, Rank.OWN_PACKETS), _APART_NS),
+        (range(Rank.NOT_TAKEN, Rank.QUIET), 0),
         (range(Rank.QUIET, Rank.MISSING), 0),
     ):
         sure = [claim for claim in claims if claim.rank in ranks]
@@ -341,8 +341,8 @@ def settle_possible(
                         item.number += number
                         item.end_ns = span[1]
     if not rivals:
-        sure = [claim for claim in claims if claim.rank != Rank.MISSING]
-        _improve(_tables(counts, sure), sure, alone=True)
+        others = [claim for claim in claims if claim.rank != Rank.MISSING]
+        _improve(_tables(counts, others), others, alone=True)
     return list(shared.values())
 
 

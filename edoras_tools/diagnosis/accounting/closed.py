@@ -117,7 +117,7 @@ def _commanded_ns(case: Case, stream: Stream, *codes: int) -> NDArray[np.int64]:
 
 
 def silenced_at(stream: Stream, at: NDArray[np.intp], spans: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
-    """Tell which gaps of a stream span a time in which Telemetry Output sent nothing until it was enabled."""
+    """Tell which gaps of a stream span any of some times, as while Telemetry Output sent nothing."""
     times, behind = stream.time_ns, np.minimum(at + 1, len(stream) - 1)
     out = np.zeros(len(at), bool)
     for start_ns, end_ns in spans:
@@ -599,21 +599,23 @@ class Stops:
             self.mark(fate, inside, "disabled", telemetry_output.NAME, text)
 
     def tell(self) -> None:
-        """Make losses of what was marked, did not come out by the counts there, and no counter has."""
+        """Make losses of what was marked, and did not come out by the counts there."""
         for fate in self._fates:
             open_ = fate.open & ~fate.passed
             for place in np.unique(fate.stop[open_ & (fate.stop >= 0)]).tolist():
                 rows = np.flatnonzero(open_ & (fate.stop == place))
                 fate.claim(rows)
-                # The capture may have missed so many in a row that came out beside them.
-                most = self._case.quality.longest_run
-                inner = rows[most : max(most, len(rows) - most)]
+                number = fate.counted_in_stop[place]
+                # The capture may have missed so many in a row that came out, but none that 0x803 counted.
+                most = self._case.quality.longest_run if fate.seen else 0
+                most = min(most, max(0, len(rows) - number) // 2)
+                inner = rows[most : len(rows) - most]
                 fate.ends["missed"] += len(rows) - len(inner)
                 if not len(inner):
                     continue
                 kind, hop, text = list(self._causes)[place]
                 evidence = [text]
-                if number := fate.counted_in_stop[place]:
+                if number:
                     evidence.append(f"0x803 counted {number:,} of them: nobody read the pipe")
                 self.losses.append(fate.loss(kind, inner, evidence, hop=hop))
 

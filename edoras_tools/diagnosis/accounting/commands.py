@@ -221,8 +221,8 @@ class Commands:
         text = f"{plural(len(rows), 'datagram')} came to one capture, and not to the next on their way"
         if fate is not None:
             self._lose(fate, "network", rows, text)
-            if not self._case.ingests_at(stream.receiver):
-                fate.ends["crowded"] += fate.claim(perhaps[: len(perhaps) * stream.link.only_to_cfs])
+            if stream.link.only_to_cfs and not self._case.ingests_at(stream.receiver):
+                fate.ends["crowded"] += fate.claim(perhaps)
             return
         self.telemetry.ends[id(stream)]["astray"] = len(perhaps)
         if len(rows):
@@ -267,7 +267,8 @@ class Commands:
             unheard = silent.unheard if silent else ()
             closed, perhaps = (np.setdiff1d(np.flatnonzero(fate.open & own), unheard) for own in masks)
             self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
-            fate.ends["crowded"] += fate.claim(perhaps[: len(perhaps) * stream.link.only_to_cfs])
+            if stream.link.only_to_cfs:
+                fate.ends["crowded"] += fate.claim(perhaps)
         regroup(case, fate)
 
     def _uncounted(self, fate: Fate, stops: Stops) -> None:
@@ -464,7 +465,7 @@ class Commands:
                 if other.out is hop.out and other is not hop:
                     counts[other.out_rows - 1] -= 1
             passed = np.concatenate(([0], np.cumsum(counts)))[out]
-            room = np.concatenate(([0], np.diff(passed) - 1, [0]))
+            room = np.maximum(np.concatenate(([0], np.diff(passed) - 1, [0])), 0)
             # Of those in one place the first may be it, as far as there is room, that gave way to none.
             order = np.lexsort((open_, fate.newer[open_], behind))
             nth = np.arange(len(behind)) - np.searchsorted(behind, behind)
@@ -675,7 +676,7 @@ def hold_back(case: Case, claims: Sequence[Claim]) -> None:
         if claim.rank == Rank.MISSING:
             groups.setdefault(claim.flow, []).append(claim)
         elif claim.rank in {Rank.CLOSED, Rank.INTO_STOP} and case.quality.lacks_answered:
-            claim.rank = Rank.NOBODY
+            claim.rank = Rank.NOT_TAKEN
     missing = sum(claim.number for own in groups.values() for claim in own)
     if missing and not case.quality.excludes(missing / (sum(map(len, case.streams)) + missing)):
         for stream in case.streams:

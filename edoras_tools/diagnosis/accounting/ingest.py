@@ -151,7 +151,7 @@ class Ingest(msgspec.Struct):
         """
         spared = 0
         for at, loss in enumerate(self.losses):
-            copies = int((again_ns <= loss.end_ns).sum()) - spared
+            copies = max(0, int((again_ns <= loss.end_ns).sum()) - spared)
             if number := min(loss.lost, copies) * (loss.cause == "network"):
                 self.losses[at] = replace(loss, lost=loss.lost - number)
                 spared += number
@@ -567,7 +567,10 @@ class _Counted:
     def _most_read(self, own: Sequence[_Sample], until_ns: int) -> int:
         """Return how many a CI can have read until a time: what it counted, and its best rate."""
         seconds = max(0, until_ns - own[-1].made_ns) / SECOND
-        rates = ((b.count - a.count) * SECOND / max(1, b.made_ns - a.made_ns) for a, b in pairwise(own))
+        rates = (
+            (later.count - sooner.count) * SECOND / max(1, later.made_ns - sooner.made_ns)
+            for sooner, later in pairwise(own)
+        )
         fastest_hz = max([self._most * SECOND / self._profile.ci_wake_ns, *rates])
         return own[-1].count + ceil(seconds * fastest_hz) + 2 * self._most
 
@@ -611,7 +614,7 @@ class _Run(NamedTuple):
     """Samples of one count: when seen, and the least and most that was lost until then (rules 1 to 3).
 
     ``drained`` tells which read fewer than a wake-up can, ``busy`` which read nearly all that they can; more
-    than ``many`` wait in a socket that gets full, before the first no more than ``full`` beyond its room.
+    than ``many`` wait in a socket that gets full, and ``overflow`` at most had no room before a first count.
     ``unread`` were sent before the first count and did not come out: lost, or a CI read them that restarted;
     None where nothing shows what comes out.
     """
@@ -622,7 +625,7 @@ class _Run(NamedTuple):
     drained: NDArray[np.bool_]
     busy: NDArray[np.bool_]
     many: int
-    full: int
+    overflow: int
     unread: int | None
 
 
@@ -669,7 +672,7 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
                 missing_first = int(run.high[: level.first].min())
                 early = not account.losses and run.unread is None and missing_first >= number
                 full |= run.busy[since].mean() > _MOSTLY
-                cause = "socket" if full and not (early and number > run.full) else "network"
+                cause = "socket" if full and not (early and number > run.overflow) else "network"
                 since_ns = int(run.seen[last])
                 if not account.losses and run.unread is not None:
                     # As far as its counts tell, these were missing at the first of them already.

@@ -511,8 +511,8 @@ class Leftover:
             for item in self._candidates(at, kind):
                 if (fate := self._fates.get(id(item.stream))) is not None and not fate.seen:
                     sent = fate.stream.time_ns[fate.open]
-                    more = (min(most, item.beyond(sent, *span)) for span, most in spans)
-                    fate.ends["earlier"] += sum(number for number in more if number > 0)
+                    more = sum(max(0, min(most, item.beyond(sent, *span))) for span, most in spans)
+                    fate.ends["earlier"] = min(len(sent), fate.ends["earlier"] + more)
 
     def tell(self) -> None:
         """Make losses of what nothing explains."""

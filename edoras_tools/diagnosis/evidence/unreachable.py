@@ -96,7 +96,7 @@ def tells_more(flow: Flow, errors_ns: list[int]) -> int:
     """
     longest_ns = int(np.diff([flow.first_ns, *sorted(errors_ns), flow.last_ns]).max())
     is_shut = longest_ns <= _PATIENCE_NS or 2 * len(errors_ns) > flow.datagrams
-    return max(0, flow.datagrams - len(errors_ns)) * is_shut
+    return max(0, flow.datagrams - len(errors_ns)) if is_shut else 0
 
 
 def find_unreachable(

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
 
 
-_BOOTS_NS: Final = 3 * SECOND
+_OVERLAP_NS: Final = 3 * SECOND
 """A clock tells to a second or two when a cFS began."""
 
 
@@ -54,7 +54,7 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
         if earlier is None:
             continue
         span, boot_ns = (earlier.last_ns, later.first_ns), later.boot_ns(case.profile)
-        if not max(case.start_ns, earlier.first_ns) < boot_ns < earlier.last_ns - _BOOTS_NS:
+        if not max(case.start_ns, earlier.first_ns) < boot_ns < earlier.last_ns - _OVERLAP_NS:
             boot_ns = 0
         if earlier.name or later.name or _down(case, *span):  # frames that were cut name nobody
             moved = (later.offset_ns - earlier.offset_ns) / SECOND
@@ -173,8 +173,12 @@ def event_suppression(case: Case) -> Iterator[Verdict]:
     """
     for instance, track in case.tracks.items():
         for kind, (name, number) in _COUNTERS.items():
-            both, again = case.reported_losses.items(), case.inject("evs-reset-filters", NAME)
-            reports = [own for item, own in both if (item.instance, item.kind) == (instance, kind)]
+            again = case.inject("evs-reset-filters", NAME)
+            reports = [
+                report
+                for reported, report in case.reported_losses.items()
+                if (reported.instance, reported.kind) == (instance, kind)
+            ]
             last_ns = max((report.last_ns for report in reports), default=0)
             events, later = sum(report.count for report in reports), track.growth(name, last_ns + LEAD_NS)
             if reports and later > 1 and track.growth(name) > events:

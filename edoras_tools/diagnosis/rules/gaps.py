@@ -231,8 +231,10 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
 
     Say which capture would tell.
     """
-    unknown = ((loss, loss.stream) for loss in case.losses if loss.kind == "unknown")
-    for loss, own in ((loss, own) for loss, own in unknown if own is not None):
+    for loss in case.losses:
+        own = loss.stream
+        if loss.kind != "unknown" or own is None:
+            continue
         clean, pipe, why = limit(own.link, loss.msg_id, case.profile, to_cfs=False)
         offered = loss.offered_hz
         likely = f"published at {offered:.0f}/s; {why}: {clean:g}/s, so {pipe} is the likely place"
@@ -403,7 +405,11 @@ def port_closed(case: Case) -> Iterator[Verdict]:
             f"nobody listened on {flow.destination}: {plural(number, 'datagram')} that look like "
             f"{flow.looks_like.name} traffic reached nobody",
             f"{plural(number, 'ICMP error')} (port unreachable) from {case.at(flow.first_ns)} on",
-            *[f"{plural(more, 'more datagram')} may have reached nobody: a host sends few errors"][:more],
+            *(
+                [f"{plural(more, 'more datagram')} may have reached nobody: a host sends few errors"]
+                if more
+                else ()
+            ),
             hop=f"{UDP_PORT} {flow.destination}",
             lost=number,
             span=(flow.first_ns, flow.last_ns),
