@@ -235,9 +235,7 @@ def in_doubt(batch: PacketBatch, columns: Columns, context: Context) -> NDArray[
     ports = batch.source_port.astype(np.uint32) << 16 | batch.destination_port
     pairs = distinct(ports[odd]).tolist()
     each = [ports == pair for pair in pairs[:_FEW]]
-    if len(pairs) > _FEW or any(
-        _SHARE * np.count_nonzero(sound & own) < np.count_nonzero(own) for own in each
-    ):
+    if len(pairs) > _FEW or any(_SHARE * sound[own].sum() < own.sum() for own in each):
         return np.asarray(np.isin(link, distinct(link[odd])))
     return np.logical_or.reduce(each) if each else np.zeros(len(batch), np.bool_)
 
