@@ -39,6 +39,7 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.arrays.order import changes
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -240,20 +241,21 @@ def _samples(case: Case) -> dict[int, list[_Sample]]:
     rows, instances = case.rows, case.instances
     samples = case.payloads.ingest
     row, counts = samples["row"], (samples["packets"] + samples["errors"]) % _MODULUS
-    by_system: dict[int, dict[int, _Sample]] = {}
     own = (instances.of_row[row] != NOBODY) & among(rows.link[row], lambda link: link.only_from_cfs)
     # An older count behind a newer one is no start anew; of two places copies are out of order.
     own &= (rows.reordered[row] == 0) | (case.prepared.copies > 0)
-    row = row[own]
-    columns = instances.of_row[row], rows.source[row], samples["time_ns"][own], rows.mission_time_ns[row]
-    for instance, source, seen_ns, mission_ns, count in zip(
-        *(column.tolist() for column in (*columns, counts[own])), strict=True
-    ):
-        if instance == instances.owner(source, seen_ns):
-            made_ns = mission_ns + instances.items[instance].offset_ns
-            sample = _Sample(seen_ns, made_ns, count, instance, source)
-            by_system.setdefault(instances.systems[instance], {}).setdefault(seen_ns, sample)
-    return {system: [of[when] for when in sorted(of)] for system, of in by_system.items()}
+    own &= instances.owners(rows.source[row], samples["time_ns"]) == instances.of_row[row]
+    row, seen_ns, instance = row[own], samples["time_ns"][own], instances.of_row[row[own]]
+    offsets = np.array([item.offset_ns for item in instances.items], np.int64)
+    made_ns = rows.mission_time_ns[row] + offsets[instance]
+    system = np.array(instances.systems, np.int64)[instance]
+    order = np.lexsort((seen_ns, system))
+    order = order[changes(order, system, seen_ns)]
+    columns = (item[order] for item in (system, seen_ns, made_ns, counts[own], instance, rows.source[row]))
+    by_system: dict[int, list[_Sample]] = {}
+    for key, *sample in zip(*(column.tolist() for column in columns), strict=True):
+        by_system.setdefault(key, []).append(_Sample(*sample))
+    return by_system
 
 
 def _endpoint(case: Case, to_ci: NDArray[np.intp], own: Sequence[_Sample], *, alone: bool) -> int | None:

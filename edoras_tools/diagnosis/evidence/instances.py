@@ -11,10 +11,8 @@ cFS.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections import Counter
 from functools import cached_property
-from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -25,7 +23,7 @@ from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import BOOT_APART_NS, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import groups, numbered
+from edoras_tools.wire.arrays.order import by_value, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
@@ -232,11 +230,16 @@ class Instances:
 
     def owner(self, source: int, time_ns: int) -> int:
         """Return the instance whose Telemetry Output sends from an endpoint at a time, or ``NOBODY``."""
-        owners = self._owners.get(source)
-        if not owners:
-            return NOBODY
-        later = bisect_right(owners, time_ns, key=itemgetter(0)) - 1 if len(owners) > 1 else 0
-        return owners[max(later, 0)][1]
+        return int(self.owners(np.array([source]), np.array([time_ns]))[0])
+
+    def owners(self, source: NDArray[np.int32], time_ns: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Return ``owner`` of many endpoints, each at a time."""
+        out = np.full(len(source), NOBODY, np.int32)
+        for place, rows in by_value(source):
+            if owners := self._owners.get(place):
+                starts, numbers = np.array(owners).T
+                out[rows] = numbers[np.maximum(np.searchsorted(starts, time_ns[rows], side="right") - 1, 0)]
+        return out
 
     def named(self, name: str, time_ns: int, source: int) -> int:
         """Return the instance of a name that was there at a time; the nearest where none was.

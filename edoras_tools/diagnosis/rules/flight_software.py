@@ -171,14 +171,11 @@ def event_suppression(case: Case) -> Iterator[Verdict]:
 
     Compare events with counters.
     """
+    reported = case.reported_losses.items()
     for instance, track in case.tracks.items():
         for kind, (name, number) in _COUNTERS.items():
             again = case.inject("evs-reset-filters", NAME)
-            reports = [
-                report
-                for reported, report in case.reported_losses.items()
-                if (reported.instance, reported.kind) == (instance, kind)
-            ]
+            reports = [own for item, own in reported if (item.instance, item.kind) == (instance, kind)]
             last_ns = max((report.last_ns for report in reports), default=0)
             events, later = sum(report.count for report in reports), track.growth(name, last_ns + LEAD_NS)
             if reports and later > 1 and track.growth(name) > events:
