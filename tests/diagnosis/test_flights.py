@@ -91,6 +91,7 @@ FLIGHTS = {
     ),
     "restarted_at_a_high_rate": (131, {"down": 80, "limit": 51}),
     "stopped_without_a_word": (83, {"limit": 52, "stopped": 31}),
+    "captured_amid_a_flood": (187, {"socket": 43, "limit": 144}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {

@@ -64,6 +64,7 @@ class Counts(msgspec.Struct):
         times: i64 (n + 1,), of the samples.
         left: kind to i64 (n,), counts between two samples that nothing has taken.
         first: kind to counts that the first sample had already, likewise.
+        older: counts since, which may be of what was sent before the capture.
         boot_ns: all of these are of messages that were sent later.
         set_back: seconds in which the counters were: what they had last is in no count here.
     """
@@ -72,6 +73,7 @@ class Counts(msgspec.Struct):
     left: dict[PipeKind, NDArray[np.int64]]
     first: dict[PipeKind, int] = msgspec.field(default_factory=dict)
     boot_ns: int = 0
+    older: int = 0
     set_back: Sequence[int] = ()
 
     @classmethod
@@ -91,7 +93,7 @@ class Counts(msgspec.Struct):
             {kind: np.array(number, np.int64) for kind, number in grown.items()},
             {kind: track.older.get(name, 0) for kind, name in COUNTERS.items()},
             boot_ns,
-            track.set_back,
+            set_back=track.set_back,
         )
 
     def seconds(self, times: NDArray[np.int64]) -> NDArray[np.intp]:

@@ -325,7 +325,8 @@ class _Counted:
         account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
         unsteady_ns = self._case.unsteady_ns
         sent = np.searchsorted(self._sent_ns, self._seen + unsteady_ns, "right")
-        starts = [at for at in range(1, len(own)) if _began_again(own[at - 1], own[at])]
+        both = enumerate(pairwise(own), 1)  # a count that falls began again
+        starts = [at for at, (a, b) in both if a.instance != b.instance or b.count < a.count]
         lost = before = last = idle_ns = room = 0
         crowded = False
         for first, end in pairwise([0, *starts, len(own)]):
@@ -352,7 +353,7 @@ class _Counted:
                     # Else it read what was sent here, and nothing older; or less than it always can.
                     wakes = (own[0].made_ns - self._case.start_ns) // self._profile.ci_wake_ns
                     if count[end - 1] != sent[end - 1] and count[0] >= most * (wakes - 1):
-                        account.older_until_ns = min(behind, own[0].seen_ns + DRAINS_NS)
+                        account.older_until_ns = min(behind, self._first_out[0] or own[0].seen_ns + DRAINS_NS)
                 before = 0 if begin[0] == "down" else min(_older(low, high), self._most_older(end))
                 low[0] = min(low[0], max(before, high.min()))  # what CI counts later was not lost before
             drained = np.diff(count[part], prepend=count[first]) < most
@@ -596,11 +597,6 @@ def _read_by(hops: Sequence[Hop]) -> tuple[NDArray[np.int64], NDArray[np.int64]]
     return every[order], np.maximum.accumulate(until[order])
 
 
-def _began_again(before: _Sample, after: _Sample) -> bool:
-    """Tell whether a count began anew between two samples."""
-    return before.instance != after.instance or after.count < before.count
-
-
 def _older(low: NDArray[np.int64], high: NDArray[np.int64]) -> int:
     """Return how many fewer a first count has than were sent: 0 where all it counts can be in the capture."""
     return 0 if low[0] <= 0 <= high.min() else _fewer(low, high)
@@ -676,7 +672,7 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
                 full |= run.busy[since].mean() > _MOSTLY
                 cause = "socket" if full and not (early and number > run.overflow) else "network"
                 since_ns = int(run.seen[last])
-                if not account.losses and run.unread is not None:
+                if not account.losses and run.unread is not None and not account.older_until_ns:
                     # As far as its counts tell, these were missing at the first of them already.
                     lost += max(0, min(run.unread, number - lost, missing_first))
                 elif early and {cause, begin[0]} == {"network"}:
@@ -727,11 +723,8 @@ class BeforeCi:
 
     def _to(self, account: Ingest) -> list[Fate]:
         """Return what became of the streams that went to a CI."""
-        return [
-            fate
-            for fate in self._fates
-            if fate.stream.link.only_to_cfs and fate.stream.receiver == account.endpoint
-        ]
+        own = (fate for fate in self._fates if fate.stream.link.only_to_cfs)
+        return [fate for fate in own if fate.stream.receiver == account.endpoint]
 
     def _before_ci(self, account: Ingest, before: Before) -> None:
         """Share out what was lost before CI: to what did not come out, else by how much was sent."""

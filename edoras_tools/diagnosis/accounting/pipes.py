@@ -517,26 +517,37 @@ class Leftover:
     def tell(self) -> None:
         """Make losses of what nothing explains."""
         for instance, counts in self._counts.items():
+            old = self._old(instance)
             for kind, rest in counts.left.items():
+                counts.older += int(rest[old].sum())
+                rest[old] = 0
                 if number := int(rest.sum()):
                     span = counts.span(np.flatnonzero(rest))
                     text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
                     self._losses.append(Loss("unknown", BUS, number, *span, "low", instance, evidence=[text]))
 
+    def _old(self, instance: int) -> NDArray[np.bool_]:
+        """Return in which seconds what was counted may have been sent before the capture."""
+        system = self._case.instances.systems[instance]
+        old_ns = [item.older_until_ns for item in self._case.ingests if item.system == system]
+        return np.asarray(self._counts[instance].times[1:] <= max(old_ns, default=0))
+
     def _leftover(self, instance: int, counts: Counts, kind: PipeKind) -> None:
-        candidates, rest = self._candidates(instance, kind), counts.left[kind]
+        candidates, rest, old = self._candidates(instance, kind), counts.left[kind], self._old(instance)
+        older, first_ns = counts.first.get(kind, 0) + int(rest[old].sum()), counts.times[int(old.sum())]
         for item in candidates:
             fate = self._fates.get(id(item.stream))
             if fate is not None and not fate.seen:
                 sent = fate.stream.time_ns[fate.open]
-                fate.ends["earlier"] += min(counts.first.get(kind, 0), int((sent < counts.times[0]).sum()))
+                fate.ends["earlier"] += min(older, int((sent < first_ns).sum()))
                 for second in counts.set_back:
                     more = item.beyond(sent, *counts.span([second])) - int(rest[second])
                     fate.ends["earlier"] += max(0, more)
         groups: dict[tuple[tuple[int, range], ...], list[int]] = {}
         for second in np.flatnonzero(rest).tolist():
             times = counts.span([second])
-            active = ((index, item.active(*times)) for index, item in enumerate(candidates))
+            own = [(index, item) for index, item in enumerate(candidates) if item.said or not old[second]]
+            active = ((index, item.active(*times)) for index, item in own)
             key = tuple((index, spans) for index, spans in active if spans)
             groups.setdefault(key, []).append(second)
         for active_, seconds in groups.items():
@@ -583,13 +594,9 @@ class Leftover:
 
     def _seen_behind(self, reported: ReportedLoss) -> list[Stream]:
         """Return the streams of its MsgId behind the pipe that a reported loss was at."""
-        return [
-            stream
-            for stream in self._case.streams
-            if (reported.at_output or reported.at_peer)
-            and stream.msg_id == reported.msg_id
-            and stream.link.peers == reported.at_peer
-        ]
+        leaves = reported.at_output or reported.at_peer
+        own = (item for item in self._case.streams if leaves and item.msg_id == reported.msg_id)
+        return [item for item in own if item.link.peers == reported.at_peer]
 
     def _candidate(
         self, stream: Stream, pipe: str, sender: str = "", report: LossEvents | None = None

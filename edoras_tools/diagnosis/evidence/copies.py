@@ -95,11 +95,7 @@ class Copies(NamedTuple):
 
 
 def find_copies(
-    time_ns: Integers,
-    identification: NDArray[np.uint16],
-    conversation: Integers,
-    tap: Prints,
-    prints: Prints,
+    time_ns: Integers, identification: NDArray[np.uint16], conversation: Integers, tap: Prints, prints: Prints
 ) -> Copies:
     """Find the datagrams that are there more than once; the first of each stays.
 

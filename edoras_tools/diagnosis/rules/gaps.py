@@ -333,7 +333,7 @@ def superseded(case: Case) -> Iterator[Verdict]:
 
 
 def older_losses(case: Case) -> Iterator[Verdict]:
-    """The counters already stood above zero in the first 0x803 of the capture.
+    """The counters stood above zero in the first 0x803 already, or grew by what CI had left from before.
 
     Name what is older, and what of this capture's is among it, so that nobody blames it for the rest.
     """
@@ -341,9 +341,11 @@ def older_losses(case: Case) -> Iterator[Verdict]:
         limits, overflows = track.older.get("msg_limits", 0), track.older.get("pipe_overflows", 0)
         first_ns = max(track.times[0], case.start_ns)  # it was made before it came
         counts = case.loss_counts.get(instance)
-        if older := sum(counts.first.values()) if counts else limits + overflows:
-            losses, own = f"{older:,} loss{'es' * (older > 1)}", limits + overflows - older
-            beside = f", beside {own:,} of what is here" if own else ""
+        since = counts.older if counts else 0
+        if older := since + (sum(counts.first.values()) if counts else limits + overflows):
+            losses, own = f"{older:,} loss{'es' * (older > 1)}", limits + overflows + since - older
+            beside = f", or ({since:,} of them) while CI may have read what waited then" if since else ""
+            beside += f", beside {own:,} of what is here" if own else ""
             yield note(
                 f"{losses} counted by {case.label(instance)} before {case.at(first_ns)}{beside}: older than "
                 "this capture, or of traffic that it does not show",
