@@ -8,7 +8,7 @@ import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES, message_name
 from edoras_tools.diagnosis.accounting.budget import limit
-from edoras_tools.diagnosis.accounting.losses import PIPE_EVENTS
+from edoras_tools.diagnosis.accounting.losses import COUNTERS
 from edoras_tools.diagnosis.advice import clean_round
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.crossing import Hop, Latency, latency_of
@@ -106,7 +106,7 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
     constants of cFS are assumed, unless the capture shows that they are others: more of it got through
     without a loss. What a mission or an option says of them counts as measured.
     """
-    lost_at_pipe = [loss for loss in case.losses_of(stream) if loss.kind in PIPE_EVENTS]
+    lost_at_pipe = [loss for loss in case.losses_of(stream) if loss.kind in COUNTERS]
     route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
     to_cfs = route.to_cfs if route else stream.is_command
     rounds = [] if to_cfs else [clean_round(case, loss) for loss in lost_at_pipe]

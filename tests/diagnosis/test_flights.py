@@ -92,6 +92,7 @@ FLIGHTS = {
     "restarted_at_a_high_rate": (131, {"down": 80, "limit": 51}),
     "stopped_without_a_word": (83, {"limit": 52, "stopped": 31}),
     "captured_amid_a_flood": (187, {"socket": 43, "limit": 144}),
+    "peer_says_goodbye": (84, {"away": 70, "port_closed": 12, "limit": 2}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -222,6 +223,13 @@ def test_a_queue_on_the_way_is_no_clock_that_was_set(name):
 def test_commands_that_output_sends_as_well_are_lost_there_apart_from_the_application():
     rows = {(row.link, row.hop): row.all_lost for row in examined("commands_at_output").balance if row.lost}
     assert rows == {("to", "TO_LAB_TLM_PIPE"): 95, ("ci", "software bus"): 6}
+
+
+def test_what_an_event_names_behind_the_last_message_is_lost_at_the_pipe_that_it_names():
+    """Its counts of what it sent show that the application sent 161 of 252 commands on, nobody took 70."""
+    rows = {(row.msg_id, row.hop): row for row in examined("peer_says_goodbye").balance}
+    assert rows[0x828, "TO_LAB_TLM_PIPE"].lost == {"limit": 2}
+    assert [rows[msg_id, "application"].superseded for msg_id in (0x1827, 0x1828)] == [80, 11]
 
 
 def test_messages_of_one_msg_id_over_ci_and_sbn_give_way_to_each_other():

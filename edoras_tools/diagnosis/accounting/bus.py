@@ -36,7 +36,6 @@ from edoras_tools.diagnosis.accounting.losses import (
     COUNTER_NAMES,
     COUNTERS,
     LEAD_NS,
-    PIPE_EVENTS,
     TAIL_NS,
     Among,
     Loss,
@@ -211,7 +210,8 @@ class Telemetry:
         """Divide what is missing from a stream by spans and seconds."""
         case = self._case
         hop = case.upstream(stream)
-        if hop is None and not (stream.counted and stream.missing.any()):
+        lacks = stream.counted and (stream.missing.any() or self._named_behind(stream))
+        if hop is None and not lacks:
             return
         gaps = self._missing(stream) if hop is None else self._not_handed_on(stream, hop)
         owner, times = case.owner(stream), stream.time_ns
@@ -252,10 +252,11 @@ class Telemetry:
             self._tail(len(self.parts) - 1)
 
     def _missing(self, stream: Stream) -> _Gaps:
-        """Return what is missing by sequence counts."""
+        """Return what is missing by sequence counts, and 0 behind the last message where events name more."""
         case, missing = self._case, stream.missing - self._dropped(stream)
         made_ns = case.instances.made_ns[stream.rows] if stream.instance != NOBODY else stream.time_ns
-        at = np.flatnonzero(missing[:-1])
+        at = np.flatnonzero(np.append(missing[:-1], self._named_behind(stream)))
+        made_ns = np.append(made_ns, made_ns[-1])
         return _Gaps(stream, at, at, missing[at], made_ns[at] - _SLACK_NS, made_ns[at + 1] + _SLACK_NS)
 
     def _not_handed_on(self, stream: Stream, hop: Hop) -> _Gaps:
@@ -402,18 +403,15 @@ class Telemetry:
         """Tell as what the missing of a span may have been counted (rule 2), and collect what says so."""
         case, stream, span = self._case, part.stream, part.span
         came = f"{part.missing:,} of {span.count + part.missing:,}"
-        part.evidence.append(
-            f"{came} that came in did not go out" if via else f"sequence count: {came} never came"
-        )
+        text = f"{came} that came in did not go out" if via else f"sequence count: {came} never came"
+        part.evidence += [text] if part.missing else []
         window = span.start_ns - LEAD_NS, span.end_ns + TAIL_NS
         kinds: list[tuple[bool, PipeKind]] = []
         for kind in COUNTERS:
-            events = self._naming(part, kind)
+            events = self._naming(stream, kind)
             is_named = bool(events and events.within(*window))
             if events:
-                part.evidence.append(
-                    f"event CFE_SB {PIPE_EVENTS[kind]} x{events.count}: {events.records[0].message}"
-                )
+                part.evidence.append(events.text(events.count))
             # Without its counter a full pipe proves nothing.
             if is_named or (self._grown(part, COUNTERS[kind]) and pressed(case, stream, span, kind, gaps)):
                 kinds.append((not is_named, kind))
@@ -425,10 +423,10 @@ class Telemetry:
                 kinds.append((True, "limit"))
         return tuple(kind for _, kind in sorted(kinds, key=lambda item: item[0]))
 
-    def _naming(self, part: Part, kind: PipeKind) -> LossEvents | None:
+    def _naming(self, stream: Stream, kind: PipeKind) -> LossEvents | None:
         """Return the events that name a MsgId at Telemetry Output's pipe, or at a peer's."""
-        output = part.stream.link.only_from_cfs
-        about = self._case.events_about(part.owner, part.stream.msg_id, kind)
+        output = stream.link.only_from_cfs
+        about = self._case.events_about(self._case.owner(stream), stream.msg_id, kind)
         return next((events for item, events in about if (item.at_output if output else item.at_peer)), None)
 
     def _tail(self, key: int) -> None:
@@ -449,6 +447,11 @@ class Telemetry:
             until_ns = made_ns + LEAD_NS + int(most * SECOND / max(part.span.offered_hz, 1))
             of = (part.owner,)
             self.claims.append(Claim(key, made_ns, until_ns, most, part.kinds, of, Rank.POSSIBLE, id(stream)))
+
+    def _named_behind(self, stream: Stream) -> bool:
+        """Tell whether events name a loss behind the last message of a stream, which no gap shows."""
+        last_ns, every = stream.time_ns[-1], (self._naming(stream, kind) for kind in COUNTERS)
+        return any(events.last_ns >= last_ns for events in every if events)
 
     def _ends(self, part: Part) -> bool:
         """Tell whether a stream ends with a part, or with one round behind it that lacks none."""

@@ -44,8 +44,6 @@ TAIL_NS: Final = 2500 * MILLISECOND
 COUNTERS: Final[Mapping[PipeKind, str]] = {"limit": "msg_limits", "overflow": "pipe_overflows"}
 """The counter of 0x803 that a loss at a pipe raises."""
 COUNTER_NAMES: Final[Mapping[PipeKind, str]] = {"limit": "MsgLimit", "overflow": "PipeOverflow"}
-PIPE_EVENTS: Final[Mapping[PipeKind, int]] = {"limit": 17, "overflow": 25}
-"""The event of CFE_SB that names it."""
 APP: Final = "application pipe"
 CI_SOCKETS: Final = tuple(f"{name} socket" for name in command_ingest.NAMES)
 CI_SOCKET: Final = CI_SOCKETS[0]

@@ -36,7 +36,6 @@ from edoras_tools.diagnosis.accounting.losses import (
     COUNTER_NAMES,
     COUNTERS,
     LEAD_NS,
-    PIPE_EVENTS,
     TAIL_NS,
     WAITS_NS,
     Among,
@@ -236,7 +235,7 @@ class Pipes:
         confidence: Confidence = "high" if reported else "medium"
         if report is not None:
             if events := report.within(cut.start_ns - LEAD_NS, cut.end_ns + TAIL_NS):
-                evidence.insert(0, f"event CFE_SB {PIPE_EVENTS[kind]} x{events}: {report.records[0].message}")
+                evidence.insert(0, report.text(events))
             track = self._case.tracks[instance]
             if track.growth(COUNTERS[kind], report.last_ns + LEAD_NS) > 0 and report.count >= STOPS_AFTER - 2:
                 evidence.append(f"cFS stops this event after {STOPS_AFTER}; the counter goes on")
@@ -672,8 +671,7 @@ class Leftover:
         text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
         evidence = [text, "no event names it: suppressed, filtered, or lost itself"]
         if item.said is not None:
-            first = item.said.records[0].message
-            evidence = [f"event CFE_SB {PIPE_EVENTS[kind]} x{item.said.count}: {first}", text]
+            evidence = [item.said.text(item.said.count), text]
         start_ns, end_ns = (cut.start_ns, cut.end_ns) if cut else times
         loss = Loss(kind, item.pipe, number, start_ns, end_ns, "medium", instance, item.msg_id)
         loss.stream, loss.span, loss.of = item.lost_from, cut, cut.count if cut else None

@@ -194,6 +194,10 @@ class LossEvents(msgspec.Struct, dict=True):
         """How many."""
         return len(self.records)
 
+    def text(self, number: int) -> str:
+        """Say what so many of them are, with the words of the first."""
+        return f"event CFE_SB {self.records[0].event_id} x{number}: {self.records[0].message}"
+
     @property
     def first_ns(self) -> int:
         """Capture time of the first."""
