@@ -455,6 +455,7 @@ class Commands:
         for hop in fate.hops:
             for content in self._case.contents:
                 own = content.replaced.get(id(hop), open_[:0])
+                fate.open[own], fate.blind[own] = fate.open[own] | fate.blind[own], False
                 fate.passed[own[fate.open[own]]] = True
             if not (hop.rewritten and hop.out.counted):
                 continue

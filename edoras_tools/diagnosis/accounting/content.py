@@ -124,14 +124,13 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
     others = not robot and 2 * late.sum() > (sent_ns >= 0).sum()
     if others or case.quality.missing > _LACKING * case.quality.checked:
         late[:] = False  # other messages had the same values, or what waited before them was not captured
-    later = when > case.start_ns + _rounds(case, hops[0])
-    odd = (sent_ns < 0) & later & ~_older(sent_ns, when)
+    odd = (sent_ns < 0) & (when > case.start_ns + _rounds(case, hops[0])) & ~_older(sent_ns, when)
     last_ns = _sent_before(rows, [hop.into for hop in hops], out, robot=robot)
     copy = odd & _once_more(rows, out)
     old = odd & (last_ns >= 0) & (copy | _old(case, hops, out, sent_ns, last_ns))
     replaced, changed = _replaced(case, hops, out, odd & (last_ns < 0), odd & old & ~copy)
     again = out[old | inverted]
-    if not len(again) and not len(changed) and not late.any():
+    if not len(again) and not any(map(len, replaced.values())) and not late.any():
         return None
     took = np.where(inverted | late, when - sent_ns, when - last_ns)
     return WayContent(
@@ -172,13 +171,11 @@ def _none_sent(case: Case, robot: Stream) -> WayContent | None:
     # Where they were sent already when the capture began, older ones come first.
     already = int(went_ns[0]) - case.start_ns <= 2 * step_ns
     own = robot.rows[robot.time_ns > went_ns[0] + already * _DRAINS_NS]
-    before = np.searchsorted(went_ns, rows.time_ns[own])
-    own = own[np.arange(1, len(own) + 1) <= before]
+    own = own[np.arange(1, len(own) + 1) <= np.searchsorted(went_ns, rows.time_ns[own])]
     own_values = len(np.unique(rows.body_print[into[0].rows]))
     if min(len(own), own_values) < _LEAST or (_sent_before(rows, into, own, robot=True) >= 0).any():
         return None
-    none = own[:0]
-    return WayContent(into[0], robot, len(own), *_same(rows, own), none, none, 0, 0)
+    return WayContent(into[0], robot, len(own), *_same(rows, own), own[:0], own[:0], 0, 0)
 
 
 def _same(rows: Rows, changed: Places) -> tuple[Places, Places]:
@@ -235,7 +232,8 @@ def _replaced(
     rows, rest, chance = case.rows, out[odd | old], 0.0
     pairs: dict[int, tuple[Places, Places]] = {}
     for hop in hops:
-        absent, own = np.flatnonzero(hop.absent), np.intersect1d(rest, hop.out.rows[hop.origin < 0])
+        absent = np.flatnonzero((hop.known | (rows.claimed[hop.into.rows] > 0)) & ~hop.arrived)
+        own = np.intersect1d(rest, hop.out.rows[hop.origin < 0])
         into, came = np.sort(hop.in_rows), np.sort(hop.out.rows[hop.out_rows])
         between = np.concatenate((np.searchsorted(into, absent), np.searchsorted(came, own)))
         when = np.concatenate((hop.into.time_ns[absent], rows.time_ns[own]))
@@ -251,6 +249,9 @@ def _replaced(
     if (unpaired > first).any() or not _believed(case, len(changed), len(out), chance):
         changed = changed[:0]
     stands = np.union1d(changed, out[old])
+    # What a command that is cut off should have brought, nobody can say.
+    cut = [pairs[id(hop)][1][~hop.known[pairs[id(hop)][0]]] for hop in hops]
+    changed = np.setdiff1d(changed, np.concatenate(cut))
     return {key: places[np.isin(own, stands)] for key, (places, own) in pairs.items()}, changed
 
 
@@ -273,8 +274,8 @@ def _rounds(case: Case, hop: Hop) -> int:
     profile = case.profile
     waits = [profile.ci_wake_ns if hop.into.link.only_to_cfs else profile.sbn_wake_ns * profile.sbn_polls]
     if not hop.out.link.last_hop:
-        waits.append(profile.to_wake_ns if hop.out.link.only_from_cfs else profile.sbn_wake_ns)
-        waits.append(SECOND)  # an application is woken once in a second at least
+        # An application is woken once in a second at least.
+        waits += [profile.to_wake_ns if hop.out.link.only_from_cfs else profile.sbn_wake_ns, SECOND]
     return sum(waits)
 
 
