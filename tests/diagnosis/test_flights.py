@@ -92,6 +92,7 @@ FLIGHTS = {
     "restarted_at_a_high_rate": (131, {"down": 80, "limit": 51}),
     "stopped_without_a_word": (83, {"limit": 52, "stopped": 31}),
     "captured_amid_a_flood": (187, {"socket": 43, "limit": 144}),
+    "damaged_commands": (0, {}),
     "peer_says_goodbye": (84, {"away": 70, "port_closed": 12, "limit": 2}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
