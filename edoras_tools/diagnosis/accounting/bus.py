@@ -210,10 +210,9 @@ class Telemetry:
         """Divide what is missing from a stream by spans and seconds."""
         case = self._case
         hop = case.upstream(stream)
-        lacks = stream.counted and (stream.missing.any() or self._named_behind(stream))
-        if hop is None and not lacks:
-            return
         gaps = self._missing(stream) if hop is None else self._not_handed_on(stream, hop)
+        if hop is None and not (stream.counted and len(gaps.at)):
+            return
         owner, times = case.owner(stream), stream.time_ns
         away = case.is_away(times[gaps.at], times[np.minimum(gaps.at + 1, len(stream) - 1)])
         self.ends[id(stream)]["away"] = int(gaps.number[away].sum())
@@ -499,13 +498,13 @@ class Telemetry:
         if part.kinds and not is_counted:
             self._lose(part, part.kinds[0], rest, of, "high").uncounted = rest
         elif not is_counted and self._cut(part.stream):
-            ends, twice = self.ends[id(part.stream)], min(rest, self._handed_on(part.stream))
+            ends, twice = self.ends[id(part.stream)], min(rest, self._missing_at_output(part.stream))
             ends["uncertain"] += twice
             ends["untold"] += rest - twice
         else:
             self._unexplained(part, rest, of, grown=any(grown))
 
-    def _handed_on(self, stream: Stream) -> int:
+    def _missing_at_output(self, stream: Stream) -> int:
         """Return how many of what SBN brings are missing behind Telemetry Output: the same may be missing."""
         alike = (item for item in self._case.streams if item.link.only_from_cfs and stream.link.peers)
         return sum(int(item.missing.sum()) for item in alike if item.msg_id == stream.msg_id)

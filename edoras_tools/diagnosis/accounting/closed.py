@@ -600,6 +600,7 @@ class Stops:
 
     def tell(self) -> None:
         """Make losses of what was marked, and did not come out by the counts there."""
+        causes = list(self._causes)
         for fate in self._fates:
             open_ = fate.open & ~fate.passed
             for place in np.unique(fate.stop[open_ & (fate.stop >= 0)]).tolist():
@@ -613,7 +614,7 @@ class Stops:
                 fate.ends["missed"] += len(rows) - len(inner)
                 if not len(inner):
                     continue
-                kind, hop, text = list(self._causes)[place]
+                kind, hop, text = causes[place]
                 evidence = [text]
                 if number:
                     evidence.append(f"0x803 counted {number:,} of them: nobody read the pipe")
