@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.bridge.run import Bridges
 
 
-def _completed(incomplete: str) -> list[str]:
-    return [name for name in names() if name.startswith(incomplete)]
-
-
 class BridgeKind(StrEnum):
     """Which bridges of the files to run."""
 
@@ -54,7 +50,7 @@ class RosOptions(NamedTuple):
         str | None,
         Option(
             parser=middleware_name,
-            autocompletion=_completed,
+            autocompletion=options.completing(names()),
             show_default=False,
             metavar=f"<{'|'.join(names())}>",
             help="Default: dds, or by RMW_IMPLEMENTATION.",

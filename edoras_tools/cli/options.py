@@ -7,7 +7,7 @@ lets a command take such a group as one value; a method of the group makes the v
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -258,8 +258,9 @@ def name_value(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _named_links(incomplete: str) -> list[str]:
-    return [name for name in LINKS if name.startswith(incomplete)]
+def completing(names: Iterable[str]) -> Callable[[str], list[str]]:
+    """Return what gives a shell those of some names that begin with what is typed."""
+    return lambda incomplete: [name for name in names if name.startswith(incomplete)]
 
 
 def _named_messages(incomplete: str) -> list[str]:
@@ -465,7 +466,8 @@ class SelectionOptions(NamedTuple):
     """Which datagrams to select."""
 
     link: Annotated[
-        list[Any] | None, Option(parser=link, autocompletion=_named_links, help=f"Only {', '.join(LINKS)}.")
+        list[Any] | None,
+        Option(parser=link, autocompletion=completing(LINKS), help=f"Only {', '.join(LINKS)}."),
     ] = None
     msg_id: Annotated[
         list[Any] | None,

@@ -13,6 +13,7 @@ Rules:
 from __future__ import annotations
 
 import math
+from collections import Counter
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -164,6 +165,27 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
     return next((item for item in reversed(within) if (_limit_of(item) or 0) < low), last)
 
 
+def set_by(case: Case, loss: Loss, limit: int) -> str:
+    """Return when a command set the limit at which some were lost, in brackets; empty where none did."""
+    command = limit_command(case, loss)
+    if command is None or command.value != limit:
+        return ""
+    return f" (set by a command at {case.at(command.not_before_ns)})"
+
+
+def _other_limits(case: Case, losses: Iterable[Loss], worst: Loss) -> str:
+    """Return how many were lost at other limits than the worst, which commands set; empty where none were."""
+    lost: Counter[Change | None] = Counter()
+    for loss in losses:
+        lost[limit_command(case, loss)] += loss.lost
+    del lost[limit_command(case, worst)]
+    return ", ".join(
+        f"{number:,} of these when it kept {item.value}, set at {case.at(item.not_before_ns)}"
+        for item, number in lost.items()
+        if item and _limit_of(item)
+    )
+
+
 def told_limit(case: Case, stream: Stream) -> int | None:
     """Return how many messages of a stream may wait at Telemetry Output, if the last command says so."""
     if not stream.link.only_from_cfs:
@@ -205,17 +227,17 @@ def advise(case: Case, loss: Loss) -> Advice:
     """Return what helps against all losses of a MsgId at a queue, worked out once, for the worst of them."""
     key = loss.kind, loss.hop, loss.msg_id, loss.instance, id(loss.stream)
     if key not in case.advice:
-        alike = (
+        alike = [
             item
             for item in case.losses
             if (item.kind, item.hop, item.msg_id, item.instance, id(item.stream)) == key
-        )
+        ]
         at_output = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
         # What holds at the lowest limit that a command set holds at all.
         worst = max(alike, key=lambda item: (-(_limit_of(limit_command(case, item)) or _MOST), item.lost))
         advice = (_at_pipe if at_output else _at_application)(case, worst)
         still = stood_still(case, worst)
-        because = [crowding_of(case, worst) if not at_output else "", still]
+        because = [_other_limits(case, alike, worst) if at_output else crowding_of(case, worst), still]
         advice = replace(advice, why="; ".join([advice.why, *(item for item in because if item)]))
         case.advice[key] = replace(advice, remedy=LET_RUN, left=None) if still else advice
     return case.advice[key]
@@ -227,13 +249,9 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     msg_id, output = loss.msg_id, loss.hop == telemetry_output.PIPE
     rate, every = queue.rate_hz(limit), f"{queue.round_ns / MILLISECOND:.0f} ms"
     why = f"{'TO keeps' if output else 'it keeps'} {limit} of this MsgId and "
-    why += f"{'sends' if output else 'SBN empties it'} every {every}: {rate:.0f} a second get through "
-    command = limit_command(case, loss)
+    why += f"{'sends' if output else 'SBN empties it'} every {every}: {rate:.0f} a second get through"
     names = (loss.msg_id, "to_wake_ns") if output else ("sbn_msg_limit", "sbn_wake_ns")
-    origin: str = "measured" if measured else case.origin(*names)
-    if command is not None and command.value == limit:
-        origin = f"set by a command at {case.at(command.not_before_ns)}"
-    why += f"({origin})"
+    why += set_by(case, loss, limit) or f" ({'measured' if measured else case.origin(*names)})"
     queue = replace(queue, depth=_depth(case, loss, queue))
     slower = f"publish at most {_safe(rate):g} Hz"
     if loss.stream is None:

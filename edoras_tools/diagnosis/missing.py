@@ -168,7 +168,8 @@ def _together(case: Case, shares: Sequence[_ShareUnits], most: int) -> Iterator[
 def _entry(case: Case, entry: LedgerEntry, one_of: int | None = None) -> Missing:
     """Return a message that no packet and no count tells."""
     msg_id = NO_MSG_ID if entry.traffic.msg_id is None else entry.traffic.msg_id
-    link, name, times_ns = entry.traffic.link, _name(case, msg_id), entry.times_ns[:2]
+    link, times_ns = entry.traffic.link, entry.times_ns[:2]
+    name = case.topic(msg_id) or case.packet_name(msg_id) or None
     return Missing(link, msg_id, name, 1, *times_ns, number=None, first=None, one_of=one_of, what=entry.text)
 
 
@@ -190,7 +191,3 @@ def _message(case: Case, share: _Share, unit: int, text: str) -> Missing:
     return replace(
         one, time_ns=start_ns, until_ns=end_ns, first=count if whole else None, one_of=None if whole else gap
     )
-
-
-def _name(case: Case, msg_id: int) -> str | None:
-    return case.topic(msg_id) or case.packet_name(msg_id) or None

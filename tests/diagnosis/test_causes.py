@@ -14,6 +14,7 @@ from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.scheduler import SleepUntil, Work
 from edoras_tools.cfs import executive_services
 from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import Endpoint
 from edoras_tools.units import SECOND
@@ -79,6 +80,9 @@ def test_limits_that_commands_set_are_named_and_nothing_is_missing_between(lab):
     reasons = [item.reason for item in told(found, "to_message_limit")]
     assert any("1 of this MsgId may wait (set by a command at 21.0 s)" in line for line in reasons)
     assert any("2 of this MsgId may wait (set by a command at 51.8 s)" in line for line in reasons)
+    (problem,) = (item for item in summarize(found).problems if item.lost == 254)
+    assert "TO keeps 1 of this MsgId" in problem.text
+    assert "(set by a command at 21.0 s); 206 of these when it kept 2, set at 51.8 s" in problem.text
     stops = told(found, "to_stopped")
     assert [item.reason.partition("0x0827 at ")[2] for item in stops] == [
         "19.8 s, and to send it again, at most 1 a round, at 21.0 s",

@@ -122,7 +122,6 @@ def old_states(case: Case) -> Iterator[Verdict]:
             span=(int(item.time_ns[old.argmax()]), int(item.time_ns[last])),
             remedy="let the application read until its socket is empty and pass on the newest, or let the "
             f"robot send at most {passed:.1f} a second",
-            confidence="high",
         )
 
 
@@ -145,7 +144,6 @@ def value_limits(case: Case) -> Iterator[Verdict]:
                 link=link(int(case.rows.link[rows[0]])).label,
                 span=case.span(rows),
                 remedy="look for the cause on board, or correct the limits in the layout or the data sheet",
-                confidence="high",
             )
 
 

@@ -341,7 +341,6 @@ def sbn_table(case: Case) -> Iterator[Verdict]:
                 f"on SBN are {', '.join(map(str, heard))}",
                 place=("sbn", "SBN"),
                 remedy="see whether it runs; capture where its datagrams pass",
-                confidence="high",
             )
 
 

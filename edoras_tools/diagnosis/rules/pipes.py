@@ -18,10 +18,10 @@ from edoras_tools.diagnosis.advice import (
     advise,
     clean_round,
     crowding_of,
-    limit_command,
     loss_verdict,
     lost_at,
     published,
+    set_by,
     stood_still,
 )
 from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
@@ -149,7 +149,7 @@ def _over_output_limit(case: Case, loss: Loss) -> Verdict:
     queue, limit, measured = clean_round(case, loss)
     period, rate = queue.round_ns, queue.rate_hz(limit)
     reason = (
-        f"{lost_at(case, loss)}: {published(loss)}{limit} of this MsgId may wait{_set_by(case, loss, limit)} "
+        f"{lost_at(case, loss)}: {published(loss)}{limit} of this MsgId may wait{set_by(case, loss, limit)} "
         f"and TO sends every {period / 1e6:.0f} ms, so {rate:.1f}/s get through"
         f"{'' if 'to_wake_ns' in case.constants.learned else ' (assumed)'}"
     )
@@ -159,13 +159,6 @@ def _over_output_limit(case: Case, loss: Loss) -> Verdict:
             f"at most {limit} came in one round, every {period / 1e6:.1f} ms: {rate:.1f} Hz is clean"
         )
     return loss_verdict(case, loss, reason, link="to", evidence=evidence, remedy=advise(case, loss))
-
-
-def _set_by(case: Case, loss: Loss, limit: int) -> str:
-    command = limit_command(case, loss)
-    if command is None or command.value != limit:
-        return ""
-    return f" (set by a command at {case.at(command.not_before_ns)})"
 
 
 def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
@@ -194,8 +187,7 @@ def _divided(case: Case) -> tuple[list[Loss], list[Loss]]:
 
 
 def _is_route(loss: Loss) -> bool:
-    configured = loss.stream is not None and loss.stream.route != NO_ROUTE
-    return configured or loss.msg_id not in MSG_ID_NAMES
+    return (loss.stream is not None and loss.stream.route != NO_ROUTE) or loss.msg_id not in MSG_ID_NAMES
 
 
 def _together(loss: Loss, other: Loss) -> bool:
