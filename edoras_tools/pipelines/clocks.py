@@ -113,7 +113,8 @@ def open_aligned(
 ) -> tuple[Source, list[str]]:
     """Open several captures as one, with clocks aligned to the first; return it, and notes on the clocks.
 
-    A capture that has nothing in common with the first is aligned to another one that is already aligned.
+    They are aligned in order of time from the first on, however they are named: one that goes on where
+    another ended to that, else to the first or another one with which it has something in common.
 
     Args:
         progress: shows the progress of reading the clocks and comparing them.
@@ -122,33 +123,31 @@ def open_aligned(
         CaptureError: one cannot be read.
         ConfigError: a mission file has mistakes.
     """
-    resets = {path for path in paths if _holds_resets(path)}
-    paths = sorted(paths, key=lambda path: is_cfe_file(path) + (path in resets))  # to captures' clocks
+    kinds = {path: is_cfe_file(path) and 1 + _holds_resets(path) for path in paths}
+    paths = sorted(paths, key=kinds.__getitem__)  # to captures' clocks
     tables = [_recorded(path, settings, progress) for path in paths]
-    sources: list[Source] = [open_file(paths[0])]
+    sources = {0: open_file(paths[0])}
     alone: list[Source] = []
     notes = []
     set_back: dict[int, list[ClockLine]] = {0: []}
     astray: list[tuple[int, int, bool]] = []
-    for at, (path, table) in enumerate(zip(paths[1:], tables[1:], strict=True), 1):
+    for at in sorted(range(1, len(paths)), key=lambda at: (kinds[paths[at]], _gap_ns(tables[0], tables[at]))):
+        path, table = paths[at], tables[at]
         if progress is not None:
-            progress.step("aligning clocks", at, len(paths))
-        if path in resets:
-            source, note = _placed(path, paths, tables, set_back)
-            sources.append(source)
+            progress.step("aligning clocks", len(sources), len(paths))
+        if kinds[path] > 1:
+            sources[at], note = _placed(path, paths, tables, set_back)
             notes.append(note)
             continue
         to, shift = _nearest(path, tables, at, set_back)
         if shift is None:
             if is_cfe_file(path):
-                source, name = _of_cfe(path)
+                sources[at], name = _of_cfe(path)
                 most = max(len(boot_offsets(tables[other], name)) for other in set_back)
-                sources.append(source)
                 notes.append(_not_placed(path, name, most))
                 continue
-            if not _overlap(tables[0], table):
-                set_back[at] = []
-                sources.append(open_file(path))
+            if _gap_ns(tables[0], table) > 0:
+                set_back[at], sources[at] = [], open_file(path)
                 continue
             alone.append(open_file(path))
             notes.append(
@@ -158,7 +157,7 @@ def open_aligned(
             continue
         is_one_clock = not is_cfe_file(path) and _follows(tables[to], table, shift)
         set_back[at] = set_back[to] if is_one_clock else [shift.line, *set_back[to]]
-        sources.append(Aligned(open_file(path), set_back[at], shift.shared))
+        sources[at] = Aligned(open_file(path), set_back[at], shift.shared)
         sources[0].statistics.shared += len(shift.shared)
         for side, (places, sure) in zip((to, at), lost_between(tables[to], table, shift), strict=True):
             rows = tables[side].rows.take(places)
@@ -170,7 +169,8 @@ def open_aligned(
             some = f"; {len(shift.shared):,} datagrams are in both, counted once" if len(shift.shared) else ""
             notes.append(f"{path}: its clock is {shift.told(str(paths[to]))}{some}")
     sources[0].statistics.astray += astray
-    return OneByOne([merge_sources(sources), *alone]) if alone else merge_sources(sources), notes
+    merged = merge_sources([sources[at] for at in sorted(sources)])
+    return OneByOne([merged, *alone]) if alone else merged, notes
 
 
 def _nearest(
@@ -184,16 +184,16 @@ def _nearest(
             if shift and (is_cfe_file(path) or not _of_two_runs(tables[other], tables[at], shift)):
                 yield other, shift
 
-    to, shift = next(fits(aligned), (0, None))
+    gaps_ns = {other: _gap_ns(tables[other], tables[at]) for other in aligned}
+    to, shift = next(fits(sorted(gaps_ns, key=lambda other: abs(gaps_ns[other]) >= SEAM_NS)), (0, None))
     if shift is not None and not len(shift.shared):  # what both have captured tells it best
-        beside = (other for other in aligned if other > to and _overlap(tables[other], tables[at]))
+        beside = (other for other, gap_ns in gaps_ns.items() if other != to and gap_ns <= 0)
         return next((fit for fit in fits(beside) if len(fit[1].shared)), (to, shift))
     return to, shift
 
 
 def _holds_resets(path: Path) -> bool:
-    if not is_cfe_file(path):
-        return False
+    """Tell whether a file of cFE is a log of resets."""
     source = open_file(path)
     source.close()
     return bool(source.header["subtype"] == RESET_LOG)
@@ -252,7 +252,7 @@ def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Side
                 break
     finally:
         source.close()
-    return Side.of(recorder)
+    return Side(recorder.rows(), recorder.payloads.events, recorder.endpoints)
 
 
 def _readable(source: Source) -> Iterator[PacketBatch]:
@@ -267,8 +267,7 @@ def _follows(first: Side, second: Side, shift: Alignment) -> bool:
     Then they are of one clock: by their own times one begins behind the other, and soon after it, or nothing
     tells that their clocks differ, or only mission times do, and by more than clocks: cFS was started again.
     """
-    a, b = first.rows.time_ns, second.rows.time_ns
-    gap_ns = max(int(b.min()) - int(a.max()), int(a.min()) - int(b.max()))
+    gap_ns = _gap_ns(first, second)
     is_restart = shift.by == MISSION_TIME and abs(shift.line.offset_ns) > APART_NS
     return gap_ns >= 0 and (gap_ns < SEAM_NS or shift.low_ns <= 0 <= shift.high_ns or is_restart)
 
@@ -281,14 +280,19 @@ def _of_two_runs(first: Side, second: Side, shift: Alignment) -> bool:
     """
     a, b = first.rows, second.rows
     same = np.isin(b.number, shift.shared)
-    if (b.identification[same] != 0).sum() >= _LEAST or _overlap(first, second):
+    # One that goes on where the other ended may be in which mission time went slower.
+    near_ns = SEAM_NS * (not len(shift.shared))
+    if (b.identification[same] != 0).sum() >= _LEAST or _gap_ns(first, second) <= near_ns:
         return False
     timed = all((rows.mission_time_ns > 0).any() for rows in (a, b))
-    return (timed or bool(same.any())) and _overlap(first, second, shift.line)
+    return (timed or bool(same.any())) and _gap_ns(first, second, shift.line) <= 0
 
 
-def _overlap(first: Side, second: Side, line: ClockLine | None = None) -> bool:
-    """Return whether two captures overlap in time, by their own clocks, or where a line sets one back."""
-    a, b = first.rows.time_ns, second.rows.time_ns
-    b = b if line is None else line.set_back(b)
-    return bool(len(a) and len(b)) and bool(a.min() <= b.max() and b.min() <= a.max())
+def _gap_ns(first: Side, second: Side, line: ClockLine | None = None) -> int:
+    """Return how long after one of two captures the other begins, or does where a line sets the second back.
+
+    It is negative where they overlap.
+    """
+    (start, end), own = first.span, second.span
+    begin, stop = own if line is None else line.set_back(np.array(own)).tolist()
+    return max(begin - end, start - stop)

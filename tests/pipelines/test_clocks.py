@@ -239,6 +239,18 @@ def test_boots_in_two_files_that_follow_each_other_are_of_one_clock(tmp_path, tu
     assert totals(found) == totals(diagnosed(write(tmp_path / "whole.pcap", traffic))[0])
 
 
+@pytest.mark.parametrize("order", ["012", "201", "210"])
+def test_files_written_in_turn_are_of_one_clock_though_mission_time_wanders(tmp_path, order):
+    whole = ROOT / "tests/captures/season3/q25_robot_off_then_bridge_off.pcap.zst"
+    traffic = mutations.frames(whole)
+    third = len(traffic) // 3
+    parts = traffic[:third], traffic[third : 2 * third], traffic[2 * third :]
+    paths = [mutations.write(tmp_path / f"{at}.pcap", part) for at, part in enumerate(parts)]
+    found, notes = diagnosed(*(paths[int(at)] for at in order))
+    assert notes == []
+    assert found.balance == diagnosed(whole)[0].balance
+
+
 @pytest.mark.parametrize(("number", "sure"), [(3, False), (40, True)])
 def test_what_the_other_host_lacks_it_may_have_missed_unless_that_is_too_much(tmp_path, number, sure):
     flight = mutations.frames(ROOT / "tests/captures/flights/sender_that_counts.pcap.zst")

@@ -47,6 +47,7 @@ from edoras_tools.diagnosis.evidence.clocks.lines import (
 from edoras_tools.diagnosis.evidence.instances import Instances
 from edoras_tools.diagnosis.evidence.relays import pair_up
 from edoras_tools.diagnosis.evidence.table import peer_of
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
@@ -59,10 +60,8 @@ from edoras_tools.words import seconds
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from typing_extensions import Self
-
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
-    from edoras_tools.diagnosis.evidence.table import Recorder, Rows
+    from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
     _Pairs = tuple[Integers, Integers]
@@ -92,15 +91,16 @@ class Side(msgspec.Struct, frozen=True, eq=False, dict=True):
     events: Sequence[EventRecord]
     endpoints: Sequence[Endpoint]
 
-    @classmethod
-    def of(cls, recorder: Recorder) -> Self:
-        """Return that of a recorder, which need not be kept."""
-        return cls(recorder.rows(), recorder.payloads.events, recorder.endpoints)
-
     @cached_property
     def instances(self) -> Instances:
         """The cFS in it."""
         return Instances(self.rows, self.events, self.endpoints)
+
+    @cached_property
+    def span(self) -> tuple[int, int]:
+        """Capture times of its first and its last datagram; of none, the end of time and its beginning."""
+        times = self.rows.time_ns
+        return (int(times.min()), int(times.max())) if len(times) else (NEVER, -NEVER)
 
 
 def _related(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) -> Iterator[Ordered]:
