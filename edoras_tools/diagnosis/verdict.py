@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable  # noqa: TC003  for readers of the signature
+from collections.abc import Callable, Iterable  # noqa: TC003  for readers of the signature
 from enum import IntEnum
 from functools import partial
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypedDict
+from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict
 
 import msgspec
 from msgspec.structs import replace
-
-from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -213,28 +211,17 @@ def alike(groups: Iterable[list[Verdict]]) -> list[list[list[Verdict]]]:
     return list(by_rule.values())
 
 
-class Takes(Protocol):
-    """Tells whether what concerns a link's label and a MsgId, None where unknown, is shown.
-
-    Samples of DDS have a topic and no MsgId.
-    """
-
-    def __call__(
-        self, link: str | None, msg_id: int | None, topic: str = "", /, spacecraft: int = FIRST_SPACECRAFT
-    ) -> bool:
-        """See the class."""
-
-
 class Choice(msgspec.Struct, frozen=True):
     """Which links, MsgIds and topics of DDS are shown.
 
     Attributes:
         text: how people are told of it.
-        takes: tells what is shown.
+        takes: tells whether something is shown: of a link's label, a MsgId (None where unknown) and perhaps
+            a topic, as samples of DDS have no MsgId; ``spacecraft`` is by default the first.
     """
 
     text: str
-    takes: Takes
+    takes: Callable[..., bool]
 
     def of(self, spacecraft: int) -> Choice:
         """Return what is shown of one spacecraft."""

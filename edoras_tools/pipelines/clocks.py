@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs.time_services import START_S
 from edoras_tools.diagnosis.evidence.clocks.alignment import (
+    HANDED_NS,
     MISSION_TIME,
     Alignment,
     Side,
@@ -131,7 +132,8 @@ def open_aligned(
     notes = []
     set_back: dict[int, list[ClockLine]] = {0: []}
     astray: list[tuple[int, int, bool]] = []
-    for at in sorted(range(1, len(paths)), key=lambda at: (kinds[paths[at]], _gap_ns(tables[0], tables[at]))):
+    gaps_ns = [max(0, _gap_ns(tables[0], table)) for table in tables]
+    for at in sorted(range(1, len(paths)), key=lambda at: (kinds[paths[at]], gaps_ns[at])):
         path, table = paths[at], tables[at]
         if progress is not None:
             progress.step("aligning clocks", len(sources), len(paths))
@@ -146,8 +148,9 @@ def open_aligned(
                 most = max(len(boot_offsets(tables[other], name)) for other in set_back)
                 notes.append(_not_placed(path, name, most))
                 continue
-            if _gap_ns(tables[0], table) > 0:
+            if gaps_ns[at] or _is_beside(tables[0], table):
                 set_back[at], sources[at] = [], open_file(path)
+                notes += [f"{path}: its clock is assumed to be that of {paths[0]}"] * (not gaps_ns[at])
                 continue
             alone.append(open_file(path))
             notes.append(
@@ -155,7 +158,7 @@ def open_aligned(
                 "no loss is concluded from the order of events between the two"
             )
             continue
-        is_one_clock = not is_cfe_file(path) and _follows(tables[to], table, shift)
+        is_one_clock = not is_cfe_file(path) and _is_one_clock(tables[to], table, shift)
         set_back[at] = set_back[to] if is_one_clock else [shift.line, *set_back[to]]
         sources[at] = Aligned(open_file(path), set_back[at], shift.shared)
         sources[0].statistics.shared += len(shift.shared)
@@ -261,15 +264,19 @@ def _readable(source: Source) -> Iterator[PacketBatch]:
         yield from source.batches()
 
 
-def _follows(first: Side, second: Side, shift: Alignment) -> bool:
-    """Return whether one capture goes on where the other ended, as files that are written in turn do.
+def _is_one_clock(first: Side, second: Side, shift: Alignment) -> bool:
+    """Return whether two captures are of one clock, whatever was measured.
 
-    Then they are of one clock: by their own times one begins behind the other, and soon after it, or nothing
-    tells that their clocks differ, or only mission times do, and by more than clocks: cFS was started again.
+    One may go on where the other ended, as files that are written in turn do: by their own times it begins
+    behind the other, and soon after it, or nothing tells that their clocks differ, or only mission times do,
+    and by more than clocks: cFS was started again. Or both are of one host, and packets wait longer than what
+    lies between their clocks.
     """
-    gap_ns = _gap_ns(first, second)
+    gap_ns, may_be = _gap_ns(first, second), shift.low_ns <= 0 <= shift.high_ns
+    if gap_ns < 0:
+        return may_be and abs(shift.line.offset_ns) < HANDED_NS and _is_beside(first, second)
     is_restart = shift.by == MISSION_TIME and abs(shift.line.offset_ns) > APART_NS
-    return gap_ns >= 0 and (gap_ns < SEAM_NS or shift.low_ns <= 0 <= shift.high_ns or is_restart)
+    return gap_ns < SEAM_NS or may_be or is_restart
 
 
 def _of_two_runs(first: Side, second: Side, shift: Alignment) -> bool:
@@ -286,6 +293,12 @@ def _of_two_runs(first: Side, second: Side, shift: Alignment) -> bool:
         return False
     timed = all((rows.mission_time_ns > 0).any() for rows in (a, b))
     return (timed or bool(same.any())) and _gap_ns(first, second, shift.line) <= 0
+
+
+def _is_beside(first: Side, second: Side) -> bool:
+    """Return whether two captures are of one host and of other conversations, as of two of its ports."""
+    hosts, others = ({end.address for way in side.ways for end in way} for side in (first, second))
+    return first.ways.isdisjoint(second.ways) and not hosts.isdisjoint(others)
 
 
 def _gap_ns(first: Side, second: Side, line: ClockLine | None = None) -> int:

@@ -123,11 +123,20 @@ class Draft:
         yield from self._losses(subject.name, figures, limits, "    ")
         every = field_limits(self.runs, subject.name)
         names = self._names.of_types(subject.packets.types(self.runs[0].context.mission))
-        fields = [(where, limit) for _, where, limit in every if _is_filter(where, names)]
+        fields = [
+            (where, limit)
+            for name, where, limit in every
+            if self._always(subject.name, name, figures) and _is_filter(where, names)
+        ]
         if fields:
             yield "    fields:"
         for where, limit in fields:
             yield f"      - always: {json.dumps(where)}  # {limit.why}"
+
+    def _always(self, topic: str, field: str, figures: Sequence[Figures]) -> bool:
+        """Return whether a field has a number in each message of a topic in every run."""
+        pairs = zip(self.runs, figures, strict=True)
+        return all(run.values[topic].fields[field].count == own.count for run, own in pairs)
 
     def _losses(
         self, name: str, figures: Sequence[Figures], limits: dict[str, RunLimit], indent: str

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from edoras_tools.addons.runs.figures import Figures
     from edoras_tools.addons.runs.values import FieldValues
 
+_DIGITS: Final = 15
+"""More places behind the point than so many are an exponent."""
 _WORTH: Final = 10
 MODEL_WORTH: Final = 100
 _RATE: Final = 0.01
@@ -174,11 +176,11 @@ def field_filter(name: str, limit: RunLimit, *, is_flag: bool = False) -> str:
 
 
 def _number(value: float) -> str:
-    """Return a number without an exponent."""
+    """Return a number without an exponent, unless it is so small that it needs one."""
     if value == int(value):
         return f"{int(value)}"
     digits = max(1, 7 - math.floor(math.log10(abs(value))))
-    return f"{value:.{min(digits, 15)}f}".rstrip("0").rstrip(".")
+    return f"{value:.{digits}f}".rstrip("0").rstrip(".") if digits <= _DIGITS else repr(value)
 
 
 def _rounded(value: float, how: Callable[[float], int]) -> float:

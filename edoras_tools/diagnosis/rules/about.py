@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, TypedDict
+from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
 from edoras_tools.links import table
@@ -23,23 +23,15 @@ _FEW: Final = 20
 _OF_ONE: Final = {"are": "is", "have": "has", "do": "does", "carry": "carries"}
 
 
-class AboutMessages(TypedDict):
-    """Which messages a verdict is about: attributes of ``Verdict``."""
-
-    msg_id: int | None
-    link: str | None
-    span: tuple[int, int]
-
-
-def subject(case: Case, members: Sequence[int] | Places) -> AboutMessages:
-    """Return the MsgId and the link of the first of some rows, and the times of all; in order of time."""
+def subject(case: Case, members: Sequence[int] | Places) -> dict[str, Any]:
+    """Return ``msg_id`` and ``link`` of the first of some rows, and the ``span`` of all; in order of time."""
     msg_id, link = int(case.rows.msg_id[members[0]]), table.link(case.rows.link[members[0]])
     number = msg_id if msg_id != NO_MSG_ID else None
     return {"msg_id": number, "link": link.label, "span": case.span(members)}
 
 
-def stream_subject(case: Case, stream: Stream) -> AboutMessages:
-    """Return the MsgId and the link of a stream, and from when to when it came."""
+def stream_subject(case: Case, stream: Stream) -> dict[str, Any]:
+    """Return the same of a stream."""
     return {"msg_id": stream.msg_id, "link": stream.link.label, "span": case.span(stream.rows)}
 
 
@@ -71,11 +63,9 @@ def of_messages(
     rows, first, where = case.rows, members[0], subject(case, members)
     msg_id = int(rows.msg_id[first])
     of = about.pop("of", None) or int(((rows.link == rows.link[first]) & (rows.msg_id == msg_id)).sum())
-    about |= {"msg_id": where["msg_id"], "link": where["link"], "span": where["span"]}
-    if severity is Severity.ERROR:
-        about |= {"lost": len(members), "of": of}
+    lost: dict[str, Any] = {"lost": len(members), "of": of} if severity is Severity.ERROR else {}
     verb, _, rest = text.partition(" ")
     if len(members) == 1:
         verb, rest = _OF_ONE.get(verb, verb), rest.replace("their ", "its ")
     reason = f"{len(members):,} of {of:,} {noun} on {case.name(msg_id)} {verb} {rest}"
-    return verdict(severity, reason, *evidence, **about)
+    return verdict(severity, reason, *evidence, **{**about, **where, **lost})

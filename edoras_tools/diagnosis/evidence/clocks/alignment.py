@@ -97,6 +97,12 @@ class Side(msgspec.Struct, frozen=True, eq=False, dict=True):
         return Instances(self.rows, self.events, self.endpoints)
 
     @cached_property
+    def ways(self) -> set[tuple[Endpoint, Endpoint]]:
+        """Source and destination of every conversation in it."""
+        ways, ends = np.unique(self.rows.way()).tolist(), self.endpoints
+        return {(ends[way >> 32], ends[way & 0xFFFFFFFF]) for way in ways}
+
+    @cached_property
     def span(self) -> tuple[int, int]:
         """Capture times of its first and its last datagram; of none, the end of time and its beginning."""
         times = self.rows.time_ns
