@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from edoras_tools.cfs import names
     from edoras_tools.model import Datagram, PacketBatch
     from edoras_tools.structs import Structs
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 class CommandTable:
@@ -56,17 +57,15 @@ class CommandTable:
 
     def judge(
         self, msg_id: NDArray[np.int32], code: NDArray[np.int16], length: NDArray[np.int32]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    ) -> tuple[Mask, Mask]:
         """Tell which commands have a function code that their app refuses, and which have a wrong length."""
         app = self._app[msg_id]
         one, other = self._lengths[:, app, code]
-        unknown: NDArray[np.bool_] = (app != 0) & ~self._taken[app, code]
-        misfit: NDArray[np.bool_] = (one != 0) & (length != one) & (length != other)
+        unknown: Mask = (app != 0) & ~self._taken[app, code]
+        misfit: Mask = (one != 0) & (length != one) & (length != other)
         return unknown, misfit
 
-    def fits(
-        self, msg_id: NDArray[np.int32], code: NDArray[np.int16], length: NDArray[np.int32]
-    ) -> NDArray[np.bool_]:
+    def fits(self, msg_id: NDArray[np.int32], code: NDArray[np.int16], length: NDArray[np.int32]) -> Mask:
         """Tell which commands an app accepts with exactly this length."""
         app = self._app[msg_id]
         one, other = self._lengths[:, app, code]
@@ -88,16 +87,16 @@ class Fitting:
     """
 
     def __init__(
-        self, structs: Structs, commands: CommandTable, head: NDArray[np.uint8], length: NDArray[np.int64]
+        self, structs: Structs, commands: CommandTable, head: NDArray[np.uint8], length: Integers
     ) -> None:
         self._structs = structs
         self._commands = commands
         self._head = head
         self._length = length
         self._msg_id = VERSION_1.column(head, length)
-        self._starts: dict[int, NDArray[np.bool_]] = {}
+        self._starts: dict[int, Mask] = {}
 
-    def by(self, headers: cfe.Headers) -> NDArray[np.bool_]:
+    def by(self, headers: cfe.Headers) -> Mask:
         """Return which of them some headers explain."""
         command = VERSION_1.is_command(self._msg_id)
         out = np.zeros(len(command), bool)
@@ -109,7 +108,7 @@ class Fitting:
         out[rows] = self._telemetry_fits(rows, headers)
         return out
 
-    def allowed(self, headers: cfe.Headers) -> NDArray[np.bool_]:
+    def allowed(self, headers: cfe.Headers) -> Mask:
         """Return which of them are commands that an app may accept, if they have these headers."""
         rows = np.flatnonzero(VERSION_1.is_command(self._msg_id) & (self._length >= headers.command_bytes))
         unknown, misfit = self._commands.judge(*self._command(rows, headers))
@@ -118,14 +117,14 @@ class Fitting:
         return out
 
     def _command(
-        self, rows: NDArray[np.intp], headers: cfe.Headers
+        self, rows: Places, headers: cfe.Headers
     ) -> tuple[NDArray[np.int32], NDArray[np.int16], NDArray[np.int32]]:
         """Return MsgId, function code, and length with the usual header."""
         code = headers.command.column("function_code", self._head[rows], headers.start).astype(np.int16)
         as_usual = self._length[rows] - headers.command_bytes + cfe.COMMAND_HEADER_BYTES
         return self._msg_id[rows], code, as_usual.astype(np.int32)
 
-    def _telemetry_fits(self, rows: NDArray[np.intp], headers: cfe.Headers) -> NDArray[np.bool_]:
+    def _telemetry_fits(self, rows: Places, headers: cfe.Headers) -> Mask:
         spare = cfe.TELEMETRY.by_name["spare"]
         low, high = ccsds.PRIMARY.size + spare.start, ccsds.PRIMARY.size + spare.end
         blank = (self._head[rows, low:high] == 0).all(axis=1)
@@ -135,7 +134,7 @@ class Fitting:
             return np.asarray(blank & ~early)
         return np.asarray(early if headers is cfe.SHORT else ~blank & ~early)
 
-    def _payload_fits(self, at: int) -> NDArray[np.bool_]:
+    def _payload_fits(self, at: int) -> Mask:
         """Tell in which packets something known starts at a place; each place is looked at once."""
         if at in self._starts:
             return self._starts[at]
@@ -172,7 +171,7 @@ class Builds:
         self.usual = cfe.HEADERS.index(usual)
         self.several = False
 
-    def settle(self, usual: cfe.Headers, places: NDArray[np.intp], headers: NDArray[np.uint8]) -> None:
+    def settle(self, usual: cfe.Headers, places: Places, headers: NDArray[np.uint8]) -> None:
         """Take what was found.
 
         Args:
@@ -196,7 +195,7 @@ class Builds:
         if headers:
             self._headers = np.frombuffer(headers, np.uint8).copy()
 
-    def of_batch(self, batch: PacketBatch, offset: NDArray[np.int64], length: NDArray[np.int32]) -> Any:
+    def of_batch(self, batch: PacketBatch, offset: Integers, length: NDArray[np.int32]) -> Any:
         """Return the headers of each space packet of a batch, u8; one number where all have the same.
 
         Args:
@@ -226,7 +225,7 @@ class Builds:
         return cfe.HEADERS[headers >> 1 if headers else self.usual]
 
     def _each(
-        self, head: NDArray[np.uint8], length: NDArray[np.int64], allowed: NDArray[np.uint8]
+        self, head: NDArray[np.uint8], length: Integers, allowed: NDArray[np.uint8]
     ) -> NDArray[np.uint8]:
         """Return the first of the headers of each packet's conversation that explains it, else allows it."""
         out, fitting = np.full(len(allowed), self.usual, np.uint8), Fitting(*self._known, head, length)
@@ -236,7 +235,7 @@ class Builds:
         return out
 
 
-def conversations(batch: PacketBatch) -> NDArray[np.intp]:
+def conversations(batch: PacketBatch) -> Places:
     """Return the place of each datagram's conversation, less than ``PLACES``; of IPv6 by its ports alone."""
     source, target = batch.source_address, batch.destination_address
     if not (fourth := batch.ip_version == 4).all():

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.links.protocol import LinkProtocol
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _PACKET_WINDOW: Final = 24
 """Bytes that hold every header of a space packet."""
@@ -211,12 +212,12 @@ class _Pass:
             self.out["findings"][cut] &= np.uint32(~UNKNOWABLE & 0xFFFFFFFF)
         return Columns(**self.out)
 
-    def flag(self, finding: Finding, rows: NDArray[np.intp], mask: NDArray[np.bool_]) -> None:
+    def flag(self, finding: Finding, rows: Places, mask: Mask) -> None:
         """Set a finding's bit in those of ``rows`` that are chosen."""
         if np.count_nonzero(mask):  # a third of the time of ``any``
             self.out["findings"][rows[mask]] |= np.uint32(finding)
 
-    def mark(self, finding: Finding, mask: NDArray[np.bool_]) -> None:
+    def mark(self, finding: Finding, mask: Mask) -> None:
         """Set a finding's bit in the rows of a mask over the whole batch."""
         if np.count_nonzero(mask):
             self.out["findings"] |= mask * np.uint32(finding)
@@ -237,7 +238,7 @@ class _Pass:
                 self._samples(link, rows)
         return start
 
-    def _samples(self, link: LinkProtocol, rows: NDArray[np.intp]) -> None:
+    def _samples(self, link: LinkProtocol, rows: Places) -> None:
         """Judge whether a link's samples are whole messages of their types."""
         context = self.context
         for item in link.sample_reader().known_samples(context.types, context.endpoints, self.batch, rows):
@@ -292,12 +293,7 @@ class _Pass:
         self._structs()
 
     def _secondary(
-        self,
-        packet: NDArray[np.bool_],
-        head: NDArray[np.uint8],
-        total: NDArray[np.int32],
-        command: NDArray[np.bool_],
-        build: Any,
+        self, packet: Mask, head: NDArray[np.uint8], total: NDArray[np.int32], command: Mask, build: Any
     ) -> None:
         """Read the cFE command and telemetry headers, those of one build, or of each packet's own."""
         length = self.out["packet_length"]
@@ -358,7 +354,7 @@ class _Pass:
             self.flag(Finding.UNKNOWN_MSG_ID, samples.row, samples.key == structs.dictionary.unknown)
             self.flag(Finding.LENGTH_MISMATCH, samples.row, samples.key == structs.dictionary.odd)
 
-    def _envelopes(self, packet: NDArray[np.bool_]) -> None:
+    def _envelopes(self, packet: Mask) -> None:
         """Read the envelopes of the routes' packets, a route at a time."""
         exact = self.out["route"]
         route = np.where(exact == NO_ROUTE, self.context.any_route_of[self.out["msg_id"]], exact)
@@ -375,7 +371,7 @@ class _Pass:
         for index, picked in by_value(route):
             self._envelope(index, rows[picked])
 
-    def _envelope(self, route: int, rows: NDArray[np.intp]) -> None:
+    def _envelope(self, route: int, rows: Places) -> None:
         envelope = self.context.envelopes[route]
         offset = self.out["packet_offset"][rows] + self.out["header_length"][rows]
         have = self.out["packet_length"][rows] - self.out["header_length"][rows]
@@ -393,8 +389,8 @@ class _Pass:
     def _bodies(
         self,
         route: int,
-        rows: NDArray[np.intp],
-        offset: NDArray[np.int64],
+        rows: Places,
+        offset: Integers,
         have: NDArray[np.int32],
         head: NDArray[np.uint8],
         envelope: EnvelopeFormat,

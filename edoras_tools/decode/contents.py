@@ -24,13 +24,12 @@ from edoras_tools.wire.arrays.order import by_value, numbered
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from numpy.typing import NDArray
-
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.ros.cdr.columns import MessageColumns
     from edoras_tools.ros.cdr.plan import CdrPlan
     from edoras_tools.structs.bound import Bound
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 Content = TypeVar("Content")
 
@@ -118,7 +117,7 @@ class MessageRows(NamedTuple):
         bound: the C struct that they are; None for messages of a route.
     """
 
-    owner: NDArray[np.int64]
+    owner: Integers
     topic: str
     type: str
     columns: MessageColumns
@@ -126,20 +125,18 @@ class MessageRows(NamedTuple):
     bound: Bound | None
 
 
-def read_whole(rows: ColumnRows) -> NDArray[np.bool_]:
+def read_whole(rows: ColumnRows) -> Mask:
     """Tell which rows hold a packet, or a message of a recording, that is read to its end."""
     if rows.batch.recorded is not None:
-        read: NDArray[np.bool_] = rows.column("cdr_length") > 0
+        read: Mask = rows.column("cdr_length") > 0
         read &= (rows.column("findings") & np.uint32(_ENDING)) == 0
         return read
-    whole: NDArray[np.bool_] = (rows.column("packet_offset") >= 0) & (rows.column("header_length") > 0)
+    whole: Mask = (rows.column("packet_offset") >= 0) & (rows.column("header_length") > 0)
     whole &= (rows.column("findings") & np.uint32(_ENDING)) == 0
     return whole
 
 
-def message_rows(
-    rows: ColumnRows, whole: NDArray[np.bool_], *, commands: bool = True
-) -> Iterator[MessageRows]:
+def message_rows(rows: ColumnRows, whole: Mask, *, commands: bool = True) -> Iterator[MessageRows]:
     """Yield the messages of each topic and of each C struct; of topics those in ``whole`` rows alone.
 
     Args:
@@ -167,7 +164,7 @@ def links_of(rows: ColumnRows) -> dict[int, Link]:
     return {code: table.link(code) for code in set(rows.column("link").tolist())}
 
 
-def endpoints(rows: ColumnRows) -> tuple[list[tuple[Endpoint, Endpoint]], NDArray[np.intp]]:
+def endpoints(rows: ColumnRows) -> tuple[list[tuple[Endpoint, Endpoint]], Places]:
     """Return all pairs of where rows come from and go to, and which pair each row has."""
     names = ("source_address", "destination_address", "source_port", "destination_port", "ip_version")
     first, which = numbered(*(rows.datagram(name) for name in names))

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.ros import TypeStore
+    from edoras_tools.wire.arrays.order import Mask
     from edoras_tools.wire.layout import Layout
     from edoras_tools.wire.msg_id import MsgIds
 
@@ -354,8 +355,8 @@ class Context:
             return names.ROUTE_COMMANDS
         return None
 
-    def _ports(self) -> dict[Link, NDArray[np.bool_]]:
-        ports: dict[Link, NDArray[np.bool_]] = {link: np.zeros(65536, bool) for link in self.links}
+    def _ports(self) -> dict[Link, Mask]:
+        ports: dict[Link, Mask] = {link: np.zeros(65536, bool) for link in self.links}
         for link, claimed in ports.items():
             if not link.transport.udp:
                 continue

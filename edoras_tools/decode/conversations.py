@@ -34,9 +34,8 @@ from edoras_tools.wire.msg_id import VERSION_1
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
     from edoras_tools.decode.context import Context
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _SHARE: Final = 20
 """One sound datagram in so many makes a conversation cFS's."""
@@ -127,11 +126,11 @@ class Conversations(msgspec.Struct, eq=False):
 
     context: Context
     flows: dict[tuple[Endpoint, Endpoint], Flow] = msgspec.field(default_factory=dict)
-    _last: tuple[NDArray[np.intp], NDArray[np.intp], list[Flow | None]] = msgspec.field(
+    _last: tuple[Places, Places, list[Flow | None]] = msgspec.field(
         default_factory=lambda: (np.zeros(0, np.intp), np.zeros(0, np.intp), [])
     )
 
-    def add(self, batch: PacketBatch, columns: Columns, mask: NDArray[np.bool_] | None = None) -> None:
+    def add(self, batch: PacketBatch, columns: Columns, mask: Mask | None = None) -> None:
         """Count those datagrams of a batch that a mask chooses; all without one."""
         rows = np.flatnonzero(batch.length > 0 if mask is None else (batch.length > 0) & mask)
         link = columns.link
@@ -171,7 +170,7 @@ class Conversations(msgspec.Struct, eq=False):
                     setattr(flow, name, getattr(flow, name) + count)
         self._last = rows, which, flows
 
-    def left_out(self) -> NDArray[np.intp]:
+    def left_out(self) -> Places:
         """Return the rows of the last batch whose conversation is, by all that came so far, left out."""
         rows, which, flows = self._last
         if all(flow is None or flow.is_sound or not flow.link.packets for flow in flows):
@@ -223,7 +222,7 @@ class Conversations(msgspec.Struct, eq=False):
         return self.flows.get(key)
 
 
-def in_doubt(batch: PacketBatch, columns: Columns, context: Context) -> NDArray[np.bool_]:
+def in_doubt(batch: PacketBatch, columns: Columns, context: Context) -> Mask:
     """Return the datagrams, bool, of conversations that a batch leaves in doubt: some in them are not sound.
 
     Where fewer than one in 20 of a conversation is sound, all datagrams of its link are returned: what it is
@@ -288,14 +287,12 @@ def unnamed(flows: Iterable[Flow]) -> list[Unnamed]:
     ]
 
 
-def _count(which: NDArray[np.intp], marked: NDArray[np.bool_], total: NDArray[np.intp]) -> NDArray[np.intp]:
+def _count(which: Places, marked: Mask, total: Places) -> Places:
     """Return how many of each group are marked, of so many in all: mostly all, or none."""
     return total if marked.all() else np.bincount(which[marked], minlength=len(total))
 
 
-def _spans(
-    time_ns: NDArray[np.int64], first: NDArray[np.intp], which: NDArray[np.intp]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _spans(time_ns: Integers, first: Places, which: Places) -> tuple[Integers, Integers]:
     """Return the smallest time of each group, and the largest, at least 0; see ``numbered``."""
     if (time_ns[1:] >= time_ns[:-1]).all():  # nearly always
         last = np.zeros(len(first), np.intp)
@@ -307,9 +304,7 @@ def _spans(
     return first_ns, last_ns
 
 
-def _marks(
-    batch: PacketBatch, columns: Columns, rows: NDArray[np.intp], described: NDArray[np.bool_]
-) -> dict[str, NDArray[np.bool_]]:
+def _marks(batch: PacketBatch, columns: Columns, rows: Places, described: Mask) -> dict[str, Mask]:
     """Return what each of some datagrams looks like, by the names of ``Flow``."""
     begins, sound = _soundness(columns, rows, described)
     marks = {"begins": begins, "sound": sound}
@@ -320,9 +315,7 @@ def _marks(
     return marks
 
 
-def _soundness(
-    columns: Columns, rows: NDArray[np.intp] | slice, described: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _soundness(columns: Columns, rows: Places | slice, described: Mask) -> tuple[Mask, Mask]:
     """Return which of some datagrams begin as their link's do, and which are sound."""
     msg_id, findings = columns.msg_id[rows], columns.findings[rows]
     first = cfe.known_ids(msg_id, columns.headers[rows])
@@ -335,7 +328,7 @@ def _soundness(
     return begins, sound
 
 
-def _alike(batch: PacketBatch, rows: NDArray[np.intp]) -> dict[str, NDArray[np.bool_]]:
+def _alike(batch: PacketBatch, rows: Places) -> dict[str, Mask]:
     """Tell which datagrams of no link would be one's by their lengths."""
     head = gather(batch.data, batch.offset[rows], sbn.HEADER.size)
     have = batch.length[rows].astype(np.int64)

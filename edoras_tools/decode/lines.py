@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.wire.arrays.order import Integers, Mask
 
 _LAYERS: Final = {
     cfe.EVENT_MSG_ID: cfe.EVENT,
@@ -227,7 +228,7 @@ def _cut_header(rows: ColumnRows, row: int, *, command: bool) -> str:
     return str(TruncatedError(layer, at, whole - ccsds.PRIMARY.size, have))
 
 
-def _without_message(rows: ColumnRows) -> NDArray[np.bool_]:
+def _without_message(rows: ColumnRows) -> Mask:
     """Tell which rows hold a packet that ends, or is wrong, before its message: the header alone is shown."""
     findings, context = rows.column("findings"), rows.context
     headless = rows.column("header_length") == ccsds.PRIMARY.size
@@ -245,7 +246,7 @@ def _without_message(rows: ColumnRows) -> NDArray[np.bool_]:
     return np.asarray(unread & ((findings & np.uint32(_ENDED)) != 0))
 
 
-def _commands(rows: ColumnRows, easy: NDArray[np.bool_]) -> Iterator[tuple[int, str]]:
+def _commands(rows: ColumnRows, easy: Mask) -> Iterator[tuple[int, str]]:
     """Yield the rows that hold a command of the built-in table, and its text."""
     for bound, packets in structs_of(rows).items():
         if not bound.command:
@@ -282,9 +283,7 @@ def _kinds(rows: ColumnRows) -> list[str]:
     return kinds
 
 
-def _messages(
-    rows: ColumnRows, easy: NDArray[np.bool_]
-) -> Iterator[tuple[NDArray[np.int64], str, str, list[str]]]:
+def _messages(rows: ColumnRows, easy: Mask) -> Iterator[tuple[Integers, str, str, list[str]]]:
     """Yield the rows of each topic that hold messages, the topic, its type, and the text of each.
 
     ``easy`` is cleared where a message has to be dissected.

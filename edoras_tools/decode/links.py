@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
+    from edoras_tools.wire.arrays.order import Mask, Places
     from edoras_tools.wire.layout import Layout
 
 
@@ -48,7 +49,7 @@ class _Datagram:
 class _Rows:
     """Some datagrams of a batch as a :class:`~edoras_tools.links.protocol.Seen`: an array of each number."""
 
-    def __init__(self, batch: PacketBatch, rows: NDArray[np.intp], context: Context) -> None:
+    def __init__(self, batch: PacketBatch, rows: Places, context: Context) -> None:
         self._batch, self._rows, self._context = batch, rows, context
         self._fields: dict[tuple[str, str, int], NDArray[Any]] = {}
         self._have = batch.length[rows]
@@ -57,18 +58,18 @@ class _Rows:
         self.destination_port = batch.destination_port[rows]
 
     @cached_property
-    def to_cfs(self) -> NDArray[np.bool_]:
+    def to_cfs(self) -> Mask:
         return self._is_cfs(self._batch.destination_address[self._rows])
 
     @cached_property
-    def from_cfs(self) -> NDArray[np.bool_]:
+    def from_cfs(self) -> Mask:
         return self._is_cfs(self._batch.source_address[self._rows])
 
     @property
     def bound(self) -> Any:
         return self._context.structs.on_ports(self.destination_port, self.length)
 
-    def _is_cfs(self, address: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    def _is_cfs(self, address: NDArray[np.uint32]) -> Mask:
         matches = np.zeros(len(address), bool)
         for cfs in self._context.cfs_addresses:
             matches |= address == cfs
@@ -125,7 +126,7 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
     return link
 
 
-def beginning(batch: PacketBatch, rows: NDArray[np.intp], magic: bytes) -> NDArray[np.intp]:
+def beginning(batch: PacketBatch, rows: Places, magic: bytes) -> Places:
     """Return those of some rows of a batch that begin with some bytes."""
     rows = rows[batch.length[rows] >= len(magic)]
     rows = rows[batch.data[batch.offset[rows]] == magic[0]]

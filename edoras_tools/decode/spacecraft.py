@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.mission import Mission
     from edoras_tools.model import Datagram, Link, PacketBatch
+    from edoras_tools.wire.arrays.order import Mask, Places, Prints
     from edoras_tools.wire.msg_id import MsgIds
 
 FIRST_SPACECRAFT: Final = 1
@@ -60,9 +61,7 @@ class Spacecraft:
         numbers: the number of each address so far, as ``PacketBatch.fixed`` has it.
     """
 
-    def __init__(
-        self, mission: Mission, links: Iterable[LinkProtocol], bridge_ports: NDArray[np.bool_]
-    ) -> None:
+    def __init__(self, mission: Mission, links: Iterable[LinkProtocol], bridge_ports: Mask) -> None:
         self.survey: Callable[[], dict[int, int]] | None = None
         self.several = len(mission.spacecraft) > 1
         self._bridge_ports = bridge_ports
@@ -82,12 +81,10 @@ class Spacecraft:
         """Of a stream: the roles of cFS at each address where it was seen; see ``_follow``."""
         self._rivals: defaultdict[int, Counter[int]] = defaultdict(Counter)
         """Of a stream: for each role how many addresses have which number."""
-        self._recent: list[tuple[int, NDArray[np.uint64], NDArray[np.uint64]]] = []
+        self._recent: list[tuple[int, Prints, Prints]] = []
         """Of a stream: the last times, prints and addresses of its batches."""
 
-    def ends(
-        self, batch: PacketBatch, link: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint64]]:
+    def ends(self, batch: PacketBatch, link: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Prints]:
         """Return which end of each datagram cFS is, u8, 0 for neither, and its address."""
         side = self._side.take(link)
         peers = np.flatnonzero(side == _PEER)
@@ -152,7 +149,7 @@ class Spacecraft:
             return self.numbers.get(destination if side == _RECEIVER else source, FIRST_SPACECRAFT)
         return self.numbers.get(source) or self.numbers.get(destination, FIRST_SPACECRAFT)
 
-    def _look(self, addresses: NDArray[np.uint64]) -> None:
+    def _look(self, addresses: Prints) -> None:
         """Find the spacecraft of a file, once a second address comes."""
         new = [item for item in dict.fromkeys(addresses.tolist()) if item not in self.numbers]
         if new and not self.numbers:
@@ -166,12 +163,7 @@ class Spacecraft:
         self.several = self.several or len({*self.numbers.values()}) > 1
 
     def _follow(
-        self,
-        batch: PacketBatch,
-        rows: NDArray[np.intp],
-        roles: NDArray[np.uint64],
-        address: NDArray[np.uint64],
-        prints: NDArray[np.uint64],
+        self, batch: PacketBatch, rows: Places, roles: Prints, address: Prints, prints: Prints
     ) -> list[tuple[int, int, int]]:
         """Take what a stream has of cFS.
 
@@ -219,7 +211,7 @@ class Spacecraft:
                 return int(addresses[alike.argmax()])
         return None
 
-    def _looked_up(self, address: NDArray[np.uint64], unknown: int) -> NDArray[np.uint8]:
+    def _looked_up(self, address: Prints, unknown: int) -> NDArray[np.uint8]:
         addresses = np.array(sorted(self.numbers), np.uint64)
         numbers = np.array([self.numbers[item] for item in addresses.tolist()], np.uint8)
         place = np.minimum(np.searchsorted(addresses, address), len(addresses) - 1)
@@ -318,13 +310,13 @@ def _fixed(address: str) -> int:
 class _Packets(NamedTuple):
     """Packets that go the way of their kind: whether cFS sent each, address of cFS, MsgId, print."""
 
-    sent: NDArray[np.bool_]
-    address: NDArray[np.uint64]
+    sent: Mask
+    address: Prints
     msg_id: NDArray[np.int32]
-    prints: NDArray[np.uint64]
+    prints: Prints
 
 
-def packet_prints(batch: PacketBatch, rows: NDArray[np.intp], start: NDArray[np.int32]) -> NDArray[np.uint64]:
+def packet_prints(batch: PacketBatch, rows: Places, start: NDArray[np.int32]) -> Prints:
     """Return what tells packets apart by their first bytes, u64; 0 where none starts."""
     length = np.where(start < 0, 0, np.clip(batch.length[rows] - start, 0, _HEAD))
     return fingerprint.of_bytes(batch.data, batch.offset[rows] + start, length)

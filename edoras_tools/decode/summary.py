@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Decoded
     from edoras_tools.ros.cdr.columns import MessageColumns
     from edoras_tools.ros.cdr.plan import CdrPlan
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
     from edoras_tools.wire.msg_id import MsgIds
 
     Column: TypeAlias = "NDArray[Any] | Ragged | Group"
@@ -138,7 +139,7 @@ class Group(msgspec.Struct, frozen=True):
         columns: the fields of all elements by their dotted name.
     """
 
-    offsets: NDArray[np.int64]
+    offsets: Integers
     columns: dict[str, NDArray[Any]]
 
 
@@ -174,7 +175,7 @@ def _words(columns: Mapping[str, Column], count: int) -> list[str]:
     return [" ".join(some) + " ..." * cut or "all zero" for some, cut in zip(words, more, strict=True)]
 
 
-def _say_something(column: Column) -> NDArray[np.bool_]:
+def _say_something(column: Column) -> Mask:
     """Tell which values of a column are shown; an array is shown even if it is all zero, an empty one not."""
     if isinstance(column, (Ragged, Group)):
         return np.diff(column.offsets) > 0
@@ -183,7 +184,7 @@ def _say_something(column: Column) -> NDArray[np.bool_]:
     return np.asarray(column != ("" if column.dtype == object else 0), np.bool_)
 
 
-def _texts(column: Column, rows: NDArray[np.intp]) -> list[str]:
+def _texts(column: Column, rows: Places) -> list[str]:
     if isinstance(column, (Ragged, Group)):
         start, count = column.offsets[rows], column.offsets[rows + 1] - column.offsets[rows]
         some = np.minimum(count, _MOST_ITEMS)

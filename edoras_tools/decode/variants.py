@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _ENOUGH: Final = 512
 """Sound packets after which detection ends."""
@@ -84,11 +85,11 @@ class _Kept(NamedTuple):
     """What is kept of packets: first bytes, length, capture time in ns, row of the batch."""
 
     head: NDArray[np.uint8]
-    length: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
-    row: NDArray[np.intp]
+    length: Integers
+    time_ns: Integers
+    row: Places
 
-    def take(self, rows: NDArray[np.intp]) -> _Kept:
+    def take(self, rows: Places) -> _Kept:
         return _Kept(self.head[rows], self.length[rows], self.time_ns[rows], self.row[rows])
 
     def and_(self, other: _Kept) -> _Kept:
@@ -139,7 +140,7 @@ class Variants:
             self._look_at_conversations(batch, rows, link)
         self.settled = self._all_seen and not self._seek_headers
 
-    def _sound(self, batch: PacketBatch, rows: NDArray[np.intp], link: NDArray[np.uint8]) -> _Kept:
+    def _sound(self, batch: PacketBatch, rows: Places, link: NDArray[np.uint8]) -> _Kept:
         """Return what is kept of those packets of some rows whose length field is right."""
         start = self._context.header_bytes[link[rows]]
         length = batch.length[rows].astype(np.int64) - start
@@ -201,7 +202,7 @@ class Variants:
     def _fitting(self, sample: _Kept) -> Fitting:
         return Fitting(self._context.structs, self._context.command_table, sample.head, sample.length)
 
-    def _explained(self, sample: _Kept) -> list[NDArray[np.bool_]]:
+    def _explained(self, sample: _Kept) -> list[Mask]:
         """Return for each kind of headers which packets it explains; an extended header's clock goes on."""
         fitting = self._fitting(sample)
         explained = [fitting.by(headers) for headers in cfe.TOLD]
@@ -210,9 +211,7 @@ class Variants:
             explained[_EXTENDED][timed] = _goes_on(sample.take(timed))
         return explained
 
-    def _look_at_conversations(
-        self, batch: PacketBatch, rows: NDArray[np.intp], link: NDArray[np.uint8]
-    ) -> None:
+    def _look_at_conversations(self, batch: PacketBatch, rows: Places, link: NDArray[np.uint8]) -> None:
         """Count for some packets of each conversation which headers alone explain them."""
         place = conversations(batch)
         place = place if len(rows) == len(place) else place[rows]
@@ -246,7 +245,7 @@ class Variants:
                 self._tell()
             self._settle()
 
-    def _first(self, sample: _Kept, conversation: NDArray[np.intp]) -> NDArray[np.intp]:
+    def _first(self, sample: _Kept, conversation: Places) -> Places:
         """Return the first kind that explains each packet; what a plain command shows; ``_NOTHING``."""
         fitting = self._fitting(sample)
         first = np.select([fitting.by(headers) for headers in cfe.TOLD], range(len(cfe.TOLD)), _NOTHING)
@@ -314,7 +313,7 @@ class Variants:
                         "bytes show; --set envelope names another"
                     )
 
-    def _format(self, rows: NDArray[np.intp], *, command: bool) -> EnvelopeFormat | None:
+    def _format(self, rows: Places, *, command: bool) -> EnvelopeFormat | None:
         """Return the format that fits most of some packets; None where none fits two."""
         headers = self._context.headers
         at = headers.command_bytes if command else headers.telemetry_bytes
@@ -324,11 +323,11 @@ class Variants:
         return ENVELOPE_FORMATS[best] if votes[best] >= _LEAST else None
 
 
-def _commands(sample: _Kept) -> NDArray[np.bool_]:
+def _commands(sample: _Kept) -> Mask:
     return np.asarray(VERSION_1.is_command(VERSION_1.column(sample.head, sample.length)))
 
 
-def _goes_on(sample: _Kept) -> NDArray[np.bool_]:
+def _goes_on(sample: _Kept) -> Mask:
     """Tell in which telemetry the extended header's clock counts seconds as the capture's does."""
     extended = cfe.WITH_EXTENDED
     seconds = extended.telemetry.column("seconds", sample.head, extended.start).astype(np.int64)

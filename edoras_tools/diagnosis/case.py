@@ -80,8 +80,6 @@ from edoras_tools.wire.sbn import HEADER as SBN_HEADER
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
     from edoras_tools.diagnosis.accounting.ingest import Ingest
@@ -95,6 +93,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import CutDatagram
     from edoras_tools.structs.bound import Bound
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _MOST: Final = 0.5
 _SLACK_NS: Final = 50 * MILLISECOND
@@ -232,7 +231,7 @@ class Case:
         self.verdicts: list[Verdict] = []
         self.advice: dict[tuple[object, ...], Advice] = {}
         self._silences: dict[int, list[tuple[int, int]]] = {}
-        self._times: dict[tuple[int, ...], NDArray[np.int64]] = {}
+        self._times: dict[tuple[int, ...], Integers] = {}
         self._events: dict[tuple[tuple[str, ...], frozenset[int]], list[EventRecord]] = {}
 
     @cached_property
@@ -495,7 +494,7 @@ class Case:
         """From when to when nothing was captured, for whatever reason."""
         return sorted([*self.away, *self.quiet])
 
-    def is_away(self, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def is_away(self, starts: Integers, ends: Integers) -> Mask:
         """Tell which spans of time hold some of an outage of the capturing interface."""
         return overlapping(starts, ends, self.away)
 
@@ -504,7 +503,7 @@ class Case:
         times = self.times(stream)
         return comb(times[(times >= span.start_ns) & (times <= span.end_ns)])
 
-    def times(self, stream: Stream) -> NDArray[np.int64]:
+    def times(self, stream: Stream) -> Integers:
         """Return when a stream's MsgId comes out of its pipe, whoever made it: they share what may wait."""
         key = stream.link.code, stream.sender, stream.receiver, stream.msg_id
         if key not in self._times:
@@ -721,7 +720,7 @@ class Case:
             self._silences[sender] = closed.silences_of(self, sender)
         return self._silences[sender]
 
-    def span(self, rows: Sequence[int] | NDArray[np.intp]) -> tuple[int, int]:
+    def span(self, rows: Sequence[int] | Places) -> tuple[int, int]:
         """Return the capture times of the first and of the last of some rows, which are in order of time."""
         return int(self.rows.time_ns[rows[0]]), int(self.rows.time_ns[rows[-1]])
 

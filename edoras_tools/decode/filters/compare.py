@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.filters.field import FilterField
+    from edoras_tools.wire.arrays.order import Mask
 
-Test = Callable[[Series], "NDArray[np.bool_]"]
+Test = Callable[[Series], "Mask"]
 """Tests every value of a series; returns bool (values,)."""
 
 _INTEGER: Final = re.compile(r"[+-]?(?:0[xX][0-9a-fA-F]+|\d+)")
@@ -135,7 +136,7 @@ def _bounds(symbol: str, limit: float) -> tuple[float, float]:
     return down + 1 if symbol == ">" else up, math.inf
 
 
-def _within(values: NDArray[Any], low: float, high: float) -> NDArray[np.bool_]:
+def _within(values: NDArray[Any], low: float, high: float) -> Mask:
     """Tell which whole numbers lie between two, whatever their width; bools are 0 and 1."""
     if values.dtype == bool:
         values = values.view(np.uint8)
@@ -225,7 +226,7 @@ def _moment(field: FilterField, value: Value) -> int:
 def _lifted(holds: Callable[[Any], bool]) -> Test:
     """Make a test of many texts from a test of one; each distinct text is tested once."""
 
-    def test(series: Series) -> NDArray[np.bool_]:
+    def test(series: Series) -> Mask:
         table = series.table or ()
         return np.fromiter(map(holds, table), bool, len(table))[series.values]
 

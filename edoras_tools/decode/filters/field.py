@@ -14,10 +14,10 @@ from edoras_tools.decode.filters.rows import INDEX_DTYPE, ColumnRows, PacketRows
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from numpy.typing import NDArray
     from typing_extensions import Self
 
     from edoras_tools.model import Decoded
+    from edoras_tools.wire.arrays.order import Mask
 
 COLUMN_COST: Final = 0
 """Cost of what the decoder's columns hold."""
@@ -55,7 +55,7 @@ class FilterField(msgspec.Struct, frozen=True, eq=False):
     kind: ValueKind
     pick: Callable[[PacketRows, Decoded], Any]
     read: Callable[[ColumnRows], Series] | None = None
-    scope: Callable[[ColumnRows], NDArray[np.bool_]] | None = None
+    scope: Callable[[ColumnRows], Mask] | None = None
     cost: int = COLUMN_COST
     dtype: np.dtype[Any] = INDEX_DTYPE
     limits: tuple[int, int] | None = None

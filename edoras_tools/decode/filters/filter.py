@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.field import FilterField
     from edoras_tools.model import Columns, Decoded, PacketBatch
+    from edoras_tools.wire.arrays.order import Mask
 
 
 class Where:
@@ -62,9 +63,7 @@ class Where:
     def __str__(self) -> str:
         return self.text
 
-    def mask(
-        self, batch: PacketBatch, columns: Columns, selection: NDArray[Any] | None = None
-    ) -> NDArray[np.bool_]:
+    def mask(self, batch: PacketBatch, columns: Columns, selection: NDArray[Any] | None = None) -> Mask:
         """Return which packets of a batch pass.
 
         Batches come in the order they were captured: ``time`` counts from the first datagram of the first.
@@ -77,11 +76,11 @@ class Where:
         rows = slice(None) if selection is None else selection
         return self.passing(ColumnRows(self.context, self._begin_ns or 0, batch, columns, rows))
 
-    def passing(self, rows: ColumnRows) -> NDArray[np.bool_]:
+    def passing(self, rows: ColumnRows) -> Mask:
         """Return which of some rows pass; what was read of them for another filter is not read again."""
         return self._node.mask(rows)
 
-    def judge(self, packets: Sequence[Decoded]) -> NDArray[np.bool_]:
+    def judge(self, packets: Sequence[Decoded]) -> Mask:
         """Return which single packets pass: the same answer as :meth:`mask`, without columns."""
         if self._begin_ns is None and packets:
             self._begin_ns = packets[0].datagram.time_ns
@@ -97,7 +96,7 @@ class _Test(msgspec.Struct, frozen=True):
 
     price: int
 
-    def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
+    def mask(self, rows: PacketRows) -> Mask:
         """Return which rows pass."""
         raise NotImplementedError
 
@@ -111,7 +110,7 @@ class _Compared(_Test, frozen=True):
     tests: Sequence[tuple[FilterField, Test]]
     every: bool
 
-    def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
+    def mask(self, rows: PacketRows) -> Mask:
         hit, failed = np.zeros(len(rows), bool), np.zeros(len(rows), bool)
         for field, test in self.tests:
             series = field.series(rows)
@@ -125,7 +124,7 @@ class _Compared(_Test, frozen=True):
 class _Present(_Test, frozen=True):
     fields: Sequence[FilterField]
 
-    def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
+    def mask(self, rows: PacketRows) -> Mask:
         present = np.zeros(len(rows), bool)
         for field in self.fields:
             present |= field.series(rows).present()
@@ -135,7 +134,7 @@ class _Present(_Test, frozen=True):
 class _Not(_Test, frozen=True):
     node: _Test
 
-    def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
+    def mask(self, rows: PacketRows) -> Mask:
         return ~self.node.mask(rows)
 
 
@@ -145,7 +144,7 @@ class _Joined(_Test, frozen=True):
     steps: Sequence[Sequence[_Test]]
     every: bool
 
-    def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
+    def mask(self, rows: PacketRows) -> Mask:
         join = np.logical_and if self.every else np.logical_or
         whole = np.full(len(rows), self.every)
         for step in self.steps:

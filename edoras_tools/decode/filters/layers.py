@@ -26,10 +26,11 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
     from edoras_tools.links.protocol import LinkProtocol
+    from edoras_tools.wire.arrays.order import Integers, Mask
     from edoras_tools.wire.layout import Layout, Slot
     from edoras_tools.wire.msg_id import MsgIds
 
-    Places = tuple[NDArray[np.int64], NDArray[np.int64]]
+    Places = tuple[Integers, Integers]
     """Which rows have a header, and where in the batch's data it starts."""
     from edoras_tools.model import Decoded
 
@@ -149,14 +150,14 @@ def _header(
         yield replace(field, pick=_each(name, slot.field.name), many=True) if many else field
 
 
-def _presence(places: Callable[[ColumnRows], Places], rows: ColumnRows) -> NDArray[np.bool_]:
+def _presence(places: Callable[[ColumnRows], Places], rows: ColumnRows) -> Mask:
     """Tell which packets have a header."""
     out = np.zeros(len(rows), bool)
     out[places(rows)[0]] = True
     return out
 
 
-def _struct(name: str, presence: Callable[[ColumnRows], NDArray[np.bool_]] | None) -> FilterField:
+def _struct(name: str, presence: Callable[[ColumnRows], Mask] | None) -> FilterField:
     return FilterField(
         name,
         ValueKind.STRUCT,
@@ -285,7 +286,7 @@ def _extended(rows: ColumnRows) -> Places:
     return owner, rows.column("packet_offset")[owner] + ccsds.PRIMARY.size
 
 
-def _body(rows: ColumnRows) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
+def _body(rows: ColumnRows) -> tuple[Mask, Integers, Integers]:
     """Return which packets have a whole cFE header, where what follows it starts, and its bytes."""
     whole = (rows.column("function_code") >= 0) | (rows.column("mission_time_ns") >= 0)
     header = rows.column("header_length")
@@ -312,7 +313,7 @@ def _encapsulation(rows: ColumnRows) -> Places:
     return owner, start[owner]
 
 
-def _padding(rows: ColumnRows) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+def _padding(rows: ColumnRows) -> tuple[Mask, Integers]:
     """Return which packets have bytes after the CDR, and how many."""
     end = rows.column("packet_offset") + rows.column("packet_length")
     length = end - rows.column("cdr_offset") - rows.column("cdr_length")

@@ -45,8 +45,9 @@ if TYPE_CHECKING:
     from edoras_tools.links.doors import KnownSamples
     from edoras_tools.model import Decoded
     from edoras_tools.ros.types.schema import Definition
+    from edoras_tools.wire.arrays.order import Integers, Mask
 
-    Owned = tuple[NDArray[np.int64], MessageColumns]
+    Owned = tuple[Integers, MessageColumns]
     """Rows that hold messages, and the messages."""
 
 _PART: Final = re.compile(r"(\w+)(?:\[(-?\d+)\])?")
@@ -365,12 +366,12 @@ def held_messages(bound: Bound, rows: ColumnRows) -> Owned:
     return rows.once(("struct", bound.topic), make)
 
 
-def _may_hold(routes: tuple[int, ...], rows: ColumnRows) -> NDArray[np.bool_]:
+def _may_hold(routes: tuple[int, ...], rows: ColumnRows) -> Mask:
     """Tell which rows may hold messages of some routes' types: theirs, and samples."""
     return np.isin(rows.routes(), routes) | among(rows.column("link"), lambda link: link.samples)
 
 
-def _holds(bound: Bound, rows: ColumnRows) -> NDArray[np.bool_]:
+def _holds(bound: Bound, rows: ColumnRows) -> Mask:
     out = np.zeros(len(rows), np.bool_)
     out[held_messages(bound, rows)[0]] = True
     return out

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from edoras_tools.decode.context import Context
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 INDEX_DTYPE = np.dtype(np.int64)
@@ -51,17 +52,13 @@ class Series(NamedTuple):
 
     rows: int
     values: NDArray[Any]
-    owner: NDArray[np.int64] | None = None
-    holders: NDArray[np.int64] | None = None
+    owner: Integers | None = None
+    holders: Integers | None = None
     table: Sequence[Any] | None = None
 
     @classmethod
     def of_objects(
-        cls,
-        rows: int,
-        items: Iterable[Any],
-        owner: NDArray[np.int64] | None = None,
-        holders: NDArray[np.int64] | None = None,
+        cls, rows: int, items: Iterable[Any], owner: Integers | None = None, holders: Integers | None = None
     ) -> Self:
         """Make a series of texts or bytes, each distinct one kept once."""
         places: dict[Any, int] = {}
@@ -69,14 +66,14 @@ class Series(NamedTuple):
         return cls(rows, codes, owner, holders, list(places))
 
     @classmethod
-    def of_chosen(cls, values: NDArray[Any], present: NDArray[np.bool_]) -> Self:
+    def of_chosen(cls, values: NDArray[Any], present: Mask) -> Self:
         """Make a series of a column and the rows where it holds a value."""
         if present.all():
             return cls(len(values), values)
         owner = np.flatnonzero(present)
         return cls(len(values), values[owner], owner)
 
-    def where(self, hit: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def where(self, hit: Mask) -> Mask:
         """Return the rows of which a value is hit.
 
         Args:
@@ -88,7 +85,7 @@ class Series(NamedTuple):
         out[self.owner[hit]] = True
         return out
 
-    def present(self) -> NDArray[np.bool_]:
+    def present(self) -> Mask:
         """Return the rows that have a value."""
         return self.where(np.ones(len(self.values), bool))
 
@@ -104,7 +101,7 @@ class Series(NamedTuple):
         sizes = np.array([len(item) for item in self.table or ()], INDEX_DTYPE)
         return type(self)(self.rows, sizes[self.values], self.owner)
 
-    def placed(self, rows: int, at: NDArray[np.int64]) -> Self:
+    def placed(self, rows: int, at: Integers) -> Self:
         """Return the series of more rows, of which row ``at[i]`` is this one's row ``i``."""
         owner = at if self.owner is None else at[self.owner]
         holders = None if self.holders is None else at[self.holders]
@@ -130,7 +127,7 @@ class PacketRows:
         """Return the packets."""
         return self._packets
 
-    def take(self, rows: NDArray[np.int64]) -> Self:
+    def take(self, rows: Integers) -> Self:
         """Return some of the packets, given by index."""
         return type(self)(self.context, self.begin_ns, [self._packets[row] for row in rows])
 
@@ -150,7 +147,7 @@ class ColumnRows(PacketRows):
         begin_ns: int,
         batch: PacketBatch,
         columns: Columns,
-        selection: NDArray[np.int64] | slice = slice(None),
+        selection: Integers | slice = slice(None),
     ) -> None:
         super().__init__(context, begin_ns)
         self.batch = batch
@@ -170,7 +167,7 @@ class ColumnRows(PacketRows):
         """Return one of the batch's columns for these rows."""
         return getattr(self.batch, name)[self.selection]
 
-    def indices(self) -> NDArray[np.int64]:
+    def indices(self) -> Integers:
         """Return where in the batch these rows are."""
         return np.arange(len(self.batch))[self.selection]
 
@@ -199,12 +196,12 @@ class ColumnRows(PacketRows):
             "packets", lambda: [dissector.dissect(self.batch[row]) for row in self.indices().tolist()]
         )
 
-    def take(self, rows: NDArray[np.int64]) -> Self:
+    def take(self, rows: Integers) -> Self:
         """Return some of the rows, given by index."""
         selection = rows if isinstance(self.selection, slice) else self.selection[rows]
         return type(self)(self.context, self.begin_ns, self.batch, self.columns, selection)
 
-    def by_spacecraft(self) -> Iterator[tuple[NDArray[np.intp], Self]]:
+    def by_spacecraft(self) -> Iterator[tuple[Places, Self]]:
         """Yield the rows of each spacecraft, with the context as it is for it, and where they are here."""
         for number, places in by_value(self.column("spacecraft")):
             own = self if number == FIRST_SPACECRAFT and len(places) == len(self) else self.take(places)

@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Confidence
+    from edoras_tools.wire.arrays.order import Integers, Places
 
 _SLACK_NS: Final = 50 * MILLISECOND
 """By so much the times of two packets of one cFS may be wrong."""
@@ -132,11 +133,11 @@ class _Gaps(NamedTuple):
     """
 
     of: Stream
-    at: NDArray[np.intp]
-    rows: NDArray[np.intp]
-    number: NDArray[np.int64]
-    low_ns: NDArray[np.int64]
-    high_ns: NDArray[np.int64]
+    at: Places
+    rows: Places
+    number: Integers
+    low_ns: Integers
+    high_ns: Integers
 
     def take(self, rows: NDArray[Any]) -> _Gaps:
         """Return some of them."""
@@ -179,7 +180,7 @@ class Telemetry:
         """Return how many counts of a stream are missing and ended so."""
         return self.ends[id(stream)][how]
 
-    def passed(self, stream: Stream) -> NDArray[np.int64]:
+    def passed(self, stream: Stream) -> Integers:
         """Return how many of a stream are behind each row and its next, of what was meant for its receiver.
 
         The next one is one of them, and its counts that are missing; not what cFS publishes for others while
@@ -294,7 +295,7 @@ class Telemetry:
             if more := rest.pop(id(self._case.done_to(stream)), 0):
                 self.ends[id(stream)]["proxied"] += more
 
-    def _dropped(self, stream: Stream) -> NDArray[np.int64]:
+    def _dropped(self, stream: Stream) -> Integers:
         """Return how many are missing behind each row that others tell of, by their counts.
 
         A proxy dropped them on purpose, or they came damaged.
@@ -398,7 +399,7 @@ class Telemetry:
         else:
             self.ends[id(part.stream)]["untold" if part.unled else "closed"] += rest
 
-    def _kinds(self, part: Part, gaps: NDArray[np.int64], *, via: bool) -> tuple[PipeKind, ...]:
+    def _kinds(self, part: Part, gaps: Integers, *, via: bool) -> tuple[PipeKind, ...]:
         """Tell as what the missing of a span may have been counted (rule 2), and collect what says so."""
         case, stream, span = self._case, part.stream, part.span
         came = f"{part.missing:,} of {span.count + part.missing:,}"

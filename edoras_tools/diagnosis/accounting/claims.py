@@ -22,7 +22,7 @@ from edoras_tools.wire.arrays.order import by_value, numbered
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 class Rank(IntEnum):
@@ -69,8 +69,8 @@ class Counts(msgspec.Struct):
         set_back: seconds in which the counters were: what they had last is in no count here.
     """
 
-    times: NDArray[np.int64]
-    left: dict[PipeKind, NDArray[np.int64]]
+    times: Integers
+    left: dict[PipeKind, Integers]
     first: dict[PipeKind, int] = msgspec.field(default_factory=dict)
     boot_ns: int = 0
     older: int = 0
@@ -96,15 +96,15 @@ class Counts(msgspec.Struct):
             set_back=track.set_back,
         )
 
-    def seconds(self, times: NDArray[np.int64]) -> NDArray[np.intp]:
+    def seconds(self, times: Integers) -> Places:
         """Return which of the seconds each time is in: -1 before the first sample, n behind the last."""
         return np.asarray(np.searchsorted(self.times, times) - 1)
 
-    def span(self, seconds: Sequence[int] | NDArray[np.intp]) -> tuple[int, int]:
+    def span(self, seconds: Sequence[int] | Places) -> tuple[int, int]:
         """Return the times of the samples around some seconds, which are in order."""
         return int(self.times[seconds[0]]), int(self.times[seconds[-1] + 1])
 
-    def often(self, low_ns: NDArray[np.int64], high_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def often(self, low_ns: Integers, high_ns: Integers) -> Mask:
         """Tell in which times no two samples lie far apart: what is counted then was sent then."""
         rare = np.concatenate(([0], np.cumsum(np.diff(self.times) > TAIL_NS)))
         first = np.clip(self.seconds(low_ns), 0, len(rare) - 1)
@@ -537,8 +537,8 @@ def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[i
 
 
 def claimed_alike(
-    counts: Sequence[Counts], low_ns: NDArray[np.int64], high_ns: NDArray[np.int64], *keys: NDArray[np.intp]
-) -> list[NDArray[np.intp]]:
+    counts: Sequence[Counts], low_ns: Integers, high_ns: Integers, *keys: Places
+) -> list[Places]:
     """Return groups of messages that the same counts may hold, as indices: one claim can speak for each.
 
     Args:

@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.timeline.table import StateSpan
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 _SILENT_WAKES: Final = 5
@@ -71,7 +72,7 @@ _BRIEF: Final = 10
 """A stop that lasts less than this part of a gap is not why most of it is missing."""
 
 
-def closed_at(case: Case, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.bool_]:
+def closed_at(case: Case, stream: Stream, at: Places) -> Mask:
     """Tell which gaps of a stream span a time in which its way out was closed."""
     rows = case.rows
     behind = np.minimum(at + 1, len(stream) - 1)
@@ -110,13 +111,13 @@ def routes_cut(case: Case, stream: Stream) -> list[StateSpan]:
     return case.timeline.spans(StateOwner("route", "", stream.msg_id), "cut", case.system(stream))
 
 
-def _commanded_ns(case: Case, stream: Stream, *codes: int) -> NDArray[np.int64]:
+def _commanded_ns(case: Case, stream: Stream, *codes: int) -> Integers:
     """Return when Telemetry Output was told something about a stream's MsgId, or about all, in order."""
     about = [item.row for item in case.payloads.outputs(*codes) if item.entry in {-1, stream.msg_id}]
     return np.sort(case.rows.time_ns[np.array(about, np.intp)])
 
 
-def silenced_at(stream: Stream, at: NDArray[np.intp], spans: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+def silenced_at(stream: Stream, at: Places, spans: Sequence[tuple[int, int]]) -> Mask:
     """Tell which gaps of a stream span any of some times, as while Telemetry Output sent nothing."""
     times, behind = stream.time_ns, np.minimum(at + 1, len(stream) - 1)
     out = np.zeros(len(at), bool)
@@ -153,7 +154,7 @@ def unled_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], l
     return ([], retold) if led else (spans, [])
 
 
-def _sent_by(case: Case, sender: int) -> NDArray[np.int64]:
+def _sent_by(case: Case, sender: int) -> Integers:
     """Return when the Telemetry Output behind an endpoint sent something."""
     rows, output = case.rows, case.instances.output
     sent = among(rows.link, lambda link: link.only_from_cfs)
@@ -179,7 +180,7 @@ def silences_of(case: Case, sender: int) -> list[tuple[int, int]]:
 
 
 def silences(
-    sent_ns: NDArray[np.int64], enabled_ns: Sequence[int], wake_ns: int, boot_ns: int | None = None
+    sent_ns: Integers, enabled_ns: Sequence[int], wake_ns: int, boot_ns: int | None = None
 ) -> list[tuple[int, int]]:
     """Return when a Telemetry Output sent nothing, until it was enabled: between which two of its packets.
 
@@ -278,9 +279,9 @@ class Unreached(msgspec.Struct, frozen=True):
     stream: Stream
     endpoint: int
     own: bool
-    lost: Mapping[str, NDArray[np.intp]]
-    uncertain: NDArray[np.intp]
-    sent_ns: NDArray[np.int64]
+    lost: Mapping[str, Places]
+    uncertain: Places
+    sent_ns: Integers
 
     @property
     def number(self) -> int:
@@ -322,11 +323,7 @@ def unreached(case: Case) -> list[Unreached]:
 
 
 def _at(
-    stream: Stream,
-    rows: NDArray[np.intp],
-    fate_of: NDArray[np.int8],
-    endpoint: int,
-    sent_ns: NDArray[np.int64],
+    stream: Stream, rows: Places, fate_of: NDArray[np.int8], endpoint: int, sent_ns: Integers
 ) -> list[Unreached]:
     """Return what some rows of a stream lost at an endpoint, if anything."""
     every = {cause: rows[fate_of[rows] == mark] for mark, cause in _CAUSES.items()}
@@ -446,7 +443,7 @@ class Stops:
             if own:
                 self._unfollowed(fate, own)
 
-    def mark(self, fate: Fate, rows: NDArray[np.bool_], kind: LossKind, hop: str, text: str) -> None:
+    def mark(self, fate: Fate, rows: Mask, kind: LossKind, hop: str, text: str) -> None:
         """Mark messages that one more cause lost, but for those that a counter has as lost at a pipe."""
         if rows.any():
             fate.stop[rows] = self._causes.setdefault((kind, hop, text), len(self._causes))
@@ -489,7 +486,7 @@ class Stops:
         fate.open |= never
         fate.waits &= ~never
 
-    def _held(self, fate: Fate, item: Outage, inside: NDArray[np.bool_], until_ns: int) -> NDArray[np.bool_]:
+    def _held(self, fate: Fate, item: Outage, inside: Mask, until_ns: int) -> Mask:
         """Return which messages an application that keeps the newest surely did not take.
 
         What it takes at once when it is back gave way. What was on its way to it when it was told to end, and
@@ -513,7 +510,7 @@ class Stops:
         return inside
 
     @staticmethod
-    def _hold(fate: Fate, unsure: NDArray[np.bool_]) -> None:
+    def _hold(fate: Fate, unsure: Mask) -> None:
         """Count messages that an application may have held when it ended, or lost."""
         fate.open &= ~unsure
         fate.ends["held"] += int(unsure.sum())
@@ -545,7 +542,7 @@ class Stops:
                 fate.unread |= inside
                 self.mark(fate, inside, kind, hop, text)
 
-    def _untaken(self, fate: Fate, hop: Hop, newest: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _untaken(self, fate: Fate, hop: Hop, newest: Mask) -> Mask:
         """Tell which messages an application sends on, as many before the first one as nobody took by 0x803.
 
         That count has them where the first one is the first of its MsgId: until then it had no route.
@@ -562,9 +559,7 @@ class Stops:
             newest[before[np.linspace(0, len(before) - 1, number).round().astype(int)]] = True
         return newest
 
-    def _hold_one(
-        self, fate: Fate, inside: NDArray[np.bool_], newest: NDArray[np.bool_]
-    ) -> NDArray[np.bool_]:
+    def _hold_one(self, fate: Fate, inside: Mask, newest: Mask) -> Mask:
         """Hold one message more and one fewer than rounds tell, where no count behind them has how many.
 
         An application is woken at other times, too.
@@ -645,7 +640,7 @@ class Stops:
         fate.unfollowed_since = first.witness
 
 
-def _newest(fate: Fate, hop: Hop, wake_ns: int) -> NDArray[np.bool_]:
+def _newest(fate: Fate, hop: Hop, wake_ns: int) -> Mask:
     """Tell which messages an application that keeps the newest would send: the last of each of its rounds.
 
     Where it counts what it sends, as many as are missing there, spread evenly.
@@ -674,7 +669,7 @@ def _newest(fate: Fate, hop: Hop, wake_ns: int) -> NDArray[np.bool_]:
     return newest
 
 
-def _delay(times: NDArray[np.int64], out_ns: NDArray[np.int64], hop: Hop) -> int:
+def _delay(times: Integers, out_ns: Integers, hop: Hop) -> int:
     """Return how long before what it sends an application took its messages, ns: the newest it had, no later.
 
     Args:

@@ -57,8 +57,6 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.accounting.bus import Telemetry
     from edoras_tools.diagnosis.accounting.claims import Claim, Shared
     from edoras_tools.diagnosis.accounting.losses import LossKind
@@ -67,7 +65,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Verdict
-    from edoras_tools.wire.arrays.order import Places
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _COUNTS: Final = 256
 _WRAPPED: Final = 128
@@ -341,7 +339,7 @@ class Commands:
                 loss.of, loss.evidence = item.of, [text]
                 self.losses.append(loss)
 
-    def _lose(self, fate: Fate, kind: LossKind, rows: NDArray[np.intp], text: str) -> None:
+    def _lose(self, fate: Fate, kind: LossKind, rows: Places, text: str) -> None:
         """Tell messages lost, those of them that are open: before CI, or in SBN's socket."""
         if fate.claim(rows):
             hop = SBN_SOCKET if fate.stream.link.peers else ""
@@ -351,7 +349,7 @@ class Commands:
         """Return how many messages of a refusal were lost by it, and by nothing else."""
         return self.unplaced[id(item)] + self.placed.get(id(item), (0, None))[0]
 
-    def _alike(self, item: Verdict) -> Iterator[tuple[Fate, NDArray[np.bool_]]]:
+    def _alike(self, item: Verdict) -> Iterator[tuple[Fate, Mask]]:
         """Yield the streams that a refusal can be of, each with which of its messages."""
         key = item.link, item.msg_id
         if key not in self._spans:
@@ -364,7 +362,7 @@ class Commands:
             if within.any():
                 yield fate, within
 
-    def _place(self, item: Verdict, fate: Fate, inside: NDArray[np.intp], most: int) -> int:
+    def _place(self, item: Verdict, fate: Fate, inside: Places, most: int) -> int:
         """Give a refusal messages of a stream, some of those that may be it; return how many."""
         if number := fate.claim(inside[:most]):
             fate.refused[item.rule] += number
@@ -432,7 +430,7 @@ class Commands:
         They are wrong where a message arrived that they refuse.
         """
         self.unplaced |= dict.fromkeys(map(id, refused), 0)
-        verdicts: dict[int, list[tuple[Verdict, NDArray[np.bool_]]]] = {}
+        verdicts: dict[int, list[tuple[Verdict, Mask]]] = {}
         for item in refused:
             for fate, within in self._alike(item):
                 verdicts.setdefault(id(fate), []).append((item, within))
@@ -655,7 +653,7 @@ class Commands:
         ends["passed_on"] -= ends["shared"] - superseded
 
 
-def _in_order(hop: Hop) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _in_order(hop: Hop) -> tuple[Places, Places]:
     """Return what went in, and what of it came out, each in order, without pairs that stand far apart.
 
     Of equal messages the one that came out may be another than the one that it is taken for.
@@ -693,7 +691,7 @@ def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
     return shares(min(sum(numbers), most), numbers, numbers)
 
 
-def _spans(fates: Sequence[Fate]) -> NDArray[np.int64]:
+def _spans(fates: Sequence[Fate]) -> Integers:
     """Return when each stream began, and when it ended: i64 (2, n), ns since 1970."""
     return np.array([[edge(fate.stream.time_ns) for fate in fates] for edge in (np.min, np.max)])
 

@@ -44,12 +44,11 @@ from edoras_tools.wire.arrays.order import changes
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
-    _May = tuple[Fate, NDArray[np.bool_]]
+    _May = tuple[Fate, Mask]
     """What became of messages, and which of these may be lost."""
 
 QUOTED: Final = "ICMP errors about "
@@ -123,7 +122,7 @@ class Ingest(msgspec.Struct):
 
     endpoint: int
     system: int
-    rows: NDArray[np.intp]
+    rows: Places
     first_ns: int
     last_ns: int
     taken: int = 0
@@ -144,7 +143,7 @@ class Ingest(msgspec.Struct):
             self.losses.pop()
         self.losses.append(loss)
 
-    def spare(self, again_ns: NDArray[np.int64]) -> None:
+    def spare(self, again_ns: Integers) -> None:
         """Leave open as many losses on the network as there are copies by then: the capture may make some.
 
         Args:
@@ -206,13 +205,13 @@ def ingests(case: Case) -> list[Ingest]:
     return [*accounts, *_by_kernel(case, to_ci, {item.endpoint for item in accounts})]
 
 
-def _to(case: Case, to_ci: NDArray[np.intp], endpoint: int) -> NDArray[np.intp]:
+def _to(case: Case, to_ci: Places, endpoint: int) -> Places:
     """Return the datagrams to one CI, in order of time."""
     mine = to_ci[case.rows.destination[to_ci] == endpoint]
     return np.asarray(mine[np.argsort(case.rows.time_ns[mine], kind="stable")])
 
 
-def _by_kernel(case: Case, to_ci: NDArray[np.intp], endpoints: Collection[int]) -> Iterator[Ingest]:
+def _by_kernel(case: Case, to_ci: Places, endpoints: Collection[int]) -> Iterator[Ingest]:
     """Yield the account of every CI without a count here, of whose socket the kernel counted drops."""
     places = np.unique(case.rows.destination[to_ci]).tolist()
     ports = Counter(case.endpoints[item].port for item in places)
@@ -258,7 +257,7 @@ def _samples(case: Case) -> dict[int, list[_Sample]]:
     return by_system
 
 
-def _endpoint(case: Case, to_ci: NDArray[np.intp], own: Sequence[_Sample], *, alone: bool) -> int | None:
+def _endpoint(case: Case, to_ci: Places, own: Sequence[_Sample], *, alone: bool) -> int | None:
     """Return where a cFS's CI listens: the only place, or that of its address and number.
 
     Args:
@@ -290,9 +289,7 @@ class _Counted:
         own: its counts, likewise.
     """
 
-    def __init__(
-        self, case: Case, endpoint: int, system: int, rows: NDArray[np.intp], own: Sequence[_Sample]
-    ) -> None:
+    def __init__(self, case: Case, endpoint: int, system: int, rows: Places, own: Sequence[_Sample]) -> None:
         self._case, self._profile = case, case.profile
         self._endpoint, self._system, self._rows, self._own = endpoint, system, rows, own
         self._most = self._profile.ci_datagrams_per_wake
@@ -471,7 +468,7 @@ class _Counted:
         until = ((min(when + _ENDS_NS, ends_ns.get(when, end_ns)), when) for when in times)
         return [item for item in until if start_ns < item[0] < end_ns]
 
-    def _sent_until(self, time_ns: Any) -> NDArray[np.intp]:
+    def _sent_until(self, time_ns: Any) -> Places:
         return np.asarray(np.searchsorted(self._sent_ns, time_ns, "right"))
 
     def _surely_sent(self, time_ns: int) -> int:
@@ -479,7 +476,7 @@ class _Counted:
         ahead_ns = time_ns - self._case.start_ns
         return int(np.sign(ahead_ns) * self._sent_until(self._case.start_ns + abs(ahead_ns)))
 
-    def _emptied(self, part: slice) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def _emptied(self, part: slice) -> tuple[Integers, Mask]:
         """Return until when each sample's CI surely had read all there was, and where it read all it can.
 
         A sample is older than its datagram by up to a round of Telemetry Output, or as its clock says, and CI
@@ -578,7 +575,7 @@ class _Counted:
         return own[-1].count + ceil(seconds * fastest_hz) + 2 * self._most
 
 
-def _read_by(hops: Sequence[Hop]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _read_by(hops: Sequence[Hop]) -> tuple[Integers, Integers]:
     """Return when messages came out that occur once, and until when all had been read that were sent before.
 
     CI takes one after the other; a network that puts one before another shows nothing of that.
@@ -597,12 +594,12 @@ def _read_by(hops: Sequence[Hop]) -> tuple[NDArray[np.int64], NDArray[np.int64]]
     return every[order], np.maximum.accumulate(until[order])
 
 
-def _older(low: NDArray[np.int64], high: NDArray[np.int64]) -> int:
+def _older(low: Integers, high: Integers) -> int:
     """Return how many fewer a first count has than were sent: 0 where all it counts can be in the capture."""
     return 0 if low[0] <= 0 <= high.min() else _fewer(low, high)
 
 
-def _fewer(low: NDArray[np.int64], high: NDArray[np.int64]) -> int:
+def _fewer(low: Integers, high: Integers) -> int:
     """Return the most that counts can have fewer than were sent, as long as one number fits."""
     later = np.flatnonzero(np.maximum.accumulate(low) > np.minimum.accumulate(high))
     return int(high[: later[0] if len(later) else None].min())
@@ -617,11 +614,11 @@ class _Run(NamedTuple):
     None where nothing shows what comes out.
     """
 
-    seen: NDArray[np.int64]
-    low: NDArray[np.int64]
-    high: NDArray[np.int64]
-    drained: NDArray[np.bool_]
-    busy: NDArray[np.bool_]
+    seen: Integers
+    low: Integers
+    high: Integers
+    drained: Mask
+    busy: Mask
     many: int
     overflow: int
     unread: int | None
@@ -687,7 +684,7 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
     return lost
 
 
-def _spread_evenly(rows: NDArray[np.intp], number: int) -> NDArray[np.intp]:
+def _spread_evenly(rows: Places, number: int) -> Places:
     """Return so many of some rows, evenly spread over them."""
     return rows[np.linspace(0, len(rows) - 1, number).round().astype(np.intp)]
 

@@ -21,12 +21,11 @@ from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Span, Stream
     from edoras_tools.diagnosis.verdict import Confidence
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 IngestKind = Literal["network", "socket", "down", "restart", "ci_stopped", "port_closed"]
 AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled", "route"]
@@ -63,8 +62,8 @@ class Among(NamedTuple):
     """
 
     stream: Stream
-    rows: NDArray[np.intp]
-    missing: NDArray[np.int64] | None = None
+    rows: Places
+    missing: Integers | None = None
 
     @property
     def times_ns(self) -> tuple[int, int]:
@@ -197,23 +196,23 @@ class Fate:
     stream: Stream
     hops: list[Hop]
     spans: list[Span]
-    arrived: NDArray[np.bool_]
-    newer: NDArray[np.bool_]
-    open: NDArray[np.bool_]
-    waits: NDArray[np.bool_]
-    blind: NDArray[np.bool_]
-    unseen: NDArray[np.bool_]
+    arrived: Mask
+    newer: Mask
+    open: Mask
+    waits: Mask
+    blind: Mask
+    unseen: Mask
     ends: Counter[End] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
     counted_in_stop: Counter[int] = field(default_factory=Counter)
-    unfollowed: NDArray[np.bool_] | None = None
+    unfollowed: Mask | None = None
     unfollowed_since: str = ""
     reached: int | None = None
     commanded: int | None = None
-    passed: NDArray[np.bool_] = field(init=False)
-    edge: NDArray[np.bool_] = field(init=False)
-    unread: NDArray[np.bool_] = field(init=False)
-    stop: NDArray[np.int64] = field(init=False)
+    passed: Mask = field(init=False)
+    edge: Mask = field(init=False)
+    unread: Mask = field(init=False)
+    stop: Integers = field(init=False)
 
     def __post_init__(self) -> None:
         self.passed, self.edge, self.unread = (np.zeros(len(self.stream), bool) for _ in range(3))
@@ -239,19 +238,14 @@ class Fate:
         """How many came out more than once."""
         return sum(hop.doubled for hop in self.hops)
 
-    def claim(self, rows: NDArray[np.intp]) -> int:
+    def claim(self, rows: Places) -> int:
         """Take messages that are open, or are blind; return how many."""
         own = rows[self.open[rows] | self.blind[rows]]
         self.open[own] = self.blind[own] = False
         return len(own)
 
     def loss(
-        self,
-        kind: LossKind,
-        rows: NDArray[np.intp],
-        evidence: list[str],
-        hop: str = "",
-        among: NDArray[np.intp] | None = None,
+        self, kind: LossKind, rows: Places, evidence: list[str], hop: str = "", among: Places | None = None
     ) -> Loss:
         """Return the loss of some of the messages.
 
@@ -294,7 +288,7 @@ def follow(case: Case, stream: Stream) -> Fate:
     return Fate(stream, hops, stream.spans, arrived, newer, open_ & ~waits, waits, blind, unseen)
 
 
-def _longest(delays_ns: NDArray[np.int64]) -> int:
+def _longest(delays_ns: Integers) -> int:
     """Return how long a message takes at the end: as usual, or a little longer than the last ones did."""
     return min(int(np.quantile(delays_ns, 0.99)), 2 * int(delays_ns[-_LAST:].max()) + WAITS_NS)
 
@@ -304,9 +298,7 @@ def regroup(case: Case, fate: Fate) -> None:
     fate.newer |= _newer(case, fate.hops, fate.open, fate.stream.time_ns)
 
 
-def _newer(
-    case: Case, hops: list[Hop], absent: NDArray[np.bool_], times: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def _newer(case: Case, hops: list[Hop], absent: Mask, times: Integers) -> Mask:
     """Tell which messages may have given way to one that was sent some time later.
 
     An application that keeps the newest for SBN takes together what waited before it: for a few rounds where

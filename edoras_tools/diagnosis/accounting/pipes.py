@@ -52,8 +52,6 @@ from edoras_tools.wire.arrays.order import by_value, distinct
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.accounting.claims import Place
     from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
@@ -61,6 +59,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Span, Stream
     from edoras_tools.diagnosis.verdict import Confidence
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 LATE_NS: Final = 2 * SECOND
@@ -95,7 +94,7 @@ _FULL: Final = 0.3
 """Rounds of which so many are full show how many may wait."""
 
 
-def _standing(fate: Fate) -> tuple[NDArray[np.bool_], ...]:
+def _standing(fate: Fate) -> tuple[Mask, ...]:
     """Return which messages lack, may have gone on, may yet come, nobody sees, were sent to nobody, end."""
     into_stop = fate.open & (fate.stop >= 0) & ~fate.unread
     others = fate.open & (fate.stop < 0)
@@ -108,7 +107,7 @@ class _Own(msgspec.Struct):
 
     fate: Fate
     span: int
-    rows: NDArray[np.intp]
+    rows: Places
     standing: int
 
 
@@ -164,7 +163,7 @@ class Pipes:
         )
         return most_at_once(times, period) > profile.app_msg_limit
 
-    def _times(self, fate: Fate) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _times(self, fate: Fate) -> tuple[Integers, Integers]:
         """Return from when and until when each message can have been counted: i64, capture time in ns.
 
         CI hands on in order: what it lost was handed on before the next one that came out did.
@@ -196,7 +195,7 @@ class Pipes:
         owners = {self._case.owner(hop.out) for hop in fate.hops if not hop.out.link.last_hop}
         return not owners or instance in owners or NOBODY in owners
 
-    def _taken_since(self, fate: Fate, times: NDArray[np.int64]) -> int:
+    def _taken_since(self, fate: Fate, times: Integers) -> int:
         """Return from when on a stream was taken: CI first takes what waits from before the capture."""
         if not fate.hops or not fate.stream.link.only_to_cfs:
             return 0
@@ -212,7 +211,7 @@ class Pipes:
         kind: PipeKind,
         number: int,
         instance: int,
-        among: NDArray[np.intp],
+        among: Places,
         *,
         first: bool = False,
     ) -> None:
@@ -256,7 +255,7 @@ class Pipes:
         return next((own for own in about if not (stream.is_command and own[0].at_output)), (None, None))
 
 
-def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: NDArray[np.int64]) -> bool:
+def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Integers) -> bool:
     """Tell whether so much came that a pipe can have lost what is missing from a span of a stream.
 
     Where a MsgId's limit or a whole pipe is full, what did get in comes out in one burst, and the loss lies
@@ -294,27 +293,25 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: NDA
     return later * period > _OVER * clean * (span.end_ns - span.start_ns) > 0
 
 
-def most_at_once(times: NDArray[np.int64], period_ns: int) -> int:
+def most_at_once(times: Integers, period_ns: int) -> int:
     """Return the most of some messages, at least one, that come within a period of time."""
     return int((np.searchsorted(times, times + period_ns) - np.arange(len(times))).max())
 
 
-def measured_depth(times: NDArray[np.int64], period: int) -> int:
+def measured_depth(times: Integers, period: int) -> int:
     """Return how deep a pipe is by the rounds that come out of it: a size often met and never passed."""
     _, sizes = bursts(times, period // 2)
     most = int(sizes.max(initial=0))
     return most if (sizes == most).sum() > _OFTEN else int(np.iinfo(np.int64).max)
 
 
-def _full(times: NDArray[np.int64], period: int, most: int) -> NDArray[np.int64]:
+def _full(times: Integers, period: int, most: int) -> Integers:
     """Return those of some times at which so many have come in one burst."""
     burst = np.arange(1, len(times) + 1) - np.searchsorted(times, times - period // 2)
     return times[burst >= most]
 
 
-def _beside(
-    times: NDArray[np.int64], starts: NDArray[np.int64], ends: NDArray[np.int64], missing: NDArray[np.int64]
-) -> bool:
+def _beside(times: Integers, starts: Integers, ends: Integers, missing: Integers) -> bool:
     """Tell whether most of what is missing is missing where one of some times lies."""
     inside = np.searchsorted(times, ends) > np.searchsorted(times, starts)
     return int(missing[inside].sum()) * 2 > int(missing.sum())
@@ -345,7 +342,7 @@ class _Candidate(msgspec.Struct, frozen=True):
     since_ns: int
     sender: str = ""
     said: LossEvents | None = None
-    sent_ns: NDArray[np.int64] | None = None
+    sent_ns: Integers | None = None
     queue: queues.Queue | None = None
     counted_ns: int = DRAINS_NS
 
@@ -372,7 +369,7 @@ class _Candidate(msgspec.Struct, frozen=True):
         over = int(np.maximum(in_round - self.queue.limit(self.msg_id), 0).sum())
         return min(count, int(_LATE * over) + self.queue.limit(self.msg_id))
 
-    def beyond(self, sent_ns: NDArray[np.int64], start_ns: int, end_ns: int) -> int:
+    def beyond(self, sent_ns: Integers, start_ns: int, end_ns: int) -> int:
         """Return how many sent between two times a pipe can have lost: it takes some each round."""
         number, queue = int(((sent_ns > start_ns) & (sent_ns <= end_ns)).sum()), self.queue
         return number - (end_ns - start_ns) // queue.round_ns * queue.limit(self.msg_id) if queue else number
@@ -525,7 +522,7 @@ class Leftover:
                     text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
                     self._losses.append(Loss("unknown", BUS, number, *span, "low", instance, evidence=[text]))
 
-    def _old(self, instance: int) -> NDArray[np.bool_]:
+    def _old(self, instance: int) -> Mask:
         """Return in which seconds what was counted may have been sent before the capture."""
         system = self._case.instances.systems[instance]
         old_ns = [item.older_until_ns for item in self._case.ingests if item.system == system]

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.structs.shapes import Member
+    from edoras_tools.wire.arrays.order import Integers, Places
 
 _MOST: Final = 200_000
 """Of each kind; a link that sends more than this says nothing new with the rest."""
@@ -63,7 +64,7 @@ class Samples(msgspec.Struct):
     """
 
     names: tuple[str, ...]
-    _parts: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
+    _parts: list[Integers] = msgspec.field(default_factory=list)
 
     @classmethod
     def of(cls, *names: str) -> Self:
@@ -73,7 +74,7 @@ class Samples(msgspec.Struct):
     def __len__(self) -> int:
         return sum(part.shape[1] for part in self._parts)
 
-    def __getitem__(self, name: str) -> NDArray[np.int64]:
+    def __getitem__(self, name: str) -> Integers:
         """Return a column."""
         return self._whole()[self.names.index(name)]
 
@@ -82,14 +83,14 @@ class Samples(msgspec.Struct):
         if len(columns[0]):
             self._parts.append(np.stack([column.astype(np.int64) for column in columns]))
 
-    def over(self, place: NDArray[np.int64]) -> Self:
+    def over(self, place: Integers) -> Self:
         """Return those that have a place in another table, not below 0, in its order."""
         whole = self._whole().copy()
         whole[0] = place[whole[0]]
         whole = whole[:, whole[0] >= 0]
         return replace(self, _parts=[whole[:, np.argsort(whole[0], kind="stable")]])
 
-    def timed(self, time_ns: NDArray[np.int64]) -> Self:
+    def timed(self, time_ns: Integers) -> Self:
         """Return them with other capture times, one a row of the table."""
         whole = self._whole().copy()
         whole[1] = time_ns[whole[0]]
@@ -116,7 +117,7 @@ class Samples(msgspec.Struct):
         whole[places] = other
         return replace(self, _parts=[whole])
 
-    def _whole(self) -> NDArray[np.int64]:
+    def _whole(self) -> Integers:
         if len(self._parts) != 1:
             self._parts = [np.concatenate([np.zeros((len(self.names), 0), np.int64), *self._parts], axis=1)]
         return self._parts[0]
@@ -297,7 +298,7 @@ class Payloads(msgspec.Struct):
     def _of(self, msg_id: int, codes: Collection[int]) -> list[CommandRecord]:
         return [item for item in self.commands if item.msg_id == msg_id and item.function_code in codes]
 
-    def over(self, rows: NDArray[np.intp], count: int) -> Payloads:
+    def over(self, rows: Places, count: int) -> Payloads:
         """Return those of the rows that are kept, for a table of only these rows, in their order.
 
         Args:
@@ -323,13 +324,13 @@ class Payloads(msgspec.Struct):
             ingest=self.ingest.ordered({"packets": 4, "errors": 4}),
         )
 
-    def timed(self, time_ns: NDArray[np.int64]) -> Payloads:
+    def timed(self, time_ns: Integers) -> Payloads:
         """Return them with other capture times, one a row of the table."""
         columns: dict[str, Any] = {name: getattr(self, name).timed(time_ns) for name in _SAMPLES}
         events = [item._replace(time_ns=int(time_ns[item.row])) for item in self.events]
         return replace(self, **columns, events=events)
 
-    def _subscribe(self, batch: PacketBatch, rows: NDArray[np.intp], base: int) -> None:
+    def _subscribe(self, batch: PacketBatch, rows: Places, base: int) -> None:
         """Read each SUB and UNSUB once: the public flight bridge says the same twice a second."""
         start = batch.offset[rows] + sbn.HEADER.size
         length = batch.length[rows] - sbn.HEADER.size
@@ -363,7 +364,7 @@ def events_in(batch: PacketBatch, columns: Columns, base: int = 0) -> Iterator[E
 
 
 def _events(
-    batch: PacketBatch, columns: Columns, rows: NDArray[np.intp], have: NDArray[np.int32], base: int
+    batch: PacketBatch, columns: Columns, rows: Places, have: NDArray[np.int32], base: int
 ) -> Iterator[EventRecord]:
     """Yield the events of some rows, of whose payload so many bytes are there."""
     start = columns.packet_offset[rows] + columns.header_length[rows]

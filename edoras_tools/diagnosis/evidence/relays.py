@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
     from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
 
 PROXY_HOP: Final = "proxy"
@@ -138,7 +139,7 @@ _LEAST: Final = 0.8
 """Of what was dropped, so much is there; and of its bytes so much differ."""
 
 
-def before_proxy(rows: Rows, proxied: Mapping[RouteWay, Proxied]) -> NDArray[np.bool_]:
+def before_proxy(rows: Rows, proxied: Mapping[RouteWay, Proxied]) -> Mask:
     """Return which rows were captured in front of a proxy."""
     out = np.zeros(len(rows), bool)
     way = rows.way()
@@ -159,9 +160,7 @@ def before_proxy(rows: Rows, proxied: Mapping[RouteWay, Proxied]) -> NDArray[np.
     return out
 
 
-def _matching(
-    rows: Rows, own: NDArray[np.intp], prints: NDArray[np.uint64], times: NDArray[np.int64]
-) -> NDArray[np.intp]:
+def _matching(rows: Rows, own: Places, prints: Prints, times: Integers) -> Places:
     """Return the rows that are, by their bytes and time, one of some datagrams."""
     mine, when = rows.bytes_print[own], rows.time_ns[own]
     before = latest_equal(prints, times, mine, when)
@@ -171,7 +170,7 @@ def _matching(
     return own[near]
 
 
-def _prints(datagrams: Sequence[bytes]) -> NDArray[np.uint64]:
+def _prints(datagrams: Sequence[bytes]) -> Prints:
     length = np.array([len(data) for data in datagrams], np.int64)
     data = np.frombuffer(b"".join(datagrams) + bytes(PADDING), np.uint8)
     return of_bytes(data, np.cumsum(length) - length, length)
@@ -265,9 +264,9 @@ class Segment(NamedTuple):
         took_ns: i64, how long each took.
     """
 
-    into: NDArray[np.intp]
-    out: NDArray[np.intp]
-    took_ns: NDArray[np.int64]
+    into: Places
+    out: Places
+    took_ns: Integers
 
     @property
     def late(self) -> int:
@@ -279,18 +278,12 @@ class Segment(NamedTuple):
         """How many came out behind one that had gone in later."""
         return int((self.into < np.maximum.accumulate(self.into)).sum())
 
-    def take(self, some: NDArray[np.bool_]) -> Segment:
+    def take(self, some: Mask) -> Segment:
         """Return it with some of its pairs alone."""
         return Segment(self.into[some], self.out[some], self.took_ns[some])
 
 
-def pair_up(
-    into: NDArray[np.uint64],
-    into_ns: NDArray[np.int64],
-    out: NDArray[np.uint64],
-    out_ns: NDArray[np.int64],
-    early_ns: int,
-) -> Segment:
+def pair_up(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers, early_ns: int) -> Segment:
     """Pair what is equal at two points: each with the latest that was not later, each once.
 
     Args:
@@ -323,7 +316,7 @@ class LostInRelay(NamedTuple):
     link: int
     msg_id: int
     receiver: int
-    lost_ns: NDArray[np.int64]
+    lost_ns: Integers
     of: int
     figures: Mapping[str, int]
 
@@ -350,9 +343,9 @@ class RelayedWay(NamedTuple):
     """
 
     relay: Endpoint
-    before: NDArray[np.intp]
-    behind: NDArray[np.intp]
-    made_of: NDArray[np.intp]
+    before: Places
+    behind: Places
+    made_of: Places
     segment: Segment
 
     def sources(self, rows: Rows) -> NDArray[np.int32]:
@@ -396,7 +389,7 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint], unsteady_ns: int = 0
     early_ns, host = max(_CLOCKS_NS, unsteady_ns), number_hosts(endpoints)
     if not len(rows) or len(np.unique(host[rows.source])) < 2:
         return []
-    leaving: dict[int, list[NDArray[np.intp]]] = {}
+    leaving: dict[int, list[Places]] = {}
     for _, behind in by_value(rows.source.astype(np.int64) << 32 | rows.destination):
         leaving.setdefault(int(host[rows.source[behind[0]]]), []).append(behind)
     every = [item for own in leaving.values() for item in own] if len(leaving) <= _MOST_HOSTS else []
@@ -441,9 +434,7 @@ def _both_ways(rows: Rows, host: NDArray[np.int32], relayed: list[RelayedWay]) -
     ]
 
 
-def _relayed(
-    rows: Rows, relay: Endpoint, before: NDArray[np.intp], behind: NDArray[np.intp], early_ns: int
-) -> RelayedWay | None:
+def _relayed(rows: Rows, relay: Endpoint, before: Places, behind: Places, early_ns: int) -> RelayedWay | None:
     """Hold what came to an address against what left it; None where that is not the same."""
     into, out = ((rows.bytes_print[own], rows.time_ns[own]) for own in (before, behind))
     made_of = latest_equal(*into, out[0], out[1] + early_ns)
