@@ -75,6 +75,7 @@ def steadied(
         rows = _without(rows, ahead, np.zeros(len(rows), bool))
         jumps.append(ahead)
         instances = Instances(rows, events, endpoints)
+    jumps.sort(key=lambda item: item.row)
     moved = _levelled(rows, instances, jumps)
     if moved.any():
         rows = replace(rows, mission_time_ns=rows.mission_time_ns + moved)
@@ -186,12 +187,13 @@ def _parted(rows: Rows, instances: Instances) -> tuple[Jump, int] | None:
         _first_and_last(rows, by_instance[edges[index] : edges[index + 1]]) for index in range(len(order))
     ]
     last = _places([counts[index][1] for index in order])
-    for at, after in enumerate(order):
-        for place in _taken_up(last, counts[after][0], at):
+    # The last first: what goes by the clock of the one before it has times that this one had as well.
+    for at, after in reversed(list(enumerate(order))):
+        for place in _taken_up(last, counts[after][0], at)[::-1]:
             before = order[place]
             first, second = instances.items[before], instances.items[after]
             same = first.name == second.name or not (first.name and second.name)
-            if not same or first.last_ns > second.first_ns + _CYCLE_NS:
+            if not same or first.last_ns > second.first_ns + _CYCLE_NS + _JITTER_NS:
                 continue
             own, other = (np.flatnonzero(instances.of_row == index) for index in (before, after))
             low, high = int(own[-1]), int(other[0])
