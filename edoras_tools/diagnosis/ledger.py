@@ -651,7 +651,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     way.end("unaccounted", telemetry.ended(stream, "untold"))
     way.end("uncertain", telemetry.ended(stream, "uncertain") + telemetry.ended(stream, "astray"))
     # Seen here, and lost on the way to the next capture.
-    undelivered = case.rows.undelivered[stream.rows]
+    undelivered = (case.rows.undelivered | case.prepared.perhaps_astray)[stream.rows]
     own = ((item.lost, item.among) for item in losses if item.among and item.among.stream is stream)
     astray = (lost for lost, of in own if of.missing is None and undelivered[of.rows].all())
     way.close(len(stream) - sum(astray) - telemetry.ended(stream, "astray"))

@@ -12,6 +12,7 @@ datagrams are checked of which something else in the capture says that they pass
    many until one as the tap saw in all.
 4. *Sequence counts*. A message that cFS counted left it, while the bus counted no loss.
 5. *Periods*. Who sends to cFS at an even rate sent at each of its periods, but for a pause.
+6. *Copies*. Where most datagrams were captured twice, each is checked by its other one.
 
 Whether a datagram is checked never depends on whether it was captured, so those that are missing are a fair
 sample. Evidence of one kind about datagrams of one sending host is a group. Groups are not added up: two
@@ -62,11 +63,11 @@ if TYPE_CHECKING:
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
-EvidenceKind = Literal["identifications", "inputs", "ci_counts", "sequence_counts", "periods"]
+EvidenceKind = Literal["identifications", "inputs", "ci_counts", "sequence_counts", "periods", "copies"]
 
 CONFIDENCE: Final = 0.999
 _ANSWERED: Final = frozenset({"inputs", "ci_counts"})
-_ALONE: Final = _ANSWERED | {"sequence_counts"}
+_ALONE: Final = _ANSWERED | {"sequence_counts", "copies"}
 """Kinds that check a datagram also where others that were sent beside it are missing."""
 _HIDING: Final = frozenset({"identifications", "ci_counts"})
 """Kinds that show too few: by bursts, or by what was lost behind the tap, which hides as many."""

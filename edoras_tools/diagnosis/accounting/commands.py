@@ -16,6 +16,7 @@ Rules:
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -216,6 +217,8 @@ class Commands:
         rows, perhaps = (np.flatnonzero(mask[stream.rows]) for mask in masks)
         if silent:
             rows, perhaps = (np.setdiff1d(own, silent.unheard) for own in (rows, perhaps))
+        if fate is None and len(perhaps) and self._is_lost_between:
+            rows, perhaps = np.union1d(rows, perhaps), perhaps[:0]
         text = f"{plural(len(rows), 'datagram')} came to one capture, and not to the next on their way"
         if fate is not None:
             self._lose(fate, "network", rows, text)
@@ -229,6 +232,12 @@ class Commands:
             loss.stream, loss.of = stream, len(stream)
             loss.evidence, loss.among = [text], Among(stream, rows)
             self.losses.append(loss)
+
+    @cached_property
+    def _is_lost_between(self) -> bool:
+        """Whether neither of two places that a file has both of can have missed what one of them lacks."""
+        own = among(self._case.rows.link, lambda link: link.only_from_cfs)
+        return self._case.quality.excludes(float(self._case.prepared.perhaps_astray[own].mean()))
 
     def _down(self, fate: Fate) -> None:
         """Tell lost what came over SBN while its cFS was down: from its last packet to its next boot."""
