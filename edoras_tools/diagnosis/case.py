@@ -38,7 +38,7 @@ from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied
 from edoras_tools.diagnosis.evidence.table import followed
 from edoras_tools.diagnosis.evidence.timeline.changes import SoftwareChanges, capture_changes, network_changes
 from edoras_tools.diagnosis.evidence.timeline.table import Timeline
-from edoras_tools.diagnosis.evidence.unreachable import Unreachable, find_unreachable, tells_more
+from edoras_tools.diagnosis.evidence.unreachable import Unreachable, count_shut, find_unreachable
 from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.stalls import stalls
@@ -357,7 +357,13 @@ class Case:
             quoted.setdefault((self.endpoints[a], self.endpoints[b]), {})[at] = when
         flows = [item for item in self.prepared.flows if item.kind is ConversationKind.UNNAMED]
         both = [(item, own) for item in flows if (own := quoted.get((item.source, item.destination)))]
-        return [(item, len(own), tells_more(item, list(own.values()))) for item, own in both]
+        number = {endpoint: at for at, endpoint in enumerate(self.endpoints)}
+        times, *ends = self._errors.voices()
+        shut = []
+        for item, own in both:
+            here = (ends[0] == number[item.source]) & (ends[1] == number[item.destination])
+            shut.append((item, *count_shut(item, np.sort(times[here]), list(own.values()))))
+        return shut
 
     @property
     def unnamed(self) -> list[Unnamed]:

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools.diagnosis.evidence.copies import conversation_of
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.icmp import quoted_rows
 from edoras_tools.links.table import among
+from edoras_tools.model import OTHER
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire.arrays.fingerprint import of_bytes
 
@@ -61,14 +63,32 @@ class ErrorRecorder:
 
     def __init__(self, numbers: Numbers) -> None:
         self._numbers = numbers
-        self._errors: list[PortErrors] = []
-        self._voices: list[tuple[Integers, Integers]] = []
+        self._ways = self._seen = none = np.zeros(0, np.int64)
+        self._errors = [PortErrors(none, none, none, none, none.astype(bool), none)]
+        self._voices: list[tuple[NDArray[Any], ...]] = [(none, none, none)]
+
+    def about(self, batch: PacketBatch, columns: Columns) -> Mask:
+        """Tell which of no link went where an error came back, in this batch or before: each of them once."""
+        error = np.flatnonzero(among(columns.link, lambda link: link.quotes))
+        if len(error):
+            self._ways = np.union1d(self._ways, conversation_of(quoted_rows(batch, error).datagrams))
+        mask = np.zeros(len(batch), bool)
+        rows = np.flatnonzero(columns.link == OTHER) if len(self._ways) else error[:0]
+        if len(rows):
+            way, identification = conversation_of(batch)[rows], network_headers(batch)[1][rows]
+            own = np.isin(way, self._ways)
+            rows, number = rows[own], way[own] << 16 | identification[own]
+            first = np.unique(number, return_index=True)[1]
+            first = first[~np.isin(number[first], self._seen)]
+            mask[rows[identification[own] == 0]] = mask[rows[first]] = True
+            self._seen = np.append(self._seen, number[first])
+        return mask
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take the errors of a batch; all else in it is a sign of life of its sender."""
         error = among(columns.link, lambda link: link.quotes)
         others = batch.take(~error)
-        self._voices.append((others.time_ns, self._numbers(others)[0].astype(np.int64)))
+        self._voices.append((others.time_ns, *self._numbers(others)))
         if not error.any():
             return
         own, quoted = batch.take(error), quoted_rows(batch, np.flatnonzero(error))
@@ -76,17 +96,13 @@ class ErrorRecorder:
         message = of_bytes(own.data, network, own.frame_offset + own.frame_length - network)
         source, destination = (item.astype(np.int64) for item in self._numbers(quoted.datagrams))
         identification = quoted.identification.astype(np.int64)
+        prints = message.view(np.int64)
         self._errors.append(
-            PortErrors(
-                own.time_ns, source, destination, identification, quoted.closed, message.view(np.int64)
-            )
+            PortErrors(own.time_ns, source, destination, identification, quoted.closed, prints)
         )
 
     def errors(self) -> PortErrors:
         """Return the errors, each once."""
-        if not self._errors:
-            none = np.zeros(0, np.int64)
-            return PortErrors(none, none, none, none, none.astype(bool), none)
         columns: list[NDArray[Any]] = [np.concatenate(parts) for parts in zip(*self._errors, strict=True)]
         every = PortErrors(*columns)
         every = every.take(np.lexsort((every.time_ns, every.print)))
@@ -95,9 +111,6 @@ class ErrorRecorder:
         every = every.take(~again)
         return every.take(np.argsort(every.time_ns, kind="stable"))
 
-    def voices(self) -> tuple[Integers, Integers]:
-        """Return when other datagrams came, and the number of the endpoint of each."""
-        if not self._voices:
-            return np.zeros(0, np.int64), np.zeros(0, np.int64)
-        times, sources = (np.concatenate(parts) for parts in zip(*self._voices, strict=True))
-        return times, sources
+    def voices(self) -> tuple[NDArray[Any], ...]:
+        """Return when other datagrams came, and the numbers of the endpoints that sent them and got them."""
+        return tuple(np.concatenate(parts) for parts in zip(*self._voices, strict=True))

@@ -23,7 +23,7 @@ from edoras_tools.diagnosis.evidence.states import StateRecorder
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.io.frames.network import wrong_checksums
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch, Peer
+from edoras_tools.model import NO_ROUTE, OTHER, Columns, Endpoint, Finding, PacketBatch, Peer
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceRows
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.fingerprint import of_bytes
@@ -238,6 +238,7 @@ class Recorder:
         beside = among(columns.link, lambda link: link.quotes)
         self.left_out += len(batch) - len(own) - int(beside.sum())
         beside |= among(columns.link, lambda link: link.last_hop) & ~commands
+        beside |= self.errors.about(batch, columns)
         for rows in (np.flatnonzero(beside), own):  # what carries a state comes behind it
             if len(rows):
                 whole = len(rows) == len(batch)
@@ -252,7 +253,7 @@ class Recorder:
 
         All of them carry a packet or a command, or all are errors or signs of life.
         """
-        beside = among(columns.link, lambda link: link.quotes or link.last_hop)
+        beside = among(columns.link, lambda link: link.quotes or link.last_hop) | (columns.link == OTHER)
         if beside.all() and not robot_commands(columns, batch, self.context.structs).any():
             self.errors.add(batch, columns)
             self.states.add_states(batch)

@@ -88,15 +88,20 @@ class Unreachable(NamedTuple):
     spans: Sequence[ClosedSpan] = ()
 
 
-def tells_more(flow: Flow, errors_ns: list[int]) -> int:
-    """Return of how many more of a flow errors tell that they may have reached nobody: none, or the rest.
+def count_shut(flow: Flow, sent_ns: Integers, errors_ns: list[int]) -> tuple[int, int]:
+    """Return of how many of a flow errors tell that they reached nobody, and of how many more that they may.
 
     Args:
-        errors_ns: when each of them came: about most of it, or all the time, as often as a host sends any.
+        flow: to a port that nobody named.
+        sent_ns: when its datagrams were captured, in order.
+        errors_ns: when each error about it came: about most of it, or all the time, as often as a host sends
+            any: what lies between two of these is lost (rule 3).
     """
-    longest_ns = int(np.diff([flow.first_ns, *sorted(errors_ns), flow.last_ns]).max())
-    is_shut = longest_ns <= _PATIENCE_NS or 2 * len(errors_ns) > flow.datagrams
-    return max(0, flow.datagrams - len(errors_ns)) if is_shut else 0
+    when = np.array([flow.first_ns, *sorted(errors_ns), flow.last_ns])
+    steps, sent = np.diff(when), np.diff(np.searchsorted(sent_ns, when[1:-1], "right"))
+    number = max(len(errors_ns), 1 + int(np.where(steps[1:-1] <= _PATIENCE_NS, sent, 1).sum()))
+    is_shut = int(steps.max()) <= _PATIENCE_NS or 2 * len(errors_ns) > flow.datagrams
+    return number, max(0, flow.datagrams - number) * is_shut
 
 
 def find_unreachable(
@@ -122,7 +127,7 @@ def find_unreachable(
     marks.refused[row[(row >= 0) & ~errors.closed]] = True
     closing, own = errors.take(errors.closed), row[errors.closed]
     marks.closed[own[own >= 0]] = True
-    times, sources = recorder.voices()
+    times, sources = recorder.voices()[:2]
     events = _events(rows, closing, own, marks.closed, (times, names[sources]))
     spans = _spans(events, _telling(rows, closing, events, endpoints), endpoints, marks)
     marks.refused[marks.closed] = False

@@ -406,12 +406,8 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         yield error(
             f"nobody listened on {flow.destination}: {plural(number, 'datagram')} that look like "
             f"{flow.looks_like.name} traffic reached nobody",
-            f"{plural(number, 'ICMP error')} (port unreachable) from {case.at(flow.first_ns)} on",
-            *(
-                [f"{plural(more, 'more datagram')} may have reached nobody: a host sends few errors"]
-                if more
-                else ()
-            ),
+            f"ICMP errors (port unreachable) came back from {case.at(flow.first_ns)} on"
+            + f"; {plural(more, 'more datagram')} may have reached nobody: a host sends few" * bool(more),
             hop=f"{UDP_PORT} {flow.destination}",
             lost=number,
             span=(flow.first_ns, flow.last_ns),
