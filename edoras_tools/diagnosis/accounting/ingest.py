@@ -57,6 +57,8 @@ Cause = Literal["socket", "network", "down", "restart", "ci_stopped"]
 _SLACK_NS: Final = 100 * MILLISECOND
 """Tasks on a busy host wake up so late."""
 _UNDER_WAY_NS: Final = 2 * SECOND
+_APART_NS: Final = SECOND // 4
+"""A network that always takes about as long takes so much more now and then."""
 _LATE_NS: Final = 2 * SECOND
 _ONE_NS: Final = 15 * SECOND
 _ENDS_NS: Final = 750 * MILLISECOND
@@ -113,6 +115,7 @@ class Ingest(msgspec.Struct):
         not_captured: datagrams that it counted and the capture does not show.
         unsure: datagrams that may have been lost beside ``losses``: the capture begins amid datagrams, and
             its first count does not tell which of those just sent it has.
+        before: datagrams that its first count does not have, though they came before it was made.
         older_until_ns: it read as fast as it can when the capture began: until then it may have read what was
             sent before.
         ended: from the last sign of a cFS that went down until it would have given the next one: what was
@@ -131,6 +134,7 @@ class Ingest(msgspec.Struct):
     unread: int = 0
     not_captured: int = 0
     unsure: int = 0
+    before: int = 0
     older_until_ns: int = 0
     ended: list[tuple[int, int]] = msgspec.field(default_factory=list)
     by_kernel: bool = False
@@ -197,7 +201,8 @@ def ingests(case: Case) -> list[Ingest]:
                 late = counter.account(_UNDER_WAY_NS)
                 # What a slow network explains is no loss, and no copy: rule 8.
                 if not late.lost_on_network or late.not_captured < account.not_captured:
-                    account = replace(late, unsure=account.unsure)
+                    even = late if counter.stood or account.not_captured else counter.steady(account)
+                    account = even if even.lost_on_network else replace(late, unsure=account.unsure)
                 elif counter.stood and (more := account.lost_on_network - late.lost_on_network) > 0:
                     account = replace(late, unsure=account.unsure + more)
             account.spare(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
@@ -316,12 +321,23 @@ class _Counted:
         self.stood = bool((np.diff(self._sent_until(self._seen))[np.diff(self._count) == 0] > 2).any())
         """Whether nothing came between two samples though some were sent, as when a network becomes slow."""
 
-    def account(self, under_way_ns: int = 0) -> Ingest:
-        """Hold what was sent against the counts, if that was under way for so long at the most."""
+    def steady(self, account: Ingest) -> Ingest:
+        """Return the account by which the fewest were lost, if a network always takes about as long.
+
+        Args:
+            account: if it takes no time.
+        """
+        times = range(0, _UNDER_WAY_NS, _APART_NS)
+        every = [self.account(ns + _APART_NS, ns) for ns in times]
+        least = min(every, key=lambda item: (item.before > 0, item.lost_on_network))
+        return replace(least, unsure=least.unsure + max(0, account.lost - least.lost))
+
+    def account(self, under_way_ns: int = 0, least_ns: int = 0) -> Ingest:
+        """Hold what was sent against the counts, if that was under way for so long, at the most and least."""
         own, count, most = self._own, self._count, self._most
         account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
         unsteady_ns = self._case.unsteady_ns
-        sent = np.searchsorted(self._sent_ns, self._seen + unsteady_ns, "right")
+        sent = np.searchsorted(self._sent_ns, self._seen + unsteady_ns - least_ns, "right")
         both = enumerate(pairwise(own), 1)  # a count that falls began again
         starts = [at for at, (a, b) in both if a.instance != b.instance or b.count < a.count]
         lost = before = last = idle_ns = room = 0
@@ -352,6 +368,7 @@ class _Counted:
                     if count[end - 1] != sent[end - 1] and count[0] >= most * (wakes - 1):
                         account.older_until_ns = min(behind, self._first_out[0] or own[0].seen_ns + DRAINS_NS)
                 before = 0 if begin[0] == "down" else min(_older(low, high), self._most_older(end))
+                account.before = before
                 low[0] = min(low[0], max(before, high.min()))  # what CI counts later was not lost before
             drained = np.diff(count[part], prepend=count[first]) < most
             unread = 0 if first else self._unseen()
