@@ -605,7 +605,7 @@ class Leftover:
         visible &= fate is None or fate.unfollowed is None
         queue = queues.application_pipe(case.profile) if visible else None
         late = [item for item in ingests if item.waiting or item.older_until_ns or item.lost]
-        times, reads = stream.time_ns, case.profile.ci_datagrams_per_wake
+        times, reads = self._came_ns(stream), case.profile.ci_datagrams_per_wake
         crowded = most_at_once(times, case.profile.ci_wake_ns) > reads  # it waits in CI's socket
         counted_ns = DRAINS_NS if late or crowded or not ingests else LATE_NS
         return _Candidate(
@@ -631,7 +631,7 @@ class Leftover:
         for stream in case.streams:
             if stream.is_housekeeping and not stream.link.only_to_cfs:
                 continue
-            fate, times = self._fates.get(id(stream)), stream.time_ns
+            fate, times = self._fates.get(id(stream)), self._came_ns(stream)
             if stream.link.only_to_cfs and not (fate and fate.seen):
                 if most_at_once(times, application.round_ns) > application.usual_limit:
                     yield self._candidate(stream, APP)
@@ -640,6 +640,14 @@ class Leftover:
                 if over and case.owner(stream) != instance:
                     item, hop = self._candidate(stream, telemetry_output.PIPE), followed.get(id(stream))
                     yield item if hop is None else _not_seen(item, hop)
+
+    def _came_ns(self, stream: Stream) -> Integers:
+        """Return when messages came to a pipe: what was sent while a cFS stood still, when it went on."""
+        times = stream.time_ns.copy()
+        for system, owner in self._case.timeline.subjects:
+            for span in self._case.timeline.spans(owner, "stalled", system):
+                times[(times > span.start_lo) & (times < span.end_hi)] = span.end_hi
+        return times
 
     def _pipe(self, stream: Stream) -> str:
         """Return the pipe that traffic goes into: an application's, Telemetry Output's or an SBN peer's."""
