@@ -400,12 +400,14 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
     rows = case.rows
     cut = (rows.link == CI) & rows.has(Finding.OVER_CI_BUFFER)
     limit = case.profile.ci_buffer
-    for _, members in groups(rows.msg_id, np.flatnonzero(cut)):
+    # A message that ends before is whole: what CI cuts is padding.
+    ends = np.where(rows.space > 0, rows.packet_length - rows.space + rows.cdr_length, rows.length)
+    for _, members in groups(rows.msg_id << 1 | (ends <= limit), np.flatnonzero(cut)):
         packets = (f"{packet(case, row)}: {rows.length[row]:,} bytes" for row in members[:4].tolist())
         answer = next((item for row in members.tolist() for item in refusals(case, row, limit)), None)
         words = f"said: {answer}" if answer else "says nothing of it"
         yield of_messages(
-            Severity.ERROR,
+            Severity.WARNING if ends[members[0]] <= limit and not answer else Severity.ERROR,
             case,
             members,
             f"are longer than CI's {limit} bytes: CI cuts them there and "
