@@ -94,6 +94,13 @@ FLIGHTS = {
     "captured_amid_a_flood": (187, {"socket": 43, "limit": 144}),
     "damaged_commands": (0, {}),
     "peer_says_goodbye": (84, {"away": 70, "port_closed": 12, "limit": 2}),
+    "clock_set_twice": (78, {"limit": 78}),
+    "flood_doubled": (114, {"limit": 114}),
+    "two_taps_of_one_cable": (35, {"network": 23, "after": 12}),
+    "two_places_of_two_clocks": (39, {"network": 9, "limit": 15, "after": 15}),
+    "delayed_link_that_loses": (8, {"network": 8}),
+    "padded_commands": (25, {"limit": 25}),
+    "stood_still_ground_side": (42, {"limit": 42}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -109,6 +116,7 @@ RANGES = {
     "counters_reset_in_overload": 172,
     "route_disabled_at_a_full_pipe": 172,
     "one_of_two_peers_off": 22,
+    "network_overload_restart": 52,
 }
 
 
@@ -577,7 +585,7 @@ def two_places(tmp_path, apart_ms, gone=range(0)):
 @pytest.mark.parametrize("apart_ms", [-2300, 5, 137, 5000])
 def test_two_places_in_one_file_are_one_capture_whatever_their_clocks(tmp_path, apart_ms):
     found = two_places(tmp_path, apart_ms, range(50, 90))
-    assert (found.lost + found.unaccounted, found.uncertain) == (17, 40)
+    assert (found.lost + found.unaccounted, found.uncertain) == (17 + 40, 0)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3])
@@ -605,13 +613,28 @@ def test_those_of_them_that_no_error_quotes_are_not_examined(tmp_path):
     assert [item.datagrams for item in found.unnamed] == [36]
 
 
-def test_of_a_closed_port_whose_host_sends_few_errors_the_rest_may_be_lost():
-    found = examined("few_errors_come_back")
-    assert by_cause(found) == {"port_closed": 13}
-    assert found.uncertain == 35
-    assert not found.unnamed
-    found = truth.examined(FOLDER / "few_errors_come_back.pcap.zst", ("--port", "ci:1243"))
+def test_of_three_causes_each_is_named_also_where_one_is_a_range():
+    causes = by_cause(examined("network_overload_restart"))
+    assert causes["restart"] == 32
+    assert 0 < causes["network"] <= 8
+
+
+def test_both_times_that_a_clock_was_set_are_told():
+    jumps = [item for item in examined("clock_set_twice").verdicts if item.rule == "clock_jump"]
+    assert [("ahead" in item.reason, "back" in item.reason) for item in jumps] == [(True, False), (False, True)]
+
+
+def test_a_command_of_which_ci_cuts_the_padding_is_told_and_not_lost():
+    (cut,) = [item for item in examined("padded_commands").verdicts if item.rule == "ci_cut"]
+    assert cut.lost is None
+    assert cut.reason.startswith("40 of 128 commands")
+
+
+@pytest.mark.parametrize("options", [(), ("--port", "ci:1243")])
+def test_of_a_closed_port_whose_host_sends_few_errors_what_lies_between_two_is_lost(options):
+    found = truth.examined(FOLDER / "few_errors_come_back.pcap.zst", options)
     assert (by_cause(found), found.uncertain) == ({"port_closed": 43}, 5)
+    assert not found.unnamed
 
 
 def test_a_cfs_that_is_started_beside_another_one_is_no_restart():
