@@ -621,7 +621,10 @@ def test_of_three_causes_each_is_named_also_where_one_is_a_range():
 
 def test_both_times_that_a_clock_was_set_are_told():
     jumps = [item for item in examined("clock_set_twice").verdicts if item.rule == "clock_jump"]
-    assert [("ahead" in item.reason, "back" in item.reason) for item in jumps] == [(True, False), (False, True)]
+    assert [("ahead" in item.reason, "back" in item.reason) for item in jumps] == [
+        (True, False),
+        (False, True),
+    ]
 
 
 def test_a_command_of_which_ci_cuts_the_padding_is_told_and_not_lost():
