@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.site import Endpoints
     from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 class TopicSpace(Protocol):
@@ -100,21 +101,21 @@ class KnownSamples(msgspec.Struct, frozen=True, eq=False):
 
     topic: str
     type: str
-    row: NDArray[np.intp]
+    row: Places
     writers: list[bytes]
-    writer: NDArray[np.int64]
-    sequence_number: NDArray[np.int64]
-    offset: NDArray[np.int64]
+    writer: Integers
+    sequence_number: Integers
+    offset: Integers
     length: NDArray[np.int32]
-    written_ns: NDArray[np.int64]
-    valid: NDArray[np.bool_]
+    written_ns: Integers
+    valid: Mask
 
 
 class SampleReader(Protocol):
     """Reads samples in datagrams: messages of writers that announce their topics, and sign what they send."""
 
     def known_samples(
-        self, types: Any, endpoints: Endpoints, batch: PacketBatch, rows: NDArray[np.intp]
+        self, types: Any, endpoints: Endpoints, batch: PacketBatch, rows: Places
     ) -> Iterator[KnownSamples]:
         """Yield the samples of each topic and type.
 
@@ -124,11 +125,11 @@ class SampleReader(Protocol):
         """
 
     def rows_on(
-        self, batch: PacketBatch, rows: NDArray[np.intp], endpoints: Endpoints, holds: Callable[[str], bool]
-    ) -> NDArray[np.intp]:
+        self, batch: PacketBatch, rows: Places, endpoints: Endpoints, holds: Callable[[str], bool]
+    ) -> Places:
         """Return those of some rows that have a sample of a topic that ``holds`` accepts."""
 
-    def writers(self, batch: PacketBatch, rows: NDArray[np.intp]) -> Iterable[bytes]:
+    def writers(self, batch: PacketBatch, rows: Places) -> Iterable[bytes]:
         """Return the GUIDs of the writers that some rows are about."""
 
     def topic_of(self, guid: bytes, endpoints: Endpoints) -> str:

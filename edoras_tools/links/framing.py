@@ -23,6 +23,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Mask
+
 NOT_YET: Final = 0
 """The length of a message whose header is not complete yet."""
 NOT_A_MESSAGE: Final = -1
@@ -40,9 +42,9 @@ class MessageContents(msgspec.Struct, frozen=True, eq=False):
     """
 
     data: NDArray[np.uint8]
-    offset: NDArray[np.int64]
-    length: NDArray[np.int64]
-    part: NDArray[np.bool_]
+    offset: Integers
+    length: Integers
+    part: Mask
 
 
 class StreamState(Protocol):
@@ -55,11 +57,7 @@ class StreamState(Protocol):
     foreign: bool
 
     def contents(
-        self,
-        data: NDArray[np.uint8],
-        offset: NDArray[np.int64],
-        length: NDArray[np.int64],
-        forward: NDArray[np.bool_],
+        self, data: NDArray[np.uint8], offset: Integers, length: Integers, forward: Mask
     ) -> MessageContents:
         """Return what the next messages hold; they come in the order in which they were complete.
 
@@ -86,9 +84,7 @@ class Framing:
     sender: ClassVar[slice] = slice(0)
     checked: bool = False
 
-    def lengths(
-        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-    ) -> NDArray[np.int64]:
+    def lengths(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Integers:
         """Return the bytes of the message that starts at each position.
 
         Args:
@@ -107,9 +103,7 @@ class Framing:
         octets = np.frombuffer(data, np.uint8)
         return int(self.lengths(octets, np.array([at], np.int64), end)[0])
 
-    def likely(
-        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-    ) -> NDArray[np.bool_]:
+    def likely(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Mask:
         """Tell where a message probably starts, bool (n,): used to find the first one behind missing bytes.
 
         The more it asks for, the better; ``lengths`` may accept what this does not.
@@ -122,8 +116,8 @@ class Framing:
 
 
 def prefixed(
-    head: NDArray[Any], size: NDArray[Any], room: NDArray[np.int64] | int, needed: int, largest: int
-) -> NDArray[np.int64]:
+    head: NDArray[Any], size: NDArray[Any], room: Integers | int, needed: int, largest: int
+) -> Integers:
     """Return lengths as :meth:`Framing.lengths` does, for a header that states them.
 
     Args:

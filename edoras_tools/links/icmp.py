@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.reading import Reading
     from edoras_tools.links.site import Site
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
     from edoras_tools.wire.layout import Layout
 
 
@@ -51,9 +52,7 @@ class IcmpLink(LinkProtocol):
             reading.read(layout, at)
             at += layout.size
 
-    def places(
-        self, layout: Layout, rows: BatchRows, field: str = ""
-    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    def places(self, layout: Layout, rows: BatchRows, field: str = "") -> tuple[Places, Integers]:
         """Find one of the headers; see :meth:`LinkProtocol.places`."""
         owner = np.flatnonzero(rows.column("link") == self)
         at = rows.datagram("offset")[owner].astype(np.int64)
@@ -108,10 +107,10 @@ class QuotedRows(NamedTuple):
 
     datagrams: PacketBatch
     identification: NDArray[np.uint16]
-    closed: NDArray[np.bool_]
+    closed: Mask
 
 
-def quoted_rows(batch: PacketBatch, rows: NDArray[np.intp]) -> QuotedRows:
+def quoted_rows(batch: PacketBatch, rows: Places) -> QuotedRows:
     """Return what the errors of a batch quote.
 
     Args:

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.reading import Reading
     from edoras_tools.links.sending import LinkSending
     from edoras_tools.links.site import Site
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 BY_PORT: Final = 1
 BY_CONTENT: Final = 2
@@ -119,7 +120,7 @@ class Located:
         self.findings = np.zeros(count, np.uint32)
         self.columns: dict[str, NDArray[Any]] = {}
 
-    def flag(self, finding: Finding, mask: NDArray[np.bool_], rows: NDArray[np.intp] | None = None) -> None:
+    def flag(self, finding: Finding, mask: Mask, rows: Places | None = None) -> None:
         """Set a finding's bit where ``mask`` says so, of all datagrams or of some ``rows`` of them."""
         if mask.any():
             at = np.flatnonzero(mask) if rows is None else rows[mask]
@@ -220,7 +221,7 @@ class LinkProtocol(Link):
             for length, form in self.forms.items()
         )
 
-    def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+    def locate(self, batch: PacketBatch, rows: Places, site: Site) -> Located:
         """Find where space packets start in many datagrams.
 
         Args:
@@ -247,9 +248,7 @@ class LinkProtocol(Link):
             at += layout.size
         return at if self.packets else None
 
-    def places(
-        self, layout: Layout, rows: BatchRows, field: str = ""
-    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    def places(self, layout: Layout, rows: BatchRows, field: str = "") -> tuple[Places, Integers]:
         """Find one of ``layouts`` in decoded datagrams, for filters and tables.
 
         Args:
@@ -343,7 +342,7 @@ class LinkProtocol(Link):
         """Tell whether a datagram is its own whatever other links claim, as the mission says."""
         return False
 
-    def claimed(self, batch: PacketBatch, site: Site) -> NDArray[np.intp]:
+    def claimed(self, batch: PacketBatch, site: Site) -> Places:
         """Return the rows of a batch that it ``claims``."""
         return np.zeros(0, np.intp)
 
@@ -355,7 +354,7 @@ class LinkProtocol(Link):
         """
         return None
 
-    def holds_units(self, column: Callable[[str], NDArray[Any]], site: Site) -> NDArray[np.bool_]:
+    def holds_units(self, column: Callable[[str], NDArray[Any]], site: Site) -> Mask:
         """Tell which rows are packets that hold a unit of it behind their cFE header; if ``in_packets``.
 
         Args:
@@ -364,8 +363,8 @@ class LinkProtocol(Link):
         raise NotImplementedError(self.label)
 
     def judge_units(
-        self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
-    ) -> Iterator[tuple[Finding, NDArray[np.bool_]]]:
+        self, data: NDArray[np.uint8], offset: Integers, length: NDArray[np.int32]
+    ) -> Iterator[tuple[Finding, Mask]]:
         """Yield what is wrong with units in packets, and with which of them; if ``in_packets``."""
         raise NotImplementedError(self.label)
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.reading import Reading
     from edoras_tools.links.site import Site
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
     from edoras_tools.wire.layout import Layout
 
 BRIDGE_PORT: Final = 2236
@@ -51,9 +52,7 @@ class SoftwareBusNetworkFraming(Framing):
     largest = sbn.HEADER.size + sbn.LARGEST_PAYLOAD
     sender = slice(sbn.HEADER.by_name["processor_id"].start, sbn.HEADER.by_name["spacecraft_id"].end)
 
-    def lengths(
-        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-    ) -> NDArray[np.int64]:
+    def lengths(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Integers:
         """Return header and payload; the size is signed, and a negative one is an error at the receiver."""
         size = sbn.HEADER.column("msg_size", gather(data, at, self.head)).astype(np.int64)
         return prefixed(size >= 0, size + self.head, end - at, self.head, self.largest)
@@ -64,9 +63,7 @@ class SoftwareBusNetworkFraming(Framing):
             return NOT_YET
         return NOT_A_MESSAGE if data[at] & 0x80 else (data[at] << 8 | data[at + 1]) + self.head
 
-    def likely(
-        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-    ) -> NDArray[np.bool_]:
+    def likely(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Mask:
         """Ask for a known type, and for a size that agrees with what the message holds."""
         head = gather(data, at, _WINDOW)
         size = sbn.HEADER.column("msg_size", head).astype(np.int64)
@@ -107,7 +104,7 @@ class SoftwareBusNetworkLink(LinkProtocol):
     sender_port = True
     port_sure = CERTAIN
 
-    def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+    def locate(self, batch: PacketBatch, rows: Places, site: Site) -> Located:
         """Read the headers of many datagrams; see :meth:`LinkProtocol.locate`."""
         return _Columns(batch, rows, site).located
 
@@ -115,9 +112,7 @@ class SoftwareBusNetworkLink(LinkProtocol):
         """Read the header of one datagram, and the message that is not a packet."""
         return _Message(reading, site).packet_start()
 
-    def places(
-        self, layout: Layout, rows: BatchRows, field: str = ""
-    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    def places(self, layout: Layout, rows: BatchRows, field: str = "") -> tuple[Places, Integers]:
         """Find the header, or the message that follows it; the older header has no SpacecraftID."""
         kind, offset = rows.column("sbn_msg_type"), rows.datagram("offset")
         present = kind >= 0
@@ -158,7 +153,7 @@ class SoftwareBusNetworkLink(LinkProtocol):
 SBN: Final = SoftwareBusNetworkLink()
 
 
-def _read_as_legacy(rows: BatchRows) -> NDArray[np.bool_]:
+def _read_as_legacy(rows: BatchRows) -> Mask:
     """Tell which headers are the older, shorter ones, without a SpacecraftID."""
     offset, spacecraft = rows.datagram("offset"), rows.column("spacecraft_id")
     slot = sbn.HEADER.by_name["spacecraft_id"]
@@ -171,7 +166,7 @@ def _read_as_legacy(rows: BatchRows) -> NDArray[np.bool_]:
 class _Columns:
     """The headers of some datagrams of a batch; every array has one element for each of them."""
 
-    def __init__(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> None:
+    def __init__(self, batch: PacketBatch, rows: Places, site: Site) -> None:
         self.batch, self.rows, self.site = batch, rows, site
         self.length = batch.length[rows]
         self.head = gather(batch.data, batch.offset[rows], _WINDOW)
@@ -214,12 +209,12 @@ class _Columns:
         app = whole & (kind == sbn.MsgType.APP)
         located.start[app] = header[app]
 
-    def _streams(self) -> NDArray[np.bool_] | np.bool_:
+    def _streams(self) -> Mask | np.bool_:
         """Tell which messages came over TCP, which no public bridge speaks."""
         streams = self.batch.streams
         return np.False_ if streams is None else streams[self.rows]
 
-    def _identities(self, members: NDArray[np.intp], trusted: NDArray[np.bool_]) -> None:
+    def _identities(self, members: Places, trusted: Mask) -> None:
         """Compare every sender's identity with the one its endpoint is known by."""
         batch, peers, rows = self.batch, self.site.peers, self.rows[members]
         trusted = trusted[members]
@@ -253,7 +248,7 @@ class _Columns:
             foreign &= identity != np.uint64(of_craft << 32 | of_processor)
         self.located.flag(Finding.SBN_ID_MISMATCH, foreign, members)
 
-    def _subscriptions(self, members: NDArray[np.intp], payload: NDArray[np.int32]) -> None:
+    def _subscriptions(self, members: Places, payload: NDArray[np.int32]) -> None:
         """Check SUB and UNSUB: the $Id, and whether all entries are present."""
         payload, legacy = payload[members], self.legacy[members]
         whole = payload >= sbn.SUBSCRIPTIONS.size
@@ -273,10 +268,10 @@ class _Columns:
             self.located.flag(Finding.TRUNCATED, short, rows)
 
 
-def _legacy(head: NDArray[np.uint8], length: NDArray[np.int32]) -> NDArray[np.bool_]:
+def _legacy(head: NDArray[np.uint8], length: NDArray[np.int32]) -> Mask:
     """Recognise the older 7-byte header: its size fits, and so does what follows it."""
     at = sbn.LEGACY_HEADER.size
-    fits: NDArray[np.bool_] = (length >= at) & (sbn.HEADER.column("msg_size", head) == length - at)
+    fits: Mask = (length >= at) & (sbn.HEADER.column("msg_size", head) == length - at)
     rows = np.flatnonzero(fits)
     if not len(rows):
         return fits

@@ -16,10 +16,9 @@ from edoras_tools.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.links.framing import Framing
     from edoras_tools.model import Columns, Endpoint, Link, PacketBatch
+    from edoras_tools.wire.arrays.order import Integers, Mask
     from edoras_tools.wire.layout import Layout
 
 _NEVER: Final = 2**63 - 1
@@ -90,7 +89,7 @@ class LinkSending:
         self.link = link
         self.refusals: list[str] = []
 
-    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> Mask:
         """Tell which rows go to the receiver, bool (n,)."""
         return np.asarray(columns.link == self.link)
 
@@ -120,9 +119,7 @@ class LinkSending:
         """
         raise NotImplementedError(self.link.label)
 
-    def renew(
-        self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
-    ) -> tuple[list[bytes], NDArray[np.int64]]:
+    def renew(self, messages: Sequence[bytes], time_ns: Integers) -> tuple[list[bytes], Integers]:
         """Return what is sent for all messages, and when; for a link that ``renews``.
 
         Raises:
@@ -138,7 +135,7 @@ class FormSending(LinkSending):
         super().__init__(link)
         self.port, self._layouts = port, {item.name: item for item in layouts}
 
-    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> Mask:
         """Tell which rows are as long as one of them."""
         lengths = [item.size for item in self._layouts.values()]
         return super().outgoing_rows(batch, columns) & np.isin(batch.length, lengths)

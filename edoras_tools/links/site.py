@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Mask
+
 MOST_ENDPOINTS: Final = 1 << 14
 """Endpoints that are kept; those beyond stay unknown."""
 _MOST_HEARD: Final = 1 << 14
@@ -106,7 +108,7 @@ class Endpoints:
         entry = self.announced.get(guid)
         return entry[0] if entry and (number is None or entry[1] <= number) else None
 
-    def since(self, guids: Sequence[bytes]) -> NDArray[np.int64]:
+    def since(self, guids: Sequence[bytes]) -> Integers:
         """Return from which datagram on the topic of each endpoint is known, i64; the largest where never."""
         never = np.iinfo(np.int64).max
         entries = [self.announced.get(guid) for guid in guids]
@@ -117,7 +119,7 @@ class Site(Protocol):
     """What the mission says of the place of a capture, and what was learnt from its datagrams so far."""
 
     @property
-    def bridge_ports(self) -> NDArray[np.bool_]:
+    def bridge_ports(self) -> Mask:
         """(65536,), ports where flight bridges listen."""
 
     @property

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.doors import Addition
     from edoras_tools.links.framing import Framing
+    from edoras_tools.wire.arrays.order import Mask
 
 
 State = TypeVar("State")
@@ -136,7 +137,7 @@ def message_kinds(columns: Columns, length: NDArray[np.int32]) -> NDArray[np.int
     return kinds
 
 
-def among(column: NDArray[np.integer[Any]], accepts: Callable[[Link], bool]) -> NDArray[np.bool_]:
+def among(column: NDArray[np.integer[Any]], accepts: Callable[[Link], bool]) -> Mask:
     """Tell which codes are of a link that a test accepts: ``among(rows.link, lambda link: link.to_cfs)``.
 
     Returns:
@@ -145,7 +146,7 @@ def among(column: NDArray[np.integer[Any]], accepts: Callable[[Link], bool]) -> 
     return np.asarray(accepted(accepts)[column])
 
 
-def accepted(accepts: Callable[[Link], bool]) -> NDArray[np.bool_]:
+def accepted(accepts: Callable[[Link], bool]) -> Mask:
     """Return which codes are of a link that a test accepts, bool (256,)."""
     table = np.zeros(1 << 8, np.bool_)
     table[[code for code, item in _by_code().items() if accepts(item)]] = True
