@@ -686,7 +686,9 @@ def hold_back(case: Case, claims: Sequence[Claim]) -> None:
         elif claim.rank in {Rank.CLOSED, Rank.INTO_STOP} and case.quality.lacks_answered:
             claim.rank = Rank.NOT_TAKEN
     missing = sum(claim.number for own in groups.values() for claim in own)
-    if missing and not case.quality.excludes(missing / (sum(map(len, case.streams)) + missing)):
+    # Of what is not counted nothing would show that the capture missed it.
+    came = sum(len(stream) for stream in case.streams if stream.counted)
+    if missing and not case.quality.excludes(missing / (came + missing)):
         for stream in case.streams:
             own = groups.get(id(stream), [])
             for claim, share in zip(own, _missed(case, stream, [item.number for item in own]), strict=True):
@@ -731,7 +733,8 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
             gaps.setdefault(id(loss.stream), []).append((loss, number))
     unseen = [fate for fate in fates if fate.seen and fate.ends["unaccounted"]]
     missing = sum(number for own in gaps.values() for _, number in own)
-    sent = sum(map(len, case.streams)) + missing
+    own = {id(fate.stream) for fate in unseen}
+    sent = sum(len(item) for item in case.streams if item.counted or id(item) in own) + missing
     missing += sum(fate.ends["unaccounted"] for fate in unseen)
     if not missing or quality.excludes(missing / sent):
         return

@@ -339,7 +339,7 @@ class _Counted:
         unsteady_ns = self._case.unsteady_ns
         sent = np.searchsorted(self._sent_ns, self._seen + unsteady_ns - least_ns, "right")
         both = enumerate(pairwise(own), 1)  # a count that falls began again
-        starts = [at for at, (a, b) in both if a.instance != b.instance or b.count < a.count]
+        starts = [at for at, (a, b) in both if b.count < a.count or self._began_anew(a, b)]
         lost = before = last = idle_ns = room = 0
         crowded = False
         for first, end in pairwise([0, *starts, len(own)]):
@@ -425,12 +425,7 @@ class _Counted:
             lost, before = lost + before - most_read, most_read
         if commands and (self._arrived is None or not self._all_out):  # it may have ended at once
             account.unsure += max(0, before - max(total, int(self._sent_until(max(commands)[1])) - lost))
-        down = sooner.instance != later.instance or any(
-            item.instance == later.instance
-            and item.start_ns <= later.seen_ns
-            and sooner.seen_ns <= item.end_ns
-            for item in self._case.resets
-        )
+        down = self._began_anew(sooner, later)
         if down and self._arrived is None:
             until_ns = min(self._next_sign_ns(sooner.instance, ended_ns), later.made_ns)
             if restarts := self._restarts_ns(ended_ns - self._profile.ci_wake_ns, until_ns):
@@ -440,6 +435,12 @@ class _Counted:
             before += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
             ended_ns = until_ns
         return ("down" if down else "restart", ended_ns), lost, before
+
+    def _began_anew(self, sooner: _Sample, later: _Sample) -> bool:
+        """Tell whether a cFS was started again between two samples, also one whose clock went on."""
+        own = (item for item in self._case.resets if item.instance == later.instance)
+        within = any(item.start_ns <= later.seen_ns and sooner.seen_ns <= item.end_ns for item in own)
+        return sooner.instance != later.instance or within
 
     def _end_with_outage(self, account: Ingest, begin: tuple[Cause, int]) -> None:
         """End what was lost while it did not run with the last of these: what it read since came behind."""
