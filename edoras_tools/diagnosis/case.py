@@ -327,12 +327,8 @@ class Case:
         own = [item for item in self.ingests if item.not_captured and cut]
         counts = ((item.endpoint, item.taken + item.not_captured, item.not_captured) for item in own)
         more = [Evidence("ci_counts", *item) for item in counts]
-        if 2 * self.prepared.copies > len(self.rows):
-            # Of what went to CI its counts tell how many of those that one place lacks were lost.
-            alone = self.prepared.perhaps_astray
-            both = among(self.rows.link, lambda link: link.only_to_cfs) | ~alone.any()
-            lacking = int(alone[both].sum()) - sum(item.lost_on_network for item in self.ingests)
-            more.append(Evidence("copies", NOBODY, int(both.sum()), max(0, lacking)))
+        if 2 * self.prepared.copies > len(self.rows) and not self.prepared.perhaps_astray.any():
+            more.append(Evidence("copies", NOBODY, len(self.rows), 0))
         return replace(quality, evidence=(*quality.evidence, *more))
 
     @cached_property

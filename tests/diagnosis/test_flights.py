@@ -556,6 +556,7 @@ CHANGED = [
     ("killed_with_backlog", "1 % removed"),
     ("sbn_restarted", "times late by up to 200 ms"),
     ("two_cfs", "cut to 64"),
+    ("two_taps_of_one_cable", "5 % removed"),
 ]
 
 

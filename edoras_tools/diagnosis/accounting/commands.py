@@ -49,7 +49,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 )
 from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes
 from edoras_tools.diagnosis.matching.streams import counted_gaps, full_rounds
-from edoras_tools.diagnosis.quality import overlapping
+from edoras_tools.diagnosis.quality import CONFIDENCE, overlapping
 from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.wire.arrays.order import distinct
@@ -235,9 +235,15 @@ class Commands:
 
     @cached_property
     def _is_lost_between(self) -> bool:
-        """Whether neither of two places that a file has both of can have missed what one of them lacks."""
-        own = among(self._case.rows.link, lambda link: link.only_from_cfs)
-        return self._case.quality.excludes(float(self._case.prepared.perhaps_astray[own].mean()))
+        """Whether neither of two places that a file has both of can have missed what one of them lacks.
+
+        CI's counts say that just so many were lost as one place lacks of what went to it: both have the rest.
+        """
+        alone, links = self._case.prepared.perhaps_astray, self._case.rows.link
+        up = among(links, lambda link: link.only_to_cfs)
+        share = float(alone[among(links, lambda link: link.only_from_cfs)].mean())
+        lost = sum(account.lost_on_network for account in self._case.ingests)
+        return int(alone[up].sum()) == lost and (1 - share) ** int((up & ~alone).sum()) < 1 - CONFIDENCE
 
     def _down(self, fate: Fate) -> None:
         """Tell lost what came over SBN while its cFS was down: from its last packet to its next boot."""
@@ -733,8 +739,8 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
             gaps.setdefault(id(loss.stream), []).append((loss, number))
     unseen = [fate for fate in fates if fate.seen and fate.ends["unaccounted"]]
     missing = sum(number for own in gaps.values() for _, number in own)
-    own = {id(fate.stream) for fate in unseen}
-    sent = sum(len(item) for item in case.streams if item.counted or id(item) in own) + missing
+    followed = {id(fate.stream) for fate in unseen}
+    sent = sum(len(item) for item in case.streams if item.counted or id(item) in followed) + missing
     missing += sum(fate.ends["unaccounted"] for fate in unseen)
     if not missing or quality.excludes(missing / sent):
         return

@@ -142,7 +142,8 @@ def find_copies(
     group_size[order] = np.bincount(group)[group]
     if two_places:
         # Before the first that both have, and behind the last, one of them may not have captured.
-        inside = (time_ns > when[same].min()) & (time_ns < when[np.append(same[1:], False)].max())
+        pair = far if far.any() else same
+        inside = (time_ns > when[pair].min()) & (time_ns < when[np.append(pair[1:], False)].max())
         both = np.isin(conversation, np.unique(conversation[order[same]]))
         out.alone[:] = (group_size == 1) & (identification != 0) & both & inside
         if (at := np.flatnonzero(far[1:])).size:
