@@ -201,8 +201,9 @@ def ingests(case: Case) -> list[Ingest]:
                 late = counter.account(_UNDER_WAY_NS)
                 # What a slow network explains is no loss, and no copy: rule 8.
                 if not late.lost_on_network or late.not_captured < account.not_captured:
-                    even = late if counter.stood or account.not_captured else counter.steady(account)
-                    account = even if even.lost_on_network else replace(late, unsure=account.unsure)
+                    even = late if counter.stood or counter.followed else counter.steady(account)
+                    is_so = even.lost_on_network and not even.not_captured
+                    account = even if is_so else replace(late, unsure=account.unsure)
                 elif counter.stood and (more := account.lost_on_network - late.lost_on_network) > 0:
                     account = replace(late, unsure=account.unsure + more)
             account.spare(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
@@ -312,6 +313,8 @@ class _Counted:
         A robot is sent them at once; before they leave elsewhere the application and the link may keep them.
         """
         self._arrived = np.sort(np.concatenate([sent for sent, _ in self._read])) if hops else None
+        self.followed = bool(hops)
+        """Whether it is seen what comes out: that shows how long it took."""
         self._all_out = all(hop.out.link.last_hop for hop in hops)
         """Whether all that is read comes out: what is rewritten for others may give way."""
         self._read_ns = _read_by(hops)
