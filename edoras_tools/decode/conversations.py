@@ -140,8 +140,7 @@ class Conversations(msgspec.Struct, eq=False):
         ports = batch.source_port[rows].astype(np.uint64) << np.uint64(16) | batch.destination_port[rows]
         key = (source * _MIX ^ target) * _MIX ^ ports << np.uint64(8) ^ batch.ip_version[rows]
         first, which = numbered(key)
-        size = len(first)
-        total = np.bincount(which, minlength=size)
+        total = np.bincount(which, minlength=len(first))
         sound = marks["sound"]
         sums = {name: _count(which, marks[name], total) for name in _SUMS}
         sums["datagrams"] = total

@@ -39,6 +39,7 @@ from edoras_tools.wire.envelope import DEFAULT, detect
 
 if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
+    from edoras_tools.ros import TypeStore
 
 
 class Dissector:
@@ -272,12 +273,14 @@ class _Dissection(Reading):
             return
         cdr = self.data[at : at + types.extent(type_name, self.data[at:end])]
         self.add(RosMessage(type_name, topic, values, cdr))
+        self._detail(types, type_name, cdr, at, end)
+
+    def _detail(self, types: TypeStore, name: str, cdr: bytes, at: int, end: int) -> None:
+        """Add a layer of the fields of a message that begins at a byte, if they are asked for."""
         if self.detail:
-            fields = tuple(
-                LayerField(path, value, at + low, at + high)
-                for path, value, low, high in types.spans(type_name, cdr)
-            )
-            self.layers.append(Layer("ros", type_name, at + ENCAPSULATION.size, end, fields))
+            spans = types.spans(name, cdr)
+            fields = tuple(LayerField(path, value, at + low, at + high) for path, value, low, high in spans)
+            self.layers.append(Layer("ros", name, at + ENCAPSULATION.size, end, fields))
 
     def add(self, message: RosMessage, *layers: Layer) -> None:
         """Add a message behind those that were read before; see :meth:`Reading.add`."""
@@ -334,12 +337,7 @@ class _Dissection(Reading):
             self.findings |= Finding.CDR_TOO_LONG
         elif trailing > ROUNDED:
             self.findings |= Finding.CDR_TRAILING
-        if self.detail:
-            fields = tuple(
-                LayerField(path, value, start + low, start + high)
-                for path, value, low, high in types.spans(name, cdr)
-            )
-            self.layers.append(Layer("ros", name, start + ENCAPSULATION.size, end, fields))
+        self._detail(types, name, cdr, start, end)
 
     def _padding(self, start: int) -> None:
         tail = self.data[start:]

@@ -128,8 +128,7 @@ class Variants:
         """Look at a batch that is about to be decoded; ``link`` has a link a row."""
         rows = np.flatnonzero(self._packets[link])
         if not self._all_seen:
-            sample = self._sound(batch, rows[:_MOST], link)
-            self._sample = self._sample.and_(sample)
+            self._sample = self._sample.and_(self._sound(batch, rows[:_MOST], link))
             count = len(self._sample.length)
             # Live batches are small: the result is computed again each time the number has doubled.
             if count >= min(2 * self._told_at, _ENOUGH) and count > self._told_at:

@@ -388,8 +388,7 @@ class Case:
         network = network_changes(self.rows, self.payloads, self.instances, self.network)
         changes += [item for item in network if (item.system, item.subject) not in subjects]
         changes += capture_changes(self.away)
-        pauses = stalls(self.rows, self.streams, self.instances, Timeline(changes))
-        return Timeline([*changes, *pauses])
+        return Timeline([*changes, *stalls(self.rows, self.streams, self.instances, Timeline(changes))])
 
     @cached_property
     def robots(self) -> list[Stream]:
@@ -644,17 +643,11 @@ class Case:
     @cached_property
     def has_telemetry(self) -> bool:
         """Whether anything that a cFS sends is in the capture."""
-        return bool(self.instances.items) or bool(
-            among(self.rows.link, lambda link: link.only_from_cfs).any()
-        )
-
-    def perhaps_doubled(self, stream: Stream) -> int:
-        """Return how many messages of a stream into cFS came twice, or were captured twice: nothing tells."""
-        return self._doubled[stream.link.code, stream.receiver, stream.msg_id]
+        return bool(self.instances.items or among(self.rows.link, lambda link: link.only_from_cfs).any())
 
     @cached_property
-    def _doubled(self) -> Counter[tuple[int, int, int]]:
-        """Link, receiver and MsgId of each."""
+    def perhaps_doubled(self) -> Counter[tuple[int, int, int]]:
+        """How many messages into cFS came twice, or were captured twice, by link, receiver and MsgId."""
         rows = self.prepared.doubled
         return Counter(zip(rows.link.tolist(), rows.destination.tolist(), rows.msg_id.tolist(), strict=True))
 
@@ -717,10 +710,6 @@ class Case:
         """Return the event by which Telemetry Output says that its socket failed, and it sends no more."""
         events = self.said(span[0] - SECOND, span[1] + SECOND, *telemetry_output.NAMES)
         return next((item for item in events if telemetry_output.SUPPRESSED.phrase in item.message), None)
-
-    def socket_failed(self, stream: Stream) -> bool:
-        """Tell whether Telemetry Output says that its socket failed, in a time in which it sent nothing."""
-        return any(self.suppressed(span) for span in self.silences_of(stream.sender))
 
     def silences_of(self, sender: int) -> list[tuple[int, int]]:
         """Return when the Telemetry Output behind an endpoint sent nothing, until it was enabled."""

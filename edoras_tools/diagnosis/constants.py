@@ -53,8 +53,7 @@ def find_round(times: Integers) -> int | None:
     if len(times) < _LEAST:
         return None
     steps = np.diff(times)
-    begins = times[np.concatenate(([True], steps > _BURST_NS))]
-    steps = np.diff(begins)
+    steps = np.diff(times[np.concatenate(([True], steps > _BURST_NS))])
     steps = steps[steps < 5 * SECOND]
     if len(steps) < _LEAST:
         return None

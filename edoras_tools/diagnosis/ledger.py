@@ -487,7 +487,8 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     entered = len(stream) + len(dropped) - doubled
     entered += relayed.more if relayed else 0
     entered += len(case.damaged_of(stream)) + case.commands.never_came.get(id(stream), 0)
-    way = LedgerWay(traffic, entered, doubtful=case.perhaps_doubled(stream))
+    doubtful = case.perhaps_doubled[stream.link.code, stream.receiver, stream.msg_id]
+    way = LedgerWay(traffic, entered, doubtful)
     if relayed:
         losses = _by_relay(way, relayed, losses)
     if dropped or doubled:
@@ -635,7 +636,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     silenced = [(number, among) for of, number, among in telemetry.silenced if of is stream and number]
     if silenced:
         way.hop(telemetry_output.SOCKET, {"in": f"{_COUNT}, less what 0x803 counts", "out": SEEN})
-        failed = case.socket_failed(stream)
+        failed = any(map(case.suppressed, case.silences_of(stream.sender)))
         for number, among in silenced:
             about = _span_of(case, among) | {"text": f"{telemetry_output.SOCKET} failed"}
             way.end("lost" if failed else "not_captured", number, TO_SOCKET if failed else "", **about)
@@ -648,8 +649,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     way.lose(losses, _BEHIND_PIPE)
     _lose_damaged(way, case.damaged_of(stream).take(slice(telemetry.ended(stream, "damaged"))))
     way.end("not_captured", telemetry.ended(stream, "away"))
-    way.end("unaccounted", telemetry.ended(stream, "untold"))
-    way.end("uncertain", telemetry.ended(stream, "uncertain") + telemetry.ended(stream, "astray"))
+    way.end("uncertain", sum(telemetry.ends[id(stream)][how] for how in ("uncertain", "untold", "astray")))
     # Seen here, and lost on the way to the next capture.
     undelivered = (case.rows.undelivered | case.prepared.perhaps_astray)[stream.rows]
     own = ((item.lost, item.among) for item in losses if item.among and item.among.stream is stream)

@@ -194,8 +194,7 @@ def _losses(whole: Diagnosis) -> tuple[list[Problem], set[int]]:
     for key, members in groups.items():
         own = list({id(item): item for item in chain(*verdicts[key].values())}.values())
         own.sort(key=lambda item: (item.msg_id is None, -(item.lost or 0)))
-        rows = [row for row, _ in members]
-        problems.append((_problem(whole, key[0], members, own, alone=alone), rows))
+        problems.append((_problem(whole, key[0], members, own, alone=alone), [row for row, _ in members]))
     problems.sort(key=lambda item: -(item[0].lost or 0))
     return list(_promising(whole, problems)), {id(item) for own in explained.values() for item in own}
 

@@ -100,8 +100,7 @@ class Framing:
 
     def length(self, data: memoryview, at: int, end: int) -> int:
         """Return what ``lengths`` does for one position; override it where that is faster."""
-        octets = np.frombuffer(data, np.uint8)
-        return int(self.lengths(octets, np.array([at], np.int64), end)[0])
+        return int(self.lengths(np.frombuffer(data, np.uint8), np.array([at], np.int64), end)[0])
 
     def likely(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Mask:
         """Tell where a message probably starts, bool (n,): used to find the first one behind missing bytes.

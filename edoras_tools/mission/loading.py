@@ -173,8 +173,7 @@ class _Loading:
             return
         if isinstance(content, bytes):
             self.files[_free_name(PurePath(name).name, self.files)] = content
-        text = _text(content, report)
-        nodes = self._nodes(text, report)
+        nodes = self._nodes(_text(content, report), report)
         bridges = find_bridges(nodes)
         others = self._add_others(nodes, report)
         if nodes and not (bridges or others or report.mistakes):

@@ -154,8 +154,7 @@ class _Reader:
         failure: Exception | None = None
         try:
             for batch in self._batches:
-                columns = self._decode(batch)
-                return batch, columns, self._state(), None
+                return batch, self._decode(batch), self._state(), None
         except EdorasError as error:
             failure = portable(error)
         except MemoryError:

@@ -195,8 +195,7 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
         frozenset(keys),
         frozenset(kind for label, kind in _own_names() if label in own or fnmatchcase(label, name)),
     )
-    topics = [route.topic for route in routes]
-    samples = SampleTopics(pattern, frozenset(topics), context.endpoints)
+    samples = SampleTopics(pattern, frozenset([route.topic for route in routes]), context.endpoints)
     announced = [] if kinds_found else [*filter(samples.holds, context.announced_topics())]
     if kinds_found or announced or (context.awaits_samples and pattern[:1] == "/"):
         return replace(kinds_found, samples=(samples,))

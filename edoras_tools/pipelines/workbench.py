@@ -60,8 +60,7 @@ class Workbench(msgspec.Struct, frozen=True, eq=False, dict=True):
         old = self.columns.context
         mission, options = self.mission.numbered(headers.msg_ids), old.options.with_headers(headers)
         structs = old.structs if headers.msg_ids is old.msg_ids else None
-        context = Context(mission, self.types, options, structs)
-        return _bench(mission, self.types, context)
+        return _bench(mission, self.types, Context(mission, self.types, options, structs))
 
     def fresh(self, paths: Sequence[Path] = ()) -> Workbench:
         """Return the same for another source: nothing is read again, and nothing decoded yet is known.
@@ -141,8 +140,7 @@ class Settings(msgspec.Struct, frozen=True):
             names = [f"{_LAYOUTS}{place}_{file.name}" for place, (file, _) in enumerate(layout_files, 1)]
             files = dict(zip(names or carried, (data for _, data in contents), strict=True))
             mission = replace(mission, files={**mission.files, **files})
-        context = Context(mission, types, options, structs)
-        return _let_look(_bench(mission, types, context), paths)
+        return _let_look(_bench(mission, types, Context(mission, types, options, structs)), paths)
 
 
 def _bench(mission: Mission, types: TypeStore, context: Context) -> Workbench:

@@ -259,8 +259,7 @@ def _of_any_format(field: FilterField) -> FilterField:
             present = np.zeros(len(rows), bool)
             present[places(rows)[0]] = True
             return Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), present)
-        slot = envelope.layout.by_name[name]
-        return _gathered(envelope.layout, slot, places, rows)
+        return _gathered(envelope.layout, envelope.layout.by_name[name], places, rows)
 
     return replace(field, read=read)
 

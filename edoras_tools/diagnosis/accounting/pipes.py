@@ -170,8 +170,7 @@ class Pipes:
         """
         times = fate.stream.time_ns
         delay = max((hop.last_ns for hop in fate.hops), default=0)
-        low_ns = np.maximum(times - LEAD_NS, self._taken_since(fate, times))
-        return low_ns, times + delay + LATE_NS
+        return np.maximum(times - LEAD_NS, self._taken_since(fate, times)), times + delay + LATE_NS
 
     def tell(self) -> None:
         """Make losses of what was given to the claims."""
@@ -544,8 +543,7 @@ class Leftover:
             times = counts.span([second])
             own = [(index, item) for index, item in enumerate(candidates) if item.said or not old[second]]
             active = ((index, item.active(*times)) for index, item in own)
-            key = tuple((index, spans) for index, spans in active if spans)
-            groups.setdefault(key, []).append(second)
+            groups.setdefault(tuple((index, spans) for index, spans in active if spans), []).append(second)
         for active_, seconds in groups.items():
             number, times = int(rest[seconds].sum()), counts.span(seconds)
             rivals = [candidates[index] for index, _ in active_]

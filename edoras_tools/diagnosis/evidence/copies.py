@@ -229,8 +229,7 @@ class Once:
             copy = find_copies(*both[:-1]).copy[len(last[0]) :]
             mask[rows[copy]] = False
             self.copies += int(copy.sum())
-        late = batch.time_ns > batch.time_ns.max(initial=0) - _LATER_NS
-        self._last = whole(np.flatnonzero(late))
+        self._last = whole(np.flatnonzero(batch.time_ns > batch.time_ns.max(initial=0) - _LATER_NS))
         return mask
 
     def notes(self) -> list[str]:
@@ -288,8 +287,7 @@ def _perhaps_again(number: Prints, time_ns: Integers) -> bool:
     window = time_ns // _LATER_NS  # two within half a second are in one, or in two side by side
     window -= window.min(initial=_NEVER_NS)
     most = (1 << _WINDOW_BITS) - 1
-    key = number * MIX & ~np.uint64(most) | np.minimum(window, most).astype(np.uint64)
-    ranked = np.sort(key)
+    ranked = np.sort(number * MIX & ~np.uint64(most) | np.minimum(window, most).astype(np.uint64))
     return bool((ranked[1:] - ranked[:-1] <= 1).any())
 
 

@@ -367,8 +367,7 @@ def _events(
     batch: PacketBatch, columns: Columns, rows: Places, have: NDArray[np.int32], base: int
 ) -> Iterator[EventRecord]:
     """Yield the events of some rows, of whose payload so many bytes are there."""
-    start = columns.packet_offset[rows] + columns.header_length[rows]
-    payload = gather(batch.data, start, cfe.EVENT.size)
+    payload = gather(batch.data, columns.packet_offset[rows] + columns.header_length[rows], cfe.EVENT.size)
     payload[np.arange(cfe.EVENT.size) >= have[:, None]] = 0
     names = "event_id", "event_type", "spacecraft_id", "processor_id"
     read = [cfe.EVENT.column(name, payload) for name in names]

@@ -151,8 +151,7 @@ def before_proxy(rows: Rows, proxied: Mapping[RouteWay, Proxied]) -> Mask:
         matches = _matching(rows, own, prints, np.array([when for when, _ in item.dropped], np.int64))
         if len(matches) < _LEAST * len(prints):
             continue
-        ways = np.unique(way[matches])
-        in_front = np.isin(way, ways) & among(rows.link, lambda kind: kind.packets)
+        in_front = np.isin(way, np.unique(way[matches])) & among(rows.link, lambda kind: kind.packets)
         if (~in_front[own]).any():
             out |= in_front
         else:

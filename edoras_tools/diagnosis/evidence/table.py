@@ -166,8 +166,7 @@ def peer_of(number: int) -> Peer:
 def number_hosts(endpoints: Sequence[Endpoint]) -> NDArray[np.int32]:
     """Return the number of the address of each endpoint, in the order in which addresses come first: i32."""
     numbers: dict[str, int] = {}
-    hosts = [numbers.setdefault(item.address, len(numbers)) for item in endpoints]
-    return np.array(hosts, np.int32)
+    return np.array([numbers.setdefault(item.address, len(numbers)) for item in endpoints], np.int32)
 
 
 class Recorder:

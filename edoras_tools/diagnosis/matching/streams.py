@@ -468,8 +468,7 @@ def comb(times: NDArray[np.int64]) -> Comb:
     begins, sizes = bursts(times, _BURST_NS)
     most = int(quantiles(sizes, 0.98)[0])
     period = int(quantiles(np.diff(times[begins]), 0.5)[0]) if len(begins) > 2 else 0
-    share = np.count_nonzero(sizes >= most) / max(len(sizes), 1)
-    return Comb(period, max(most, 1), share)
+    return Comb(period, max(most, 1), np.count_nonzero(sizes >= most) / max(len(sizes), 1))
 
 
 def full_where_lacking(times: NDArray[np.int64], missing: NDArray[np.int64], most: int) -> bool:

@@ -294,8 +294,7 @@ def rate_over_limit(case: Case) -> Iterator[Verdict]:
         if stream.link is not CI or len(stream) < _LEAST or stream.known_id in MSG_ID_NAMES:
             continue
         clean, hop, why = limit(CI, stream.msg_id, case.profile, to_cfs=True)
-        times = stream.time_ns
-        usual = float(np.median(np.diff(times)))
+        usual = float(np.median(np.diff(stream.time_ns)))
         rate = SECOND / usual if usual > 0 else 0.0
         lost = sum(loss.lost for loss in case.losses_of(stream))
         is_lost = any(loss.msg_id == stream.msg_id and loss.kind == "limit" for loss in case.losses)

@@ -718,8 +718,7 @@ def _contents(
         if way.shared.state is not None:
             talks.setdefault(id(way.shared), []).append(index)
     for members in talks.values():
-        selection = np.isin(column["direction"], members) & (findings & _PART == 0)
-        rows = np.flatnonzero(selection)
+        rows = np.flatnonzero(np.isin(column["direction"], members) & (findings & _PART == 0))
         talk = ways[members[0]].shared.state
         if not len(rows) or talk is None:
             continue

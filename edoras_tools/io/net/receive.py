@@ -84,8 +84,7 @@ class Sockets(Device):
         instead = "capture from the interface with -i, which sees its datagrams without taking the port"
         opened = open_bound(endpoint, instead=instead, buffer_bytes=receive_buffer, destinations=True)
         local = local_endpoint(opened)
-        granted = opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-        self._smallest = min(self._smallest, granted)
+        self._smallest = min(self._smallest, opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF))
         self._bound.append(_Bound(opened, 6 if opened.family == socket.AF_INET6 else 4, local.port))
         return local
 

@@ -151,8 +151,7 @@ class LinkStatistics:
         heads["link"] = groups["flow"] >> _MSG_ID_BITS & 0xFF
         heads["msg_id"] = (groups["flow"] & _MSG_ID_MASK) - 1
         heads["topic_length"] = length[which]
-        pool = np.frombuffer(b"".join(names) or b"\0", dtype=np.uint8)
-        rest = pool, offset, length[which]
+        rest = np.frombuffer(b"".join(names) or b"\0", dtype=np.uint8), offset, length[which]
         return whole_messages(rows, heads, channel_id, 0, time_ns, time_ns, rest, repeats=True)
 
     def _name(self, flow: int) -> bytes:

@@ -179,8 +179,7 @@ def exploded(columns: Sequence[TableColumn]) -> list[TableColumn]:
         spread[inside] = values.values
         result.append(TableColumn(column.name, spread, inside, column.unit))
     name = _free(ELEMENT, {column.name: None for column in flat})
-    ordinal = TableColumn(name, element.astype(np.uint32), (most > 0)[owner])
-    return [result[0], ordinal, *result[1:]]
+    return [result[0], TableColumn(name, element.astype(np.uint32), (most > 0)[owner]), *result[1:]]
 
 
 def _free(name: str, used: Mapping[str, object]) -> str:

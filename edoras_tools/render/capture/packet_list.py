@@ -184,8 +184,7 @@ class PacketList:
         parts += [fit_right("Bytes" if size.length > 4 else "Len", size.length)] * bool(size.length)
         parts += [self._cell(title, place) for place, (title, *_) in enumerate(self._added)]
         parts.append("Message")
-        line = clip(size.gap.join(parts), self._width)
-        return self._paint(line, palette.STRONG)
+        return self._paint(clip(size.gap.join(parts), self._width), palette.STRONG)
 
     def _cell(self, text: str, place: int) -> str:
         """Return the text of an added column."""

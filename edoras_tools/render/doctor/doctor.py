@@ -101,8 +101,7 @@ def _problem(item: Problem, remedied: bool, width: int, words: str) -> list[Text
         if words:
             commands += [f"edoras doctor {option} {words}" for option in re.findall(r"--set port=\S+", first)]
         for line in commands:
-            text = clean(f"{'':{_COUNT + 2}}{line.rstrip('; ')}")
-            lines.append(Text(text, palette.STRONG))
+            lines.append(Text(clean(f"{'':{_COUNT + 2}}{line.rstrip('; ')}"), palette.STRONG))
         if item.promise:
             lines += _hanging(Text("  left", palette.GOOD), item.promise, width)
     return lines

@@ -85,8 +85,7 @@ def extremes(
     column = np.floor((seconds - span[0]) / ((span[1] - span[0]) or 1.0) * columns)
     order = np.lexsort((values, column))
     first = np.flatnonzero(np.diff(column[order], prepend=np.nan) != 0)
-    last = np.append(first[1:], len(order)) - 1
-    return np.unique(np.concatenate([order[first], order[last]]))
+    return np.unique(np.concatenate([order[first], order[np.append(first[1:], len(order)) - 1]]))
 
 
 class Panel(msgspec.Struct, frozen=True):

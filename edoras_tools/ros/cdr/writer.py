@@ -166,8 +166,7 @@ class Writer:
             if narrow:
                 data, length = data + b"\0", length + 1
             else:
-                units = struct.unpack(f"<{length}H", data)
-                data = struct.pack(f"{order}{length}I", *units)
+                data = struct.pack(f"{order}{length}I", *struct.unpack(f"<{length}H", data))
             body += _ZEROS[-len(body) & 3] + struct.pack(f"{order}I", length) + data
 
         return write

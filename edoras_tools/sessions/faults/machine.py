@@ -223,8 +223,7 @@ class FaultMachine:
         facts = BatchHeads(heads, length, link)
         for counter in counters:
             active = counter.active
-            inside = facts.inside(active, payload)
-            places = np.flatnonzero(inside)
+            places = np.flatnonzero(facts.inside(active, payload))
             first, counter.count = counter.count, counter.count + len(places)
             if not len(places) or not self.enabled[active.index]:
                 continue

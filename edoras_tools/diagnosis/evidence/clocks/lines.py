@@ -53,8 +53,7 @@ class ClockLine(NamedTuple):
 
     def ahead(self, time_ns: Integers) -> Integers:
         """Return by how much it is ahead at times of the other clock."""
-        gained = np.rint((time_ns - self.begin_ns) * self.drift)
-        return self.offset_ns + np.asarray(gained, np.int64)
+        return self.offset_ns + np.asarray(np.rint((time_ns - self.begin_ns) * self.drift), np.int64)
 
     def set_back(self, time_ns: Integers) -> Integers:
         """Return the times of the other clock at which it shows these."""
@@ -109,8 +108,7 @@ def _sides(order: Ordered, drift: float) -> tuple[_Bounds, _Bounds]:
         loose = _tightest(order.first_ns, -took)
         waited = _Bounds(order.first_ns[loose], took[loose] - order.wait_ns - apart)
     elif order.wait_ns is not None:
-        window = (order.first_ns - order.first_ns.min()) // _WINDOW_NS
-        quickest = least_of_each(window, took)
+        quickest = least_of_each((order.first_ns - order.first_ns.min()) // _WINDOW_NS, took)
         # Which of them is the quickest depends on the drift that is to be found.
         unsure = round(min(int(np.ptp(order.first_ns)), _WINDOW_NS) * drift)
         waited = _Bounds(order.first_ns[quickest], took[quickest] - order.wait_ns - unsure)
@@ -124,8 +122,7 @@ def _tightest(time_ns: Integers, value: Integers) -> Places:
     if len(value) <= _PLACES:
         return np.arange(len(value))
     begin = int(time_ns.min())
-    place = (time_ns - begin) * _PLACES // (int(time_ns.max()) - begin + 1)
-    return least_of_each(place, value)
+    return least_of_each((time_ns - begin) * _PLACES // (int(time_ns.max()) - begin + 1), value)
 
 
 def least_of_each(group: Integers, value: Integers) -> Places:

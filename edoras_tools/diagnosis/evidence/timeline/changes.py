@@ -320,8 +320,7 @@ def _subscriptions(
     peer = connection.peer
     ends = [item for item in connection.changes if item.state in {"timed_out", "disconnected"}]
     begins = [item for item in connection.changes if item.state == "connected" and item.why != ALREADY]
-    edges = np.array([item.time_ns for item in ends], np.int64)
-    session = np.searchsorted(edges, rows.time_ns[at])
+    session = np.searchsorted(np.array([item.time_ns for item in ends], np.int64), rows.time_ns[at])
     unsubscribed = rows.sbn_msg_type[at] == MsgType.UNSUB
     # A bridge says the same twice a second: of each connection the first of each content tells, and again
     # behind each message that takes back what others asked for.

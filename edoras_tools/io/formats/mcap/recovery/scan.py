@@ -119,8 +119,7 @@ class Scan:
                 self._next if self._next and self._next.start == place else self._at(place, searched=False)
             )
             if piece is None:
-                after = self._search(place + 1, self._file.size)
-                piece = Piece(-1, place, after)
+                piece = Piece(-1, place, self._search(place + 1, self._file.size))
             self._broken |= piece.opcode < 0
             self._idle = 0 if piece.opcode in {Opcode.CHUNK, Opcode.MESSAGE} else self._idle + 1
             yield piece
