@@ -27,7 +27,8 @@ are no share. Frames that were captured twice are counted once before.
 
 The capture has a hole if nothing was captured although everybody went on sending:
 
-1. Nothing at all was captured for longer than Telemetry Output and SBN ever wait.
+1. Nothing at all was captured for longer than Telemetry Output and SBN ever wait, or for more than a round
+   where all that follows shows a hole.
 2. What cFS counts went on meanwhile: most of its streams miss counts there.
 3. Others who sent steadily were not captured either: those who command, or a second SBN peer. A network that
    fails between two of them does not hide both.
@@ -268,8 +269,7 @@ def _between(time_ns: Integers, identification: NDArray[np.uint16]) -> tuple[int
     if len(time_ns) < 2:
         return 0, 0
     run = np.concatenate(([0], np.cumsum(np.diff(time_ns) >= _TICK_NS)))
-    first = np.flatnonzero(np.diff(run, prepend=-1))
-    ahead = identification.astype(np.int64) - identification[first][run]
+    ahead = identification.astype(np.int64) - identification[np.flatnonzero(np.diff(run, prepend=-1))][run]
     ahead = (ahead + (1 << 15)) % (1 << 16) - (1 << 15)
     # Two senders on one host overtake each other on the way to the tap.
     order = np.argsort((run << 16) + ahead, kind="stable")
@@ -511,6 +511,7 @@ def hypergeometric_tail(most: int, checked: int, others: int, drawn: int) -> flo
 
 _LEAST_NS: Final = 1500 * MILLISECOND
 """Telemetry Output wakes up three times in so long."""
+_ROUND_NS: Final = 500 * MILLISECOND
 _AROUND_NS: Final = 30 * SECOND
 _IDLE_NS: Final = SECOND
 _LEAST_ROWS: Final = 2
@@ -523,11 +524,11 @@ _MOST: Final = 64
 def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
     """Return from when to when the capture has holes, and may have; rows are in order of time.
 
-    It may have one where nothing at all was captured, cFS went on counting, and no other shows that it went
-    on sending.
+    It may have one where nothing at all was captured for long, cFS went on counting, and no other shows that
+    it went on sending.
     """
     steps = np.diff(rows.time_ns)
-    long = np.flatnonzero(steps >= _LEAST_NS)
+    long = np.flatnonzero(steps >= _ROUND_NS)
     if not len(long):
         return [], []
     long = np.sort(long[np.argsort(-steps[long], kind="stable")[:_MOST]])
@@ -539,9 +540,11 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
     holes: tuple[list[tuple[int, int]], ...] = [], []
     for gap in zip(rows.time_ns[long].tolist(), rows.time_ns[long + 1].tolist(), strict=True):
         others = _steady(commands, *gap) or sum(_steady(times, *gap) for times in peers) > 1
-        missing, number, packets = _missing_at(rows, streams, gap[0])
-        if packets >= _LEAST_STREAMS:
-            holes[not (others and missing >= _LEAST_STREAMS and 2 * missing > number)].append(gap)
+        if others or gap[1] - gap[0] >= _LEAST_NS:
+            missing, number, packets = _missing_at(rows, streams, gap[0])
+            sure = others and missing >= _LEAST_STREAMS and 2 * missing > number
+            if packets >= _LEAST_STREAMS and (sure or gap[1] - gap[0] >= _LEAST_NS):
+                holes[not sure].append(gap)
     return holes[0], holes[1]
 
 
@@ -570,7 +573,7 @@ def _missing_at(rows: Rows, streams: Sequence[Places], start_ns: int) -> tuple[i
     missing = number = packets = 0
     for own in streams:
         at = int(np.searchsorted(rows.time_ns[own], start_ns, "right"))
-        if _LEAST_ROWS <= at <= len(own) - _LEAST_ROWS:
+        if 0 < at < len(own):
             number += 1
             missing += bool(rows.missing[own[at]] > 0)
             packets += int(rows.missing[own[at]])

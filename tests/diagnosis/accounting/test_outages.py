@@ -43,9 +43,8 @@ def test_telemetry_that_is_missing_then_is_not_captured(lab, start_s, end_s):
     behind = [row for row in found.balance if row.hop == "between cFS and the capture"]
     assert sum(row.not_captured for row in behind) == gone > 5
     assert {item.rule for item in found.verdicts} <= {"not_examined", "lost_before_ci"}
-    # Without the recorder's word they were lost, unless nothing at all was captured for long.
-    alone = lab.examine(kept, lab.mission("rover_ground"))
-    assert alone.lost == (gone if end_s - start_s < 2 else 0)
+    # Nothing at all was captured then, though both sides sent: that shows it without the recorder's word.
+    assert lab.examine(kept, lab.mission("rover_ground")).lost == 0
 
 
 @pytest.mark.quick("33*")
