@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
@@ -32,7 +33,7 @@ from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, fol
 from edoras_tools.links.table import among, carrying
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import distinct, in_16_bits, numbered
+from edoras_tools.wire.arrays.order import distinct, in_16_bits, numbered, perhaps_in
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -365,6 +366,8 @@ _TOGETHER_NS: Final = 20 * MILLISECOND
 _HALF_ROUND_NS: Final = 250 * MILLISECOND
 _UNSTEADY: Final = 0.2
 _LEAST_PAIRS: Final = 20
+_LEAST_EARLY: Final = 3
+_NEVER: Final = 1 << 62
 _TAIL: Final = 1.5
 """Of two times that are late by up to some time, one of ten differs by less than two thirds of that."""
 
@@ -373,7 +376,8 @@ def unsteadiness(rows: Rows) -> int:
     """Return by how much capture times are wrong in no order, ns; 0 where they are not.
 
     What a cFS makes at nearly one time leaves in one round and in that order: capture times that often say
-    otherwise, by less than half a round, are not those at which it left.
+    otherwise, by less than half a round, are not those at which it left. Nor are they where several messages
+    come out before they went in.
     """
     at = np.flatnonzero(among(rows.link, lambda link: link.only_from_cfs) & (rows.mission_time_ns > 0))
     at = at[np.argsort(rows.mission_time_ns[at], kind="stable")]
@@ -383,5 +387,31 @@ def unsteadiness(rows: Rows) -> int:
     steps = steps[np.abs(steps) < _HALF_ROUND_NS]
     back = -steps[steps < -MILLISECOND // 2]
     if len(steps) < _LEAST_PAIRS or len(back) < _UNSTEADY * len(steps):
-        return 0
-    return int(_TAIL * np.quantile(back, 0.9))
+        back = back[:0]
+    return max((int(_TAIL * np.quantile(own, 0.9)) for own in (back, _early(rows)) if len(own)), default=0)
+
+
+def _early(rows: Rows) -> Integers:
+    """Return by how much messages of a way out came out before they went in, ns; none where they did not.
+
+    Where a value comes out more often than it went in, the capture may lack the one that it was made of.
+    """
+    prints, out = rows.body_print, [np.zeros(0, np.int64)]
+    peers = among(rows.link, lambda link: link.peers)
+    came = np.flatnonzero(
+        (prints != 0) & (among(rows.link, lambda link: link.only_to_cfs) | peers & ~rows.counted)
+    )
+    robot, from_cfs = (among(rows.link, attrgetter(kind)) for kind in ("last_hop", "only_from_cfs"))
+    for side in (robot, peers & rows.counted, from_cfs):
+        went = np.flatnonzero(side & (prints != 0))
+        went = went[perhaps_in(prints[went], prints[came])]
+        own = np.concatenate((came, went))
+        # Of each value: what goes in, and what comes out.
+        key = 2 * numbered(prints[own])[1] + (np.arange(len(own)) >= len(came))
+        number, first_ns = np.bincount(key, minlength=2 * len(own)), np.full(2 * len(own), _NEVER)
+        np.minimum.at(first_ns, key, rows.time_ns[own])
+        ahead, enough = first_ns[::2] - first_ns[1::2], number[::2] >= number[1::2]
+        early = (ahead > _TOGETHER_NS) & (ahead < SECOND)
+        if (early & enough).sum() >= max(_LEAST_EARLY, (early & ~enough).sum()):
+            out.append(ahead[early & enough])
+    return np.concatenate(out)
