@@ -466,8 +466,10 @@ class Commands:
         """
         open_ = np.flatnonzero(fate.open)
         for hop in fate.hops:
+            fate.strange |= hop.perhaps
             for content in self._case.contents:
-                own = content.replaced.get(id(hop), open_[:0])
+                places, sure = content.replaced.get(id(hop), (open_[:0], open_[:0]))
+                fate.strange[places], own = True, places[sure]
                 fate.open[own], fate.blind[own] = fate.open[own] | fate.blind[own], False
                 fate.passed[own[fate.open[own]]] = True
             if not (hop.rewritten and hop.out.counted):
@@ -500,8 +502,7 @@ class Commands:
             if fate.unfollowed is None and fate.stream.link.only_to_cfs:
                 self._leave_to_nobody(fate)
             if fate.unfollowed is not None:
-                open_ = int((fate.open & fate.unfollowed).sum())
-                fate.ends["unaccounted"] = min(open_, self._untold(fate))
+                fate.ends["unaccounted"] = min(int((fate.open & fate.unfollowed).sum()), self._untold(fate))
 
     def _leave_to_nobody(self, fate: Fate) -> None:
         case, sent_ns = self._case, fate.stream.time_ns
@@ -556,7 +557,9 @@ class Commands:
             fate.ends["late"] = min(fate.ends["late"], rest - fate.ends["queued"])
             rest -= fate.ends["queued"] + fate.ends["late"]
             late = fate.stream.time_ns > self._case.end_ns - WAITS_NS
-            self._leave_open(fate, rest - int(late.sum()))
+            bare = rows.packet_length[fate.stream.rows] <= rows.header_length[fate.stream.rows]
+            self._leave_open(fate, rest - int((late | bare).sum()))
+            fate.ends["elsewhere"] += int(bare.sum())  # a command without a message reaches no robot
 
     def _leave_open(self, fate: Fate, number: int) -> None:
         """Leave so many unaccounted for, but those that the capture missed, or the bus counted of nobody.
@@ -644,8 +647,10 @@ class Commands:
         # One that came out and was lost behind that took others' place, too.
         more = min(unaccounted, ends["passed_on"]) if fate.newer.any() else 0
         ends["superseded"] += more
-        # Where times are wrong, what is late may be taken for another.
-        ends["missed" if self._case.unsteady_ns else "unaccounted"] += unaccounted - more
+        # Where times are wrong, what is late may be taken for another; so may what has another value.
+        strange = fate.open & (~fate.edge if self._case.unsteady_ns else fate.strange)
+        ends["missed"] += (missed := min(int(strange.sum()), unaccounted - more))
+        ends["unaccounted"] += unaccounted - more - missed
 
     @staticmethod
     def _share(fate: Fate, own: Sequence[int], rest: list[int]) -> None:

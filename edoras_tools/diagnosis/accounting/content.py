@@ -68,7 +68,8 @@ class WayContent(msgspec.Struct, frozen=True):
         late: rows, with a value that was sent once and took too long.
         rounds_ns: how long it may take.
         longest_ns: how long the last of those that are old or late took.
-        replaced: id of each hop to the messages, places in its ``into``, that the changed ones stand for.
+        replaced: id of each hop to the messages, places in its ``into``, that others may stand for, and which
+            of these are sure.
     """
 
     into: Stream
@@ -80,12 +81,7 @@ class WayContent(msgspec.Struct, frozen=True):
     late: Places
     rounds_ns: int
     longest_ns: int
-    replaced: dict[int, Places] = msgspec.field(default_factory=dict)
-
-    @property
-    def nothing_sent(self) -> bool:
-        """Whether nothing that came out has a value that was sent."""
-        return len(self.changed) + len(self.constant) == self.of
+    replaced: dict[int, tuple[Places, Mask]] = msgspec.field(default_factory=dict)
 
 
 def judge_contents(case: Case) -> list[WayContent]:
@@ -130,7 +126,7 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
     old = odd & (last_ns >= 0) & (copy | _old(case, hops, out, sent_ns, last_ns))
     replaced, changed = _replaced(case, hops, out, odd & (last_ns < 0), odd & old & ~copy)
     again = out[old | inverted]
-    if not len(again) and not any(map(len, replaced.values())) and not late.any():
+    if not (len(again) or any(len(places) for places, _ in replaced.values()) or late.any()):
         return None
     took = np.where(inverted | late, when - sent_ns, when - last_ns)
     return WayContent(
@@ -222,8 +218,8 @@ def _once_more(rows: Rows, out: Places) -> Mask:
 
 def _replaced(
     case: Case, hops: Sequence[Hop], out: Places, odd: Mask, old: Mask
-) -> tuple[dict[int, Places], Places]:
-    """Return which messages that did not come out others stand for, and the rows that have changed.
+) -> tuple[dict[int, tuple[Places, Mask]], Places]:
+    """Return which messages that did not come out others may stand for, and the rows that have changed.
 
     Args:
         odd: of what came out, what was never sent.
@@ -252,7 +248,7 @@ def _replaced(
     # What a command that is cut off should have brought, nobody can say.
     cut = [pairs[id(hop)][1][~hop.known[pairs[id(hop)][0]]] for hop in hops]
     changed = np.setdiff1d(changed, np.concatenate(cut))
-    return {key: places[np.isin(own, stands)] for key, (places, own) in pairs.items()}, changed
+    return {key: (places, np.isin(own, stands)) for key, (places, own) in pairs.items()}, changed
 
 
 def _believed(case: Case, number: int, of: int, chance: float) -> bool:

@@ -187,6 +187,7 @@ class Fate:
         reached: messages that came out by their number alone, where cut frames hide which; None elsewhere.
         commanded: commands to Telemetry Output that 0x880 counts; None where it does not tell.
         passed: bool (rows,), it may have come out of the application and have been lost behind it.
+        strange: bool (rows,), likewise as another one that came out and that nothing here was sent as.
         edge: bool (rows,), likewise, where no count behind it would show that.
         unread: bool (rows,), SBN did not take it, from its socket or from the application: no pipe lost it.
         stop: i64 (rows,), place of the stop of an application that it was sent into; -1 for none.
@@ -210,12 +211,13 @@ class Fate:
     reached: int | None = None
     commanded: int | None = None
     passed: Mask = field(init=False)
+    strange: Mask = field(init=False)
     edge: Mask = field(init=False)
     unread: Mask = field(init=False)
     stop: Integers = field(init=False)
 
     def __post_init__(self) -> None:
-        self.passed, self.edge, self.unread = (np.zeros(len(self.stream), bool) for _ in range(3))
+        self.passed, self.strange, self.edge, self.unread = np.zeros((4, len(self.stream)), bool)
         self.stop = np.full(len(self.stream), -1)
 
     @property

@@ -284,7 +284,8 @@ def with_garbled(columns: Columns, batch: PacketBatch) -> Columns:
     Elsewhere that link is known by likely numbers: what was never set, or was damaged, has others.
     """
     garbled = (batch.source_port == robot.CFS_PORT) & (batch.destination_port == robot.ROBOT_PORT)
-    garbled &= (columns.link == OTHER) & np.isin(batch.length, list(_TYPES))
+    length = batch.length + np.maximum(batch.original_length - batch.frame_length, 0)
+    garbled &= (columns.link == OTHER) & np.isin(length, list(_TYPES))
     return (
         replace(columns, link=np.where(garbled, np.uint8(ROBOT.code), columns.link))
         if garbled.any()

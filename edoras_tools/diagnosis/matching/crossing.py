@@ -75,6 +75,7 @@ class Hop(NamedTuple):
         rewritten: an application read them and wrote them anew; else they are the same packets.
         prints: u64, a row of ``into`` each: the fingerprint by which it was looked for; 0 where it has none.
         arrived: bool, likewise: it came out.
+        perhaps: bool, likewise: it did not, but an equal one came out that is none of these.
         single: bool, one for each that is ``known``: no other of them has its fingerprint.
         origin: i64, a row of ``out`` each: the place in ``into`` that it came from, -1 where there is none.
         sole: bool, likewise: its fingerprint occurs once coming out, and not twice going in.
@@ -92,6 +93,7 @@ class Hop(NamedTuple):
     rewritten: bool
     prints: Prints
     arrived: Mask
+    perhaps: Mask
     single: Mask
     origin: Places
     sole: Mask
@@ -274,9 +276,9 @@ def _ways_in(
     for index in np.lexsort((order, place, -near, -rank, order != 0, at)).tolist():
         kinds, likeliest = _COMPARED[order[index]], alike.setdefault(int(at[index]), [])
         if not likeliest:
-            if score[index] >= _ALIKE or _likely(
-                into.of(place[index], kinds[0]), out.of(at[index], kinds[1])
-            ):
+            together = place[(at == at[index]) & (order == order[index])].tolist()
+            came = (into.of(one, kinds[0]) for one in together)
+            if score[index] >= _ALIKE or _likely(np.concatenate([*came]), out.of(at[index], kinds[1])):
                 likeliest.append(index)
         elif score[index] == score[likeliest[0]] >= _ALIKE and order[index] == order[likeliest[0]]:
             likeliest.append(index)
@@ -437,13 +439,14 @@ def _likely(came: Prints, went: Prints) -> bool:
     """Tell whether a robot gets what goes in: what it got before the first that did had gone in before.
 
     Args:
-        came: fingerprints of what goes in.
+        came: fingerprints of what goes in, of all MsgIds that may command it.
         went: of what comes out.
     """
     arrived = np.isin(went, came[came != 0])
-    behind = distinct(went[arrived.argmax() :])
-    there_too = np.isin(behind[behind != 0], came)
-    return bool(there_too.sum() >= _LEAST_DIFFERENT and there_too.mean() > _NEARLY_ALL)
+    every, behind = (distinct(some[some != 0]) for some in (went, went[arrived.argmax() :]))
+    there_too = np.isin(behind, came)
+    nearly_all = there_too.sum() >= _LEAST_DIFFERENT and there_too.mean() > _NEARLY_ALL
+    return bool(nearly_all or np.isin(every, came).mean() >= _ALIKE)
 
 
 def _match(into: Stream, out: Stream, came: Prints, went: Prints, early_ns: int) -> Hop:
@@ -470,6 +473,7 @@ def _match(into: Stream, out: Stream, came: Prints, went: Prints, early_ns: int)
         rewritten=rewritten,
         prints=came,
         arrived=arrived,
+        perhaps=~arrived & np.isin(came, went[(from_ < 0) & (went != 0)]),
         single=often[came != 0] == 1,
         origin=from_,
         sole=(went != 0) & (out_often == 1) & (number[went_as] <= 1),

@@ -42,7 +42,7 @@ def changed_values(case: Case) -> Iterator[Verdict]:
         if not same + other:
             continue
         where, same_one = _where(case, item), f"{same:,} always hold the same one"
-        if item.nothing_sent:
+        if same + other == item.of:  # nothing that came out has a value that was sent
             all_ = f"all {item.of:,}" if not same or not other else f"{other:,} changed, {same_one}"
             how = "" if same and other else " always hold the same one" if same else " changed"
             text = f"{NOTHING_SENT[0]} that {where} {NOTHING_SENT[1]}: {all_}{how}"
