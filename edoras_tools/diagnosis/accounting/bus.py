@@ -27,6 +27,7 @@ from edoras_tools.diagnosis.accounting.claims import Claim, Rank, claimed_alike
 from edoras_tools.diagnosis.accounting.closed import (
     closed_at,
     enables_ns,
+    perhaps_taken_off,
     routes_cut,
     silenced_at,
     unled_silences,
@@ -45,10 +46,12 @@ from edoras_tools.diagnosis.accounting.pipes import pressed
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reasons_for
 from edoras_tools.diagnosis.matching.streams import Span, full_rounds
+from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -226,7 +229,8 @@ class Telemetry:
         closed |= silenced_at(stream, gaps.at, retold_ns)
         silences = case.silences_of(stream.sender) if stream.link.only_from_cfs else ()
         silenced = silenced_at(stream, gaps.at, silences) & ~closed
-        unled = silenced_at(stream, gaps.at, unled_ns) & ~(closed | silenced)
+        taken_off = (hop is None) & perhaps_taken_off(case, stream, gaps.number)
+        unled = (silenced_at(stream, gaps.at, unled_ns) | taken_off) & ~(closed | silenced)
         closed |= silenced | unled
         for index in np.flatnonzero(closed).tolist():
             own = gaps.take(np.array([index]))
@@ -542,11 +546,11 @@ class Telemetry:
 
     def _never_whole(self, part: Part) -> int:
         """Return how many lost their later fragments on the way."""
-        case, stream, span = self._case, part.stream, part.span
-        last = stream.rows[min(span.last + 1, len(stream) - 1)]
-        end_ns = max(span.end_ns, int(case.rows.time_ns[last]))
-        own = [when for when in self._beginnings(stream) if span.start_ns < when < end_ns]
-        return sum(any(start <= when <= end for start, end in self._fragmented) for when in own)
+        stream, span = part.stream, part.span
+        every = np.array(self._beginnings(stream), np.int64)
+        at = np.searchsorted(stream.time_ns, every[overlapping(every - 1, every + 1, self._fragmented)]) - 1
+        numbers = np.bincount(at[(at >= span.first) & (at <= span.last)], minlength=len(stream))
+        return int(np.minimum(numbers, stream.missing).sum())
 
     def _beginnings(self, stream: Stream) -> list[int]:
         case = self._case
@@ -559,16 +563,12 @@ class Telemetry:
     @cached_property
     def _fragmented(self) -> list[tuple[int, int]]:
         """From when to when no later fragments came: what the capture missed stands between whole ones."""
-        spans = []
-        for stream in self._case.streams:
-            starts = np.sort(np.array(self._beginnings(stream), np.int64))
-            times = stream.time_ns
-            for at in np.flatnonzero(stream.missing >= _LEAST_FRAGMENTED).tolist() if len(starts) else ():
-                start_ns, end_ns = int(times[at]), int(times[min(at + 1, len(times) - 1)])
-                inside = starts[(starts > start_ns) & (starts < end_ns)]
-                if len(inside) >= _LEAST_FRAGMENTED:
-                    spans.append((int(inside[0]), int(inside[-1])))
-        return spans
+        cut = [(stream, own) for stream in self._case.streams if (own := self._beginnings(stream))]
+        none = np.zeros(0, np.int64)
+        whole_ns = np.sort(np.concatenate([none, *(stream.time_ns for stream, _ in cut)]))
+        starts = np.sort(np.concatenate([none, *(own for _, own in cut)]))
+        groups = [starts[own] for _, own in by_value(np.searchsorted(whole_ns, starts))]
+        return [(int(own[0]), int(own[-1])) for own in groups if len(own) >= _LEAST_FRAGMENTED]
 
     def _cut(self, stream: Stream) -> bool:
         """Tell whether the capture cut off when packets were made, without which two cFS are one."""

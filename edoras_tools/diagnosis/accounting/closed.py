@@ -45,10 +45,12 @@ from edoras_tools.cfs import command_ingest, executive_services, queues, sbn, te
 from edoras_tools.diagnosis.accounting.losses import BUS, READY_NS, TAIL_NS, WAITS_NS, Fate, Loss, LossKind
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, Way, reasons_for
+from edoras_tools.diagnosis.quality import CONFIDENCE
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID
+from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.sbn import MsgType
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -127,17 +129,19 @@ def silenced_at(stream: Stream, at: Places, spans: Sequence[tuple[int, int]]) ->
 
 
 def one_sided(case: Case, stream: Stream) -> bool:
-    """Tell whether nothing was captured of what tells cFS whether to send a stream.
+    """Tell whether nothing was captured of what tells cFS whether to send a stream, or not whole.
 
-    Telemetry Output does what commands to cFS tell it, SBN sends to a peer that is connected.
+    Telemetry Output does what commands to cFS tell it, SBN sends to a peer that is connected and subscribes.
     """
     rows = case.rows
     if stream.link.peers:
-        return not ((rows.source == stream.receiver) & (rows.destination == stream.sender)).any()
+        said = (rows.source == stream.receiver) & (rows.destination == stream.sender)
+        lists = rows.has(Finding.CAPTURE_CUT) & np.isin(rows.sbn_msg_type, (MsgType.SUB, MsgType.UNSUB))
+        return not said.any() or bool((said & lists).any())
     return not among(rows.link, lambda link: link.only_to_cfs).any()
 
 
-def unled_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+def unled_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], ...]:
     """Return when nothing at all came on a stream's way, where nothing tells whether it was to be sent.
 
     And when Telemetry Output sent nothing, and fewer MsgIds after it: it was told to, if that is here or not.
@@ -152,6 +156,16 @@ def unled_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], l
     late = [span for span in spans if output and case.end_ns - span[1] > _STOPS_NS]
     retold = [span for span in late if sum(span[0] - _STOPS_NS < when <= span[0] for when in ends) > 1]
     return ([], retold) if led else (spans, [])
+
+
+def perhaps_taken_off(case: Case, stream: Stream, missing: Integers) -> Mask:
+    """Tell which gaps of a stream lack more in a row than chance explains, where no command is here.
+
+    One that nothing tells may have taken its MsgId off the table, and put it there again.
+    """
+    others = missing.sum() - missing
+    share = (others + 1) / (len(stream) + others + 1)
+    return np.asarray(one_sided(case, stream) & (len(stream) * share**missing < 1 - CONFIDENCE))
 
 
 def _sent_by(case: Case, sender: int) -> Integers:
@@ -247,7 +261,7 @@ def unheard(case: Case) -> dict[int, Unheard]:
                     item.lost += [row for row in inside if row >= first]
                     item.uncertain += sum(row < first for row in inside)
                 else:
-                    item.unaccounted += len(inside)
+                    item.unaccounted += int((~closed[stream.rows[inside]]).sum())
             for restart in connection.restarts:
                 dead = (times > restart.dead_ns) & (times < restart.back_ns)
                 item.restarted += np.flatnonzero(dead).tolist()
@@ -657,8 +671,7 @@ def _newest(fate: Fate, hop: Hop, wake_ns: int) -> Mask:
     if fate.newer.any() and period >= _FASTER * float(np.median(np.diff(times))):
         read = out_ns - _delay(times, out_ns, hop)
         before = read[np.maximum(np.searchsorted(read, times) - 1, 0)]
-        turn = (times - before) // period
-        newest = np.append((np.diff(before) != 0) | (np.diff(turn) != 0), True)
+        newest = np.append((np.diff(before) != 0) | (np.diff((times - before) // period) != 0), True)
     if fate.keeps_newest and out.counted:
         made_of = dict(zip(hop.out_rows.tolist(), hop.in_rows.tolist(), strict=True))
         for at in np.flatnonzero(out.missing[:-1]).tolist():

@@ -256,7 +256,7 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
         if untold := case.telemetry.ended(stream, "untold"):
             why, remedy = _untold(case, stream)
             yield warning(
-                f"{untold:,} counts of {case.name(stream.msg_id)} are not accounted for: {why}",
+                f"{untold:,} of {case.name(stream.msg_id)} may be lost: {why}",
                 *case.drops_text(),
                 **stream_subject(case, stream),
                 of=len(stream) + untold,
@@ -268,19 +268,15 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
 def _untold(case: Case, stream: Stream) -> tuple[str, str]:
     """Return why nothing tells what became of counts that are missing, and what would tell."""
     if not one_sided(case, stream):
-        return (
+        why = (
             "the capture cut off when packets were made, so nothing tells whether they were lost, not sent, "
-            "or are another cFS's"
-        ), "capture whole frames, without -s or with -s 0"
+        )
+        return f"{why}or are another cFS's", "capture whole frames, without -s or with -s 0"
     if stream.link.peers:
-        return (
-            "SBN sent that peer no message at all then, and nothing that the peer sends is in the capture, "
-            "so nothing tells whether they were lost or it was not connected"
-        ), "capture what the peer sends, too"
-    return (
-        "Telemetry Output sent nothing at all then, and no command to cFS is in the capture, so nothing "
-        "tells whether they were lost or it was told not to send"
-    ), "capture what is sent to CI, too"
+        why = "what the peer sends is not in the capture, or cut, so nothing tells whether it was to get them"
+        return f"SBN sent it none then, and {why}", "capture what the peer sends, too, in whole frames"
+    why = "no command to cFS is in the capture, so nothing tells whether it was told not to send them"
+    return f"Telemetry Output sent none then, and {why}", "capture what is sent to CI, too"
 
 
 def unattributed_loss(case: Case) -> Iterator[Verdict]:
