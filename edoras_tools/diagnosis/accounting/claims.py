@@ -50,6 +50,8 @@ class Rank(IntEnum):
 
 _APART_NS: Final = 3 * SECOND
 """What is missing, and what is counted within so long of it, are not two things."""
+_FAR_NS: Final = 10 * SECOND
+"""Nor within so long where nothing else explains either: a cFS that stood still makes times wrong."""
 _BOOTS_NS: Final = LEAD_NS + SECOND
 """A boot may count what was sent so short before it: when it was is known to a second."""
 BEFORE: Final = -1
@@ -108,8 +110,7 @@ class Counts(msgspec.Struct):
         """Tell in which times no two samples lie far apart: what is counted then was sent then."""
         rare = np.concatenate(([0], np.cumsum(np.diff(self.times) > TAIL_NS)))
         first = np.clip(self.seconds(low_ns), 0, len(rare) - 1)
-        last = np.clip(self.seconds(high_ns) + 1, 0, len(rare) - 1)
-        return np.asarray(rare[first] == rare[last])
+        return np.asarray(rare[first] == rare[np.clip(self.seconds(high_ns) + 1, 0, len(rare) - 1)])
 
 
 class Claim(msgspec.Struct):
@@ -304,6 +305,7 @@ def settle_doubted(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> Non
     for claim in claims:
         claim.number, claim.doubted = claim.number + claim.doubted, 0
     settle_rest(counts, claims)
+    settle(counts, [claim for claim in claims if claim.rank == Rank.MISSING], _FAR_NS)
 
 
 def settle_possible(
@@ -547,6 +549,5 @@ def claimed_alike(
         high_ns: and until when.
         keys: what else those of a group have in common.
     """
-    seconds = [own.seconds(times) for own in counts for times in (low_ns, high_ns)]
-    _, which = numbered(*seconds, *keys)
+    _, which = numbered(*[own.seconds(times) for own in counts for times in (low_ns, high_ns)], *keys)
     return [members for _, members in by_value(which)]

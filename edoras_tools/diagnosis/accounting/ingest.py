@@ -42,7 +42,7 @@ from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import changes
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
@@ -153,23 +153,22 @@ class Ingest(msgspec.Struct):
         Args:
             again_ns: when copies were sent.
         """
+        self.unsure += self._take_back(lambda end_ns: int((again_ns <= end_ns).sum()))
+
+    def steady(self) -> None:
+        """Take back, as times may be wrong, losses on the network that CI counts too much later."""
+        later = self._take_back(lambda _: self.not_captured)
+        self.taken, self.not_captured = self.taken + later, self.not_captured - later
+
+    def _take_back(self, most: Callable[[int], int]) -> int:
+        """Take back so many losses on the network at most, until the end of each; return how many."""
         spared = 0
         for at, loss in enumerate(self.losses):
-            copies = max(0, int((again_ns <= loss.end_ns).sum()) - spared)
-            if number := min(loss.lost, copies) * (loss.cause == "network"):
-                self.losses[at] = replace(loss, lost=loss.lost - number)
-                spared += number
-        self.unsure += spared
+            number = min(loss.lost, max(0, most(loss.end_ns) - spared)) * (loss.cause == "network")
+            self.losses[at] = replace(loss, lost=loss.lost - number)
+            spared += number
         self.losses = [loss for loss in self.losses if loss.lost]
-
-    def steadied(self) -> Ingest:
-        """Return it where times are wrong: what was lost too early is what CI counted too much later."""
-        rest, losses = min(self.not_captured, self.lost), list[Before]()
-        result = replace(self, taken=self.taken + rest, losses=losses, not_captured=self.not_captured - rest)
-        for loss in self.losses:
-            losses += [replace(loss, lost=loss.lost - rest)] * (loss.lost > rest)
-            rest -= min(rest, loss.lost)
-        return result
+        return spared
 
     @property
     def lost_on_network(self) -> int:
@@ -207,7 +206,8 @@ def ingests(case: Case) -> list[Ingest]:
                 elif counter.stood and (more := account.lost_on_network - late.lost_on_network) > 0:
                     account = replace(late, unsure=account.unsure + more)
             account.spare(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
-            accounts.append(account.steadied() if case.unsteady_ns else account)
+            account.steady()
+            accounts.append(account)
     return [*accounts, *_by_kernel(case, to_ci, {item.endpoint for item in accounts})]
 
 
@@ -534,8 +534,7 @@ class _Counted:
         """
         first = self._own[0]
         since_ns = int(self._sent_ns[0]) if len(self._sent_ns) else first.seen_ns
-        wakes = 2 + (first.seen_ns - since_ns) // self._profile.ci_wake_ns
-        most = self._most * max(0, wakes) - first.count
+        most = self._most * max(0, 2 + (first.seen_ns - since_ns) // self._profile.ci_wake_ns) - first.count
         out_ns, went_ns = self._first_out
         until = [item for item in self._own[:end] if item.seen_ns <= out_ns]
         return min(most, int(self._sent_until(went_ns)) - until[-1].count) if until else most
@@ -816,8 +815,7 @@ class BeforeCi:
             # Behind the last one that came out there is no newer one that they could have given way to.
             last = int(np.flatnonzero(fate.arrived)[-1]) if fate.arrived.any() else inside[-1]
             sure = inside[(inside > last) | (fate.keeps_newest & ~fate.newer[inside])][:share]
-            others = np.setdiff1d(inside, sure)
-            rows = np.union1d(sure, _spread_evenly(others, share - len(sure)))
+            rows = np.union1d(sure, _spread_evenly(np.setdiff1d(inside, sure), share - len(sure)))
             fate.claim(rows)
             self.losses.append(fate.loss(before.cause, rows, evidence, among=inside))
         return sum(parts)

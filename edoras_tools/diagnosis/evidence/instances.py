@@ -132,8 +132,7 @@ class Instances:
         if not len(own):
             events = members[rows.known_id[members] == cfe.EVENT_MSG_ID]
             own = np.array([row for row in events.tolist() if row in says], np.intp)
-        sent_from = self.hosts[rows.source[own if len(own) else members]]
-        host = int(np.bincount(sent_from).argmax())
+        host = int(np.bincount(self.hosts[rows.source[own if len(own) else members]]).argmax())
         self.items.append(Instance(name, offset, int(times.min()), int(times.max()), host))
 
     def _find_systems(self) -> list[int]:
@@ -302,11 +301,19 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     owner = {int(rows.source[row]): says[row] for row in events.tolist() if row in says}
     first, port = numbered(rows.source[output])
     peers = tuple(names)
+    offset = rows.time_ns - rows.mission_time_ns
+    quickest = np.array([offset[network[who == at]].min() for at in range(len(peers))])
     senders = []
     for source in rows.source[output[first]].tolist():
         near = {name for host, name in peers if host == hosts[source]}
         # Where two are in what it sends, it hands on what the one on SBN made.
         alone = len(near) == 1 and not _conflict(rows, output[rows.source[output] == source])
+        mine = offset[output[(rows.source[output] == source) & (from_ < 0)]]
+        if len(near) > 1 and len(mine):  # the one whose clock it goes by
+            away = np.abs(quickest - mine.min())
+            nearest = np.argsort(away)
+            if alone := bool(away[nearest[1]] - away[nearest[0]] > SECOND):
+                near = {peers[nearest[0]][1]}
         name = owner.get(source) or (near.pop() if alone else f"from {source}")
         senders.append((int(hosts[source]), name))
     times = [rows.time_ns[output[port == at]] for at in range(len(first))]

@@ -11,6 +11,7 @@ import numpy as np
 
 from edoras_tools.cfs import sbn, software_bus, telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
+from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.wire.arrays.order import numbered
 
 if TYPE_CHECKING:
@@ -111,20 +112,25 @@ def tracks(rows: Rows, payloads: Payloads, instances: Instances) -> dict[int, Tr
         first, which = numbered(way[own])
         sizes = np.bincount(which, minlength=len(first))
         for number in np.argsort(-sizes, kind="stable").tolist():
-            made_ns, values = _in_order(samples, own[which == number], instances)
+            made_ns, values = _in_order(samples, own[which == number], instances, rows)
             if not _returns(values):
                 by_instance[index] = Track.of(made_ns, dict(zip(_WIDTHS, values, strict=True)))
                 break
     return by_instance
 
 
-def _in_order(samples: Samples, rows: Places, instances: Instances) -> tuple[Integers, Integers]:
-    """Return when each sample was made, and its counters, a row each."""
-    made_ns = instances.made_ns[samples["row"][rows]]
+def _in_order(samples: Samples, some: Places, instances: Instances, rows: Rows) -> tuple[Integers, Integers]:
+    """Return when each of some samples was made, and its counters, a row each."""
+    made_ns = instances.made_ns[samples["row"][some]]
     order = np.argsort(made_ns, kind="stable")
     # Of one time there is one sample: what comes again is the same.
     order = order[np.diff(made_ns[order], prepend=made_ns[order[:1]] - 1) > 0]
-    return made_ns[order], np.array([samples[name][rows[order]] for name in _WIDTHS])
+    # One whose count is not between those of its neighbours is of another cFS.
+    count = rows.sequence_count[samples["row"][some[order]]].astype(np.int64)
+    mine, next_ = (count[1:-1] - count[:-2]) % MODULUS, (count[2:] - count[:-2]) % MODULUS
+    astray = (next_ < MODULUS // 2) & (mine > next_)
+    order = order[~np.concatenate(([False], astray, [False]))[: len(order)]]
+    return made_ns[order], np.array([samples[name][some[order]] for name in _WIDTHS])
 
 
 def _returns(values: Integers) -> bool:

@@ -19,7 +19,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict, habit, security, v
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
-from edoras_tools.model import NO_MSG_ID, Finding
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.order import by_value, groups, numbered
@@ -163,16 +163,20 @@ def bad_command(case: Case) -> Iterator[Verdict]:
     findings = rows.findings[bad] | np.where(rows.claimed[bad] != 0, np.uint32(Finding.ENVELOPE_OVERRUN), 0)
     size = np.minimum(rows.length[bad], cfe.COMMAND_HEADER_BYTES)  # a longer one is of the same kind
     by_kind: dict[tuple[BadCommandKind, int], list[int]] = {}
+    by_mission: dict[tuple[BadCommandKind, int], list[int]] = {}
     for row, bits, length, msg_id in zip(
         bad.tolist(), findings.tolist(), size.tolist(), rows.msg_id[bad].tolist(), strict=True
     ):
         kind = _kind(bits, length)
         if bits & _MISMATCH.finding and kind is not _MISMATCH and refusals(case, row, int(rows.length[row])):
             kind = _MISMATCH  # CI of cFS 7 looks at this first, and nobody else gets it
-        by_kind.setdefault((kind, msg_id), []).append(row)
+        by_route = kind.finding is Finding.UNKNOWN_FUNCTION_CODE and rows.route[row] != NO_ROUTE
+        (by_mission if by_route else by_kind).setdefault((kind, msg_id), []).append(row)
     judged = {row for members in by_kind.values() for row in members}
     for row, kind in _refused(case, judged):
         by_kind.setdefault((kind, int(rows.msg_id[row])), []).append(row)
+    # Where an application says which it refused, that is what it got.
+    by_kind = by_mission | by_kind
     for (kind, _), members in by_kind.items():
         for together in one_by_one(members):
             yield _verdict(case, together, kind)

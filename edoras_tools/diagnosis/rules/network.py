@@ -227,8 +227,7 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
     Look for a direction of a link on which nothing ever came.
     """
     rows = case.rows
-    network = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0))
-    ways = dict(groups(rows.way(), network))
+    ways = dict(groups(rows.way(), np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0))))
     for both, own in ways.items():
         source, target = both >> 32, both & 0xFFFFFFFF
         if target << 32 | source in ways:
@@ -551,7 +550,8 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
     listed = np.isin(rows.sbn_msg_type, (sbn.MsgType.SUB, sbn.MsgType.UNSUB))
     foreign = (rows.link == SBN) & rows.has(Finding.SBN_ID_MISMATCH) & ~listed
     network = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(Finding.TRUNCATED))
-    times = rows.time_ns[network]
+    times, names, party = rows.time_ns[network], case.network.identity_of.items(), case.network.party
+    served = {peer for (peer, _), own in case.network.connections.items() if len(own.sent_ns)}
     for record in case.said(case.start_ns, case.end_ns, facts.NAME):
         matches = (event.pattern.search(record.message) for event in _UNKNOWN_PEER)
         if match := next(filter(None, matches), None):
@@ -561,7 +561,10 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             same = (rows.processor_id[near] == processor) & np.isin(
                 rows.spacecraft_id[near], craft or rows.spacecraft_id[near]
             )
-            # Who is named by his processor alone may be one that was named in full just before.
+            # Who is named by his processor alone may be one that was named in full just before, or one that
+            # is not here: it is none that this cFS sends messages to.
+            peers = [end for end, name in names if name.endswith(f":{processor}") and party(end) in served]
+            same &= bool(craft) | ~np.isin(rows.source[near], peers)
             if craft or not foreign[near[same]].any():
                 foreign[near[same]] = True
     for who, members in groups(rows.sbn_sender(), np.flatnonzero(foreign)):
