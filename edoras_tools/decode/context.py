@@ -243,11 +243,10 @@ class Context:
 
     def _settle_bridges(self) -> None:
         """Find the addresses, ports and identities of the mission's bridges and their cFS."""
-        self.cfs_addresses = frozenset(
-            int(ipaddress.IPv4Address(bridge.fsw_ip))
-            for bridge in self.mission.links
-            if isinstance(bridge, GroundLink)
-        ) - {0}
+        links = (link for link in self.mission.links if isinstance(link, GroundLink))
+        addresses = (ipaddress.IPv4Address(link.fsw_ip) for link in links)
+        # On one host, an address of which is any in 127.0.0.0/8, none tells who is cFS.
+        self.cfs_addresses = frozenset(int(item) for item in addresses if not item.is_loopback) - {0}
         self.bridge_ports = np.zeros(65536, bool)
         flights = [link for link in self.mission.links if isinstance(link, FlightLink)]
         self.bridge_ports[[link.udp_receive_port for link in flights] or [BRIDGE_PORT]] = True

@@ -557,6 +557,8 @@ CHANGED = [
     ("sbn_restarted", "times late by up to 200 ms"),
     ("two_cfs", "cut to 64"),
     ("two_taps_of_one_cable", "5 % removed"),
+    ("two_cfs", "cut to 80"),
+    ("damaged_commands", "cut to 80"),
 ]
 
 
@@ -567,6 +569,46 @@ def test_a_changed_flight_proves_no_more_than_was_lost(tmp_path, name, change):
     result = truth.diagnosed(path, options)
     assert truth.bounds(result)[0] <= FLIGHTS[name][0]
     assert truth.sums(result) == []
+
+
+LATE = mutations.late(200_000_000, 1234)
+HURT = [
+    ("damaged_commands", mutations.without_one(1234)),
+    *((name, LATE) for name in ("frames_in_bursts", "processor_restarted", "stood_still", "each_sent_twice")),
+    *((name, mutations.only_to(1235)) for name in ("added_again_lower", "limits_changed_in_overload")),
+    ("two_cfs", mutations.part(0, 0.85)),
+]
+
+
+@pytest.mark.parametrize(("name", "change"), HURT)
+def test_a_flight_that_lacks_a_side_or_comes_late_proves_no_more_than_was_lost(tmp_path, name, change):
+    items = change(mutations.frames(FOLDER / f"{name}.pcap.zst"), random.Random(name))
+    result = truth.diagnosed(mutations.write(tmp_path / "x.pcap", items), ())
+    assert truth.bounds(result)[0] <= FLIGHTS[name][0]
+    assert truth.sums(result) == []
+
+
+def test_a_relay_on_the_same_host_is_followed_whatever_the_mission(tmp_path):
+    missions = (ROOT / "samples/missions/rover_ground.yaml",)
+    result = truth.diagnosed(FOLDER / "doubled_downlink.pcap.zst", (), missions)
+    assert truth.bounds(result) == (97, 0)
+
+
+def test_what_a_mission_refuses_was_refused_as_often_as_the_application_says(tmp_path):
+    """No-ops and commands of an unknown function code at a full pipe: 70 over its limit, 41 refused."""
+    missions = tuple(ROOT / f"samples/missions/two_arms_{side}.yaml" for side in ("ground", "flight"))
+    path = ROOT / "tests/captures/cfs7/no_ops.pcap.zst"
+    assert truth.bounds(truth.diagnosed(path, (), missions))[0] == 111
+    cut = mutations.write(tmp_path / "cut.pcap", mutations.cut_off(112)(mutations.frames(path), None))
+    assert truth.bounds(truth.diagnosed(cut, ()))[0] <= 111
+
+
+@pytest.mark.parametrize("start", [0.3, 0.5, 0.7])
+def test_what_a_hole_of_a_second_hides_is_not_lost(tmp_path, start):
+    items = mutations.frames(ROOT / "tests/captures/a_rover.pcap.zst")
+    kept = mutations.without_middle(start, start + 0.02)(items, None)
+    result = truth.diagnosed(mutations.write(tmp_path / "x.pcap", kept), ())
+    assert truth.bounds(result)[0] <= 92
 
 
 def two_places(tmp_path, apart_ms, gone=range(0)):

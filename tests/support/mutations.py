@@ -134,6 +134,31 @@ def shaken(most_ns: int) -> Change:
     ]
 
 
+def late(by_ns: int, *ports: int) -> Change:
+    """Let what goes to some ports be late, as of another interface; the records are in the order of time."""
+
+    def change(items, _):
+        moved = [item._replace(time_ns=item.time_ns + by_ns * is_to(item.data, *ports)) for item in items]
+        return sorted(moved, key=lambda item: item.time_ns)
+
+    return change
+
+
+def only_to(*ports: int) -> Change:
+    """Keep what goes to some ports."""
+    return lambda items, _: [item for item in items if is_to(item.data, *ports)]
+
+
+def without_one(*ports: int) -> Change:
+    """Leave out one datagram, any of those to some ports."""
+
+    def change(items, chance):
+        gone = chance.choice([at for at, item in enumerate(items) if is_to(item.data, *ports)])
+        return items[:gone] + items[gone + 1 :]
+
+    return change
+
+
 def stepped(by_ns: int) -> Change:
     """Set the capture's clock somewhere between a quarter and three quarters of the records."""
 
