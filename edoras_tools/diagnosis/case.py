@@ -37,7 +37,7 @@ from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied
 from edoras_tools.diagnosis.evidence.table import followed
 from edoras_tools.diagnosis.evidence.timeline.changes import SoftwareChanges, capture_changes, network_changes
-from edoras_tools.diagnosis.evidence.timeline.table import Timeline
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Timeline
 from edoras_tools.diagnosis.evidence.unreachable import Unreachable, count_shut, find_unreachable
 from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
@@ -158,8 +158,7 @@ class Capture(msgspec.Struct, frozen=True):
     @property
     def away(self) -> list[tuple[int, int]]:
         """From when to when the interface was away; the largest time where it was not back."""
-        never = int(np.iinfo(np.int64).max)
-        return [(item.start_ns, item.end_ns or never) for item in self.outages]
+        return [(item.start_ns, item.end_ns or NEVER) for item in self.outages]
 
 
 class Case:

@@ -679,8 +679,7 @@ def _in_order(hop: Hop) -> tuple[Places, Places]:
     Of equal messages the one that came out may be another than the one that it is taken for.
     """
     into = hop.in_rows[np.argsort(hop.out_rows, kind="stable")]
-    away = np.abs(np.argsort(np.argsort(into)) - np.arange(len(into)))
-    near = away <= (np.diff(into) < 0).sum()
+    near = np.abs(np.argsort(np.argsort(into)) - np.arange(len(into))) <= (np.diff(into) < 0).sum()
     return np.sort(into[near]), np.sort(hop.out_rows)[near]
 
 

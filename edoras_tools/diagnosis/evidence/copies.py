@@ -516,8 +516,7 @@ def find_echoes(rows: Rows, own: Places) -> Mask:
     if np.count_nonzero(echo) < max(_LEAST_ECHOES, _ECHO_SHARE * len(own)):
         return none
     first, median, third = quantiles(steps[echo], 0.25, 0.5, 0.75)
-    rest = np.diff(times[np.concatenate(([True], ~echo))])
-    steady = np.abs(rest - usual) < usual / 3
+    steady = np.abs(np.diff(times[np.concatenate(([True], ~echo))]) - usual) < usual / 3
     if third - first > max(median / 3, 5 * MILLISECOND) or steady.mean() < _AT_USUAL:
         return none
     return np.concatenate(([False], echo))

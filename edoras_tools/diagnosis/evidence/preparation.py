@@ -284,8 +284,7 @@ def _has_strangers(rows: Rows, payloads: Payloads, kind: NDArray[np.int8]) -> bo
     between = (rows.time_ns >= samples["time_ns"][0]) & (rows.time_ns <= samples["time_ns"][-1])
     to_ci = between & among(rows.link, lambda link: link.to_cfs and not link.from_cfs)
     strange = int((to_ci & (kind == _PLACE[ConversationKind.STRANGER])).sum())
-    own = _different(rows, to_ci & (kind == _PLACE[ConversationKind.CFS]))
-    return 2 * (grown - own) >= strange
+    return 2 * (grown - _different(rows, to_ci & (kind == _PLACE[ConversationKind.CFS]))) >= strange
 
 
 def _different(rows: Rows, mask: Mask) -> int:

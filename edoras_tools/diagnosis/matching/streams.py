@@ -340,8 +340,7 @@ def _pauses(times: NDArray[np.int64]) -> NDArray[np.bool_]:
     steps = np.diff(times)
     out = np.zeros(len(times), bool)
     if len(steps) > 2:
-        usual = quantiles(steps, 0.9)[0]
-        out[:-1] = steps > max(_PAUSE_NS, _PAUSE_FACTOR * usual)
+        out[:-1] = steps > max(_PAUSE_NS, _PAUSE_FACTOR * quantiles(steps, 0.9)[0])
     return out
 
 

@@ -101,8 +101,7 @@ def old_states(case: Case) -> Iterator[Verdict]:
 
     Tell how old the states of the robot become, and both rates.
     """
-    profile = case.profile
-    rounds_ns = _APP_NS + profile.to_wake_ns + _SLACK_NS
+    rounds_ns = _APP_NS + case.profile.to_wake_ns + _SLACK_NS
     for item in case.passed_states:
         old = item.age_ns > rounds_ns
         if old.sum() < _LEAST:

@@ -331,8 +331,7 @@ def _sent_before(case: Case, start_ns: int) -> Iterator[str]:
     for stream in case.streams:
         operators = stream.link.only_to_cfs and stream.route == NO_ROUTE
         if operators and not case.rows.cdr_length[stream.rows].any():
-            times = stream.time_ns
-            near = stream.rows[np.abs(times - start_ns) < _SLACK_NS]
+            near = stream.rows[np.abs(stream.time_ns - start_ns) < _SLACK_NS]
             if len(near) and len(near) <= _FEW:
                 code = int(case.rows.function_code[near[-1]])
                 when = case.at(int(case.rows.time_ns[near[-1]]))

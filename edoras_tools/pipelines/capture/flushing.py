@@ -40,8 +40,7 @@ def compact(batch: PacketBatch, columns: Columns) -> tuple[PacketBatch, Columns]
     outside = (batch.offset < batch.frame_offset) | (
         batch.offset + batch.length > batch.frame_offset + batch.frame_length
     )
-    extra = np.where(outside, batch.length, 0)
-    sizes = batch.frame_length.astype(np.int64) + extra
+    sizes = batch.frame_length.astype(np.int64) + np.where(outside, batch.length, 0)
     total = int(sizes.sum())
     if 2 * total >= len(batch.data) or not len(batch):
         return batch, columns

@@ -100,8 +100,7 @@ def _on_link(
     else:
         values = _values(injection.values, (dict, list))
         messages = sending.compose(injection.subject, values, count, bench.columns.context)
-    every_ns = int(SECOND / options.rates[0][1])
-    times = np.arange(len(messages)) * every_ns
+    times = np.arange(len(messages)) * int(SECOND / options.rates[0][1])
     if sending.renews:
         messages, times = sending.renew(messages, times)
     passes = injection.count // count

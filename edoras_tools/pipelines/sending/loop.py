@@ -245,8 +245,7 @@ class Sending:
             report.signalled = report.interrupted and interrupt.is_set()
             for data in self._session.goodbye() if self._session else ():
                 self._wire.put(data)
-        statistics = self._wire.statistics
-        report.errors = dict(statistics.errors)
+        report.errors = dict(self._wire.statistics.errors)
         self._count_refusals()
         if self._undelivered:
             report.errors["Connection refused"] = self._undelivered

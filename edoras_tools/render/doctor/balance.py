@@ -71,8 +71,7 @@ def _with_ends(result: Diagnosis, rows: list[dict[str, Any]]) -> list[dict[str, 
         own = [at for at, row in enumerate(rows) if (row["link"], row["msg_id"], row["instance"]) == key]
         for ends, hop, at in ((before, chain.hops[0], own[0]), (behind, chain.hops[-1], own[-1])):
             if not hop.observed and hop.hop != PEER_TO_ROBOT:
-                hop_json = hop.as_json()
-                ends[at] = {**rows[at], **dict.fromkeys(FIGURES), **hop_json, "lost_by": {}}
+                ends[at] = {**rows[at], **dict.fromkeys(FIGURES), **hop.as_json(), "lost_by": {}}
                 ends[at]["not_counted"] = hop.counted
     return [
         item

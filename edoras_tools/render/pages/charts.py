@@ -88,8 +88,7 @@ class Frame:
 
     def seconds(self) -> list[str]:
         """Return the marks of the time axis."""
-        letters = len(f"{self.begin + self.x_most:.0f} s")
-        marks = ticks(self.x_most, max(3, min(7, 42 // letters)))
+        marks = ticks(self.x_most, max(3, min(7, 42 // len(f"{self.begin + self.x_most:.0f} s"))))
         step = marks[1] if len(marks) > 1 else self.x_most or 1.0  # of few, the first may be beyond the end
         first, last = ceil(self.begin / step), floor((self.begin + self.x_most) / step)
         return [
