@@ -21,9 +21,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs import executive_services, queues, sbn, telemetry_output
-from edoras_tools.diagnosis.accounting.claims import Claim, Rank, claimed_alike
+from edoras_tools.diagnosis.accounting.claims import FAR_NS, Claim, Rank, claimed_alike, settle
 from edoras_tools.diagnosis.accounting.closed import (
     closed_at,
     enables_ns,
@@ -197,7 +198,14 @@ class Telemetry:
         return counts
 
     def tell(self) -> None:
-        """Make losses of what is missing, once the claims have their counts."""
+        """Make losses of what is missing, once the claims have their counts.
+
+        What a bus counted before SBN, which is not here, may be what lacks behind: that is told once.
+        """
+        parts = ((claim, self.parts[claim.key]) for claim in self.claims)
+        both = ((claim, own.stream.instance) for claim, own in parts if claim.open and self._handed_on(own))
+        unseen = [replace(claim, number=claim.open, instances=(at,), taken={}) for claim, at in both]
+        settle(self._counts, unseen, FAR_NS)
         for claim in self.claims:
             totals = self.parts[claim.key].taken
             for (_, kind), number in claim.by_kind().items():
@@ -230,6 +238,8 @@ class Telemetry:
         silences = case.silences_of(stream.sender) if stream.link.only_from_cfs else ()
         silenced = silenced_at(stream, gaps.at, silences) & ~closed
         taken_off = (hop is None) & perhaps_taken_off(case, stream, gaps.number)
+        if owner in self._counts:
+            taken_off &= self._counts[owner].between(gaps.low_ns, gaps.high_ns) < gaps.number
         unled = (silenced_at(stream, gaps.at, unled_ns) | taken_off) & ~(closed | silenced)
         closed |= silenced | unled
         for index in np.flatnonzero(closed).tolist():
@@ -474,8 +484,7 @@ class Telemetry:
 
     def _tell(self, part: Part) -> None:
         """Make losses of what is missing from a span."""
-        total = part.taken.total()
-        rest = part.missing - total
+        rest = part.missing - part.taken.total()
         likeliest = max(part.taken, key=lambda kind: part.taken[kind], default=None)
         more = max(0, min(rest, part.outside)) if part.kinds and likeliest is not None else 0
         if likeliest is not None:  # where no count was seen, a pipe that was full before and after was full
@@ -526,6 +535,11 @@ class Telemetry:
         part.evidence += [why] if why else []
         self._lose(part, "after" if behind else "unknown", number, of, "medium" if behind else "low")
 
+    def _handed_on(self, part: Part) -> bool:
+        """Tell whether it came over SBN to the cFS that sends it, and how it did is not in the capture."""
+        handed_on = part.stream.link.only_from_cfs and part.stream.instance != part.owner
+        return handed_on and self._case.upstream(part.stream) is None
+
     def _doubts(self, part: Part) -> Iterator[str]:
         """Yield why what is missing may not have been lost behind cFS."""
         case, stream = self._case, part.stream
@@ -536,8 +550,7 @@ class Telemetry:
             )
         if stream.link.peers and not case.network.crossing(stream.sender, stream.receiver):
             yield "too little that its peer sent is here to tell whether it was connected"
-        handed_on = stream.link.only_from_cfs and stream.instance != part.owner
-        if handed_on and case.upstream(stream) is None:
+        if self._handed_on(part):
             whom = "a cFS" if stream.instance == NOBODY else case.label(stream.instance)
             yield (
                 f"it came over SBN from {whom}, and that link is not in "

@@ -50,7 +50,7 @@ class Rank(IntEnum):
 
 _APART_NS: Final = 3 * SECOND
 """What is missing, and what is counted within so long of it, are not two things."""
-_FAR_NS: Final = 10 * SECOND
+FAR_NS: Final = 10 * SECOND
 """Nor within so long where nothing else explains either: a cFS that stood still makes times wrong."""
 _BOOTS_NS: Final = LEAD_NS + SECOND
 """A boot may count what was sent so short before it: when it was is known to a second."""
@@ -105,6 +105,12 @@ class Counts(msgspec.Struct):
     def span(self, seconds: Sequence[int] | Places) -> tuple[int, int]:
         """Return the times of the samples around some seconds, which are in order."""
         return int(self.times[seconds[0]]), int(self.times[seconds[-1] + 1])
+
+    def between(self, low_ns: Integers, high_ns: Integers) -> Integers:
+        """Return how many counts of all kinds are left in the seconds that each of some times overlaps."""
+        total = np.concatenate(([0], np.cumsum([*self.left.values()], axis=1).sum(axis=0)))
+        first, last = self.seconds(low_ns), self.seconds(high_ns) + 1
+        return np.asarray(total[np.clip(last, 0, len(total) - 1)] - total[np.clip(first, 0, len(total) - 1)])
 
     def often(self, low_ns: Integers, high_ns: Integers) -> Mask:
         """Tell in which times no two samples lie far apart: what is counted then was sent then."""
@@ -305,7 +311,7 @@ def settle_doubted(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> Non
     for claim in claims:
         claim.number, claim.doubted = claim.number + claim.doubted, 0
     settle_rest(counts, claims)
-    settle(counts, [claim for claim in claims if claim.rank == Rank.MISSING], _FAR_NS)
+    settle(counts, [claim for claim in claims if claim.rank == Rank.MISSING], FAR_NS)
 
 
 def settle_possible(

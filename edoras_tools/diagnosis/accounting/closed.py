@@ -162,6 +162,9 @@ def perhaps_taken_off(case: Case, stream: Stream, missing: Integers) -> Mask:
     """Tell which gaps of a stream lack more in a row than chance explains, where no command is here.
 
     One that nothing tells may have taken its MsgId off the table, and put it there again.
+
+    Args:
+        missing: how many lack in each.
     """
     others = missing.sum() - missing
     share = (others + 1) / (len(stream) + others + 1)
