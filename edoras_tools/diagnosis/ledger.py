@@ -616,9 +616,8 @@ def _applied(case: Case, fate: Fate, way: LedgerWay) -> None:
     way.lose(case.losses_of(fate.stream), _BEHIND_BUS)
     way.end("superseded", fate.ends["superseded"])
     way.end("waiting", fate.waiting - fate.ends["uncertain"])
-    way.end(
-        "uncertain", sum(fate.ends[how] for how in ("uncertain", "missed", "held", "elsewhere", "beyond"))
-    )
+    doubts = sum(fate.ends[how] for how in ("uncertain", "missed", "held", "elsewhere", "beyond"))
+    way.end("uncertain", min(doubts, max(0, way.left - int(fate.arrived.sum()))))
     way.end("unaccounted", fate.ends["unaccounted"])
     way.end("not_captured", way.left - int(fate.arrived.sum()) - fate.ends["passed_on"] - fate.doubled)
 
