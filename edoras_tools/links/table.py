@@ -141,9 +141,11 @@ def among(column: NDArray[np.integer[Any]], accepts: Callable[[Link], bool]) -> 
     """Tell which codes are of a link that a test accepts: ``among(rows.link, lambda link: link.to_cfs)``.
 
     Returns:
-        bool, of the column's shape.
+        bool (n,).
     """
-    return np.asarray(accepted(accepts)[column])
+    # Indexing a table with the column takes eight times as long.
+    codes = bytearray(column.astype(np.uint8, copy=False).data)
+    return np.frombuffer(codes.translate(accepted(accepts).data), np.bool_)
 
 
 def accepted(accepts: Callable[[Link], bool]) -> Mask:

@@ -128,7 +128,7 @@ def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
     """Return every stream of a capture."""
     instance = _whole(rows, instances)
     packets = np.flatnonzero(rows.msg_id != NO_MSG_ID)
-    link = rows.link[packets].astype(np.int64)
+    link = rows.link[packets]
     # Whoever commands does not count, and may use any number of ports.
     up, down = among(link, lambda item: item.only_to_cfs), among(link, lambda item: item.only_from_cfs)
     sender = np.where(up, -1, rows.source[packets])
@@ -267,21 +267,22 @@ def _stream(
     own = routes[routes != NO_ROUTE]
     missing = rows.missing[members]
     gaps = int(missing.sum())  # as info has them, which knows of no restart: what follows is for judging
-    if among(rows.link[first], lambda link: link.only_from_cfs):
+    link = table.link(rows.link[first])
+    if link.only_from_cfs:
         _count_moves(rows, members, missing)
-    if len(behind) and table.link(rows.link[first]).transport.tcp:
+    if len(behind) and link.transport.tcp:
         same = (rows.source[behind] == rows.source[first]) & (
             rows.destination[behind] == rows.destination[first]
         )
         passed = np.searchsorted(behind[same], members, side="right")
         missing[np.diff(passed, prepend=0) > 0] = 0  # TCP delivered them, the capture lacks them
     return Stream(
-        link=table.link(rows.link[first]),
+        link=link,
         msg_id=int(rows.msg_id[first]),
         sender=int(rows.source[first]),
         receiver=int(rows.destination[first]),
         processor=(int(rows.spacecraft_id[first]), int(rows.processor_id[first])),
-        instance=int(instance[first]) if not table.link(rows.link[first]).only_to_cfs else NOBODY,
+        instance=int(instance[first]) if not link.only_to_cfs else NOBODY,
         route=int(own[0]) if len(own) else NO_ROUTE,
         rows=members,
         time_ns=rows.time_ns[members],
