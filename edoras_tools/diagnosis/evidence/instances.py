@@ -23,7 +23,7 @@ from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import BOOT_APART_NS, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_value, groups, numbered
+from edoras_tools.wire.arrays.order import by_value, distinct_rows, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
@@ -192,12 +192,11 @@ class Instances:
     def _when_made(self, rows: Rows) -> Integers:
         """Return when each packet was made, in capture time, by the quickest of its time: clocks drift."""
         made_ns = rows.time_ns.copy()
-        for index in range(len(self.items)):
-            own = np.flatnonzero((self.of_row == index) & (rows.mission_time_ns > 0))
+        for _, own in groups(self.of_row, np.flatnonzero(self.of_row != NOBODY)):
             delay = rows.time_ns[own] - rows.mission_time_ns[own]
             window = (rows.time_ns[own] - rows.time_ns[own].min()) // _BASELINE_NS
             # Of the windows in which something came: times that are garbled may lie centuries apart.
-            windows, window = np.unique(window, return_inverse=True)
+            windows, _, window = distinct_rows(window)
             least = np.full(len(windows) + 2, np.iinfo(np.int64).max)
             np.minimum.at(least, window + 1, delay)
             apart = np.concatenate(([True], np.diff(windows) > 1, [True]))

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     """Fingerprints; 0 tells nothing."""
 
 _MIX: Final = np.uint64(0x9E3779B97F4A7C15)
+_WIDE: Final = 1 << 31
+"""Two numbers below it are one that fits."""
 _SLOTS: Final = 18
 """Most bits of the lookup table that is used while distinct values are few."""
 _SLOTS_EACH: Final = 3
@@ -34,7 +36,7 @@ def order_by(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
     digits: list[NDArray[np.uint16]] = []
     room = 0  # the largest factor for the last digit; a sort costs the same for each digit
     for key in keys:
-        least, most = (int(key.min()), int(key.max())) if len(key) else (0, 0)
+        least, most = _bounds(key)
         size = most - least + 1
         moved = key - key.dtype.type(least)
         if 1 < size <= room:
@@ -72,17 +74,19 @@ def numbered(*keys: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     Returns:
         the first row of each, and the number of each row: ``numpy.unique``'s index and inverse.
     """
-    first, which = _numbered(keys[0])
-    for key in keys[1:]:
-        further, part = _numbered(key)
-        if len(further) > 1:
-            first, which = _numbered(which * len(further) + part)
-    return first, which
+    if len(keys) == 1:
+        return _numbered(keys[0])
+    whole, size = np.zeros(len(keys[0]), np.intp), 1
+    for part, span in map(_from_zero, keys):
+        if size * span > _WIDE * _WIDE:
+            whole, size = _numbered(whole)[1], len(whole)
+        whole, size = whole * span + part, size * span
+    return _numbered(whole)
 
 
 def _numbered(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     rows = np.arange(len(values))
-    least, most = (int(values.min()), int(values.max())) if len(values) else (0, 0)
+    least, most = _bounds(values)
     if least == most:
         return rows[:1], np.zeros(len(rows), np.intp)
     if most - least >= len(values):
@@ -90,13 +94,25 @@ def _numbered(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]
         first = np.flatnonzero(first_rows == rows)
         rows[first] = np.arange(len(first))
         return first, rows[first_rows]
-    wide = values if values.dtype.itemsize == 8 else values.astype(np.intp)
-    place = (wide - wide.dtype.type(least)).astype(np.intp, copy=False)
-    table = np.full(most - least + 1, -1)
+    place, size = _from_zero(values)
+    table = np.full(size, -1)
     table[place[::-1]] = rows[::-1]  # of several the last one stays: the first row
     first = np.sort(table[table >= 0])
     table[place[first]] = np.arange(len(first))
     return first, table[place]
+
+
+def _bounds(values: NDArray[Any]) -> tuple[int, int]:
+    return (int(values.min()), int(values.max())) if len(values) else (0, 0)
+
+
+def _from_zero(values: NDArray[Any]) -> tuple[NDArray[np.intp], int]:
+    """Return whole numbers less the least of them, and how many there may be; wide ones as ``numbered``."""
+    least, most = _bounds(values)
+    if most - least >= _WIDE:
+        return _numbered(values)[1], len(values)
+    wide = values if values.dtype.itemsize == 8 else values.astype(np.intp)
+    return (wide - wide.dtype.type(least)).astype(np.intp, copy=False), most - least + 1
 
 
 def _first_rows(values: NDArray[Any], mix: int = int(_MIX)) -> NDArray[np.intp]:
@@ -151,7 +167,7 @@ def distinct(values: NDArray[Any]) -> NDArray[Any]:
 
 def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
     """Yield each distinct value with the indices that hold it, so that rows of one length go together."""
-    least, most = (int(values.min()), int(values.max())) if len(values) else (0, 0)
+    least, most = _bounds(values)
     if least == most:
         if len(values):
             yield least, np.arange(len(values))

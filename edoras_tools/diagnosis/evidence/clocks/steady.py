@@ -13,10 +13,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs import telemetry_output
-from edoras_tools.diagnosis.evidence.instances import Instances
+from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -181,11 +181,8 @@ def _parted(rows: Rows, instances: Instances) -> tuple[Jump, int] | None:
     What was made before a clock was set may come in one round with what was made after it.
     """
     order = sorted(range(len(instances.items)), key=lambda index: instances.items[index].first_ns)
-    by_instance = np.argsort(instances.of_row, kind="stable")
-    edges = np.searchsorted(instances.of_row[by_instance], np.arange(len(order) + 1))
-    counts = [
-        _first_and_last(rows, by_instance[edges[index] : edges[index + 1]]) for index in range(len(order))
-    ]
+    members = dict(groups(instances.of_row, np.flatnonzero(instances.of_row != NOBODY)))
+    counts = [_first_and_last(rows, members[index]) for index in range(len(order))]
     last = _places([counts[index][1] for index in order])
     # The last first: what goes by the clock of the one before it has times that this one had as well.
     for at, after in reversed(list(enumerate(order))):
@@ -195,7 +192,7 @@ def _parted(rows: Rows, instances: Instances) -> tuple[Jump, int] | None:
             same = first.name == second.name or not (first.name and second.name)
             if not same or first.last_ns > second.first_ns + _CYCLE_NS + _JITTER_NS:
                 continue
-            own, other = (np.flatnonzero(instances.of_row == index) for index in (before, after))
+            own, other = members[before], members[after]
             low, high = int(own[-1]), int(other[0])
             # What either clock slipped by earlier or later is another jump.
             own = own[rows.time_ns[own] > rows.time_ns[low] - _BESIDE_NS]
