@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 HASHED_BYTES: Final = 4096
 """Bytes of a packet that are hashed; longer packets differ within these bytes."""
+_BLOCK: Final = 2048
+"""Rows taken together: few enough to stay in the second-level cache."""
 MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 """An odd number without a pattern: multiplying by it spreads the bits of a word over the product."""
 
@@ -22,14 +24,14 @@ def of_bytes(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray
     """Return the fingerprint of each range of bytes, u64 (n,); 0 for an empty one."""
     out = np.zeros(len(offset), np.uint64)
     cut = np.minimum(length, HASHED_BYTES)
-    for size, rows in by_value((cut + 7) >> 3):
-        if size <= 0:
-            continue
-        words = np.ascontiguousarray(gather(data, offset[rows], size * 8)).view(np.uint64)
+    sizes = ((size, rows) for size, rows in by_value((cut + 7) >> 3) if size > 0)
+    parts = ((size, rows[at : at + _BLOCK]) for size, rows in sizes for at in range(0, len(rows), _BLOCK))
+    for size, rows in parts:
+        words = gather(data, offset[rows], size * 8).view(np.uint64)
         words[:, -1] &= _LAST_WORD[cut[rows] & 7]
         # Folded first: a factor alone would let the highest bits of two words cancel each other.
-        total = (words ^ (words >> np.uint64(32))) @ WEIGHTS[:size]
-        out[rows] = finished(total + length[rows].astype(np.uint64) * MIX)
+        words ^= words >> np.uint64(32)
+        out[rows] = finished(words @ WEIGHTS[:size] + length[rows].astype(np.uint64) * MIX)
     return out
 
 
