@@ -39,7 +39,7 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import changes
+from edoras_tools.wire.arrays.order import changes, distinct, groups
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -187,14 +187,15 @@ def ingests(case: Case) -> list[Ingest]:
     came = among(rows.link, lambda link: link.only_to_cfs) & ~rows.undelivered & (rows.length > 0)
     to_ci = np.flatnonzero(came)
     samples = _samples(case)
-    places = {system: _endpoint(case, to_ci, own, alone=len(samples) == 1) for system, own in samples.items()}
+    every = distinct(rows.destination[to_ci]).tolist()
+    places = {system: _endpoint(case, every, own, alone=len(samples) == 1) for system, own in samples.items()}
     uses = Counter(places.values())
     accounts = []
     for system, own in samples.items():
         endpoint = places[system]
         # Of two CIs at one address and port nothing tells which was meant.
         if endpoint is not None and uses[endpoint] == 1 and len(own) > 1:
-            counter = _Counted(case, endpoint, system, _to(case, to_ci, endpoint), own)
+            counter = _Counted(case, endpoint, system, to_ci[rows.destination[to_ci] == endpoint], own)
             account = counter.account()
             if account.lost_on_network or (account.lost and account.not_captured):
                 late = counter.account(_UNDER_WAY_NS)
@@ -211,21 +212,15 @@ def ingests(case: Case) -> list[Ingest]:
     return [*accounts, *_by_kernel(case, to_ci, {item.endpoint for item in accounts})]
 
 
-def _to(case: Case, to_ci: Places, endpoint: int) -> Places:
-    """Return the datagrams to one CI, in order of time."""
-    mine = to_ci[case.rows.destination[to_ci] == endpoint]
-    return np.asarray(mine[np.argsort(case.rows.time_ns[mine], kind="stable")])
-
-
 def _by_kernel(case: Case, to_ci: Places, endpoints: Collection[int]) -> Iterator[Ingest]:
     """Yield the account of every CI without a count here, of whose socket the kernel counted drops."""
-    places = np.unique(case.rows.destination[to_ci]).tolist()
+    places = distinct(case.rows.destination[to_ci]).tolist()
     ports = Counter(case.endpoints[item].port for item in places)
     for endpoint in places:
         port = case.endpoints[endpoint].port
         # Of two hosts' sockets nothing tells which one the counter is of.
         if endpoint not in endpoints and ports[port] == 1 and (drops := case.host.by_port.get(port)):
-            mine = _to(case, to_ci, endpoint)
+            mine = to_ci[case.rows.destination[to_ci] == endpoint]
             span, lost = case.span(mine), min(drops, len(mine))
             before, number = Before("socket", lost, *span), len(mine) - lost
             yield Ingest(endpoint, NOBODY, mine, *span, number, [before], by_kernel=True)
@@ -256,22 +251,21 @@ def _samples(case: Case) -> dict[int, list[_Sample]]:
     system = np.array(instances.systems, np.int64)[instance]
     order = np.lexsort((seen_ns, system))
     order = order[changes(order, system, seen_ns)]
-    columns = (item[order] for item in (system, seen_ns, made_ns, counts[own], instance, rows.source[row]))
-    by_system: dict[int, list[_Sample]] = {}
-    for key, *sample in zip(*(column.tolist() for column in columns), strict=True):
-        by_system.setdefault(key, []).append(_Sample(*sample))
-    return by_system
+    columns = seen_ns, made_ns, counts[own], instance, rows.source[row]
+    return {
+        key: list(map(_Sample, *(column[at].tolist() for column in columns)))
+        for key, at in groups(system, order)
+    }
 
 
-def _endpoint(case: Case, to_ci: Places, own: Sequence[_Sample], *, alone: bool) -> int | None:
+def _endpoint(case: Case, places: Sequence[int], own: Sequence[_Sample], *, alone: bool) -> int | None:
     """Return where a cFS's CI listens: the only place, or that of its address and number.
 
     Args:
-        to_ci: rows of datagrams to any CI.
+        places: where datagrams to any CI went.
         own: its counts.
         alone: no other cFS counts.
     """
-    places: list[int] = np.unique(case.rows.destination[to_ci]).tolist()
     if len(places) == 1 and alone:
         return places[0]
     items = case.instances.items
@@ -300,9 +294,15 @@ class _Counted:
         self._endpoint, self._system, self._rows, self._own = endpoint, system, rows, own
         self._most = self._profile.ci_datagrams_per_wake
         self._sent_ns = case.rows.time_ns[rows]
-        self._seen, self._made, self._count = (
-            np.array([getattr(item, name) for item in own]) for name in ("seen_ns", "made_ns", "count")
+        self._seen, self._made, self._count, instance = (
+            np.array([getattr(item, name) for item in own])
+            for name in ("seen_ns", "made_ns", "count", "instance")
         )
+        begins = (np.diff(self._count) < 0) | (np.diff(instance) != 0)  # a count that falls began again
+        for item in case.resets:
+            within = (item.start_ns <= self._seen[1:]) & (self._seen[:-1] <= item.end_ns)
+            begins |= within & (instance[1:] == item.instance)
+        self._starts = (np.flatnonzero(begins) + 1).tolist()
         hops = [hop for hop in case.hops if hop.into.link.only_to_cfs and hop.into.receiver == endpoint]
         self._read = []
         for hop in hops:
@@ -341,11 +341,9 @@ class _Counted:
         account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
         unsteady_ns = self._case.unsteady_ns
         sent = np.searchsorted(self._sent_ns, self._seen + unsteady_ns - least_ns, "right")
-        both = enumerate(pairwise(own), 1)  # a count that falls began again
-        starts = [at for at, (a, b) in both if b.count < a.count or self._began_anew(a, b)]
         lost = before = last = idle_ns = room = 0
         crowded = False
-        for first, end in pairwise([0, *starts, len(own)]):
+        for first, end in pairwise([0, *self._starts, len(own)]):
             part = slice(first, end)
             high = sent[part] - count[part]
             emptied_ns, busy = self._emptied(part)

@@ -308,12 +308,13 @@ def find_damaged(rows: Rows, hosts: NDArray[np.int32], *, shared: bool = False) 
         shared: what two captures have is there once.
     """
     lost, none = rows.undelivered.copy(), np.zeros(0, np.intp)
+    if lost.any():
+        host = hosts[rows.source]
+        number, wrong = np.bincount(host), np.bincount(host[lost], minlength=int(host.max()) + 1)
+        share = np.where(number < _MANY, lost.mean(), wrong / np.maximum(number, 1))
+        lost &= share[host] <= _SELDOM
     if not lost.any():
         return lost, none
-    host = hosts[rows.source]
-    number, wrong = np.bincount(host), np.bincount(host[lost], minlength=int(host.max()) + 1)
-    share = np.where(number < _MANY, lost.mean(), wrong / np.maximum(number, 1))
-    lost &= share[host] <= _SELDOM
     way, standing = rows.way(), []
     shared |= _is_taken_twice(rows, way, np.flatnonzero(~lost))
     # A datagram keeps its IP identification; a packet, where there is none, its count.

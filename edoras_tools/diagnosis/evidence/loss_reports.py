@@ -237,7 +237,7 @@ def parse_loss_event(record: EventRecord, instance: int = NOBODY) -> ReportedLos
 def reported_losses(events: Iterable[EventRecord], instances: Instances) -> dict[ReportedLoss, LossEvents]:
     """Return everything that events name, with the events."""
     reports: dict[ReportedLoss, LossEvents] = {}
-    for record in events:
+    for record in (item for item in events if item.app == software_bus.NAME):
         if reported := parse_loss_event(record, instances.saying(record)):
             reports.setdefault(reported, LossEvents()).records.append(record)
     return reports

@@ -262,7 +262,7 @@ class Payloads(msgspec.Struct):
         listed = (columns.sbn_msg_type == sbn.MsgType.SUB) | (columns.sbn_msg_type == sbn.MsgType.UNSUB)
         listed &= (columns.findings & np.uint32(Finding.CAPTURE_CUT)) == 0
         self._subscribe(batch, np.flatnonzero(listed), base)
-        changes = _CHANGES[np.maximum(ids, 0)] & ~among(columns.link, lambda link: link.only_from_cfs)
+        changes = _CHANGES.take(ids, mode="clip") & ~among(columns.link, lambda link: link.only_from_cfs)
         changes &= columns.function_code > 0
         for row in np.flatnonzero(changes).tolist()[: max(0, _MOST - len(self.commands))]:
             key = int(ids[row]), int(columns.function_code[row])
@@ -309,9 +309,10 @@ class Payloads(msgspec.Struct):
         place[-1] = -1
 
         def moved(items: list[Any]) -> Any:
-            pairs = ((int(place[item.row]), item) for item in items)
-            ordered = sorted((pair for pair in pairs if pair[0] >= 0), key=lambda pair: pair[0])
-            return [item._replace(row=row) for row, item in ordered]
+            own = place[np.array([item.row for item in items], np.intp)]
+            order = np.argsort(own, kind="stable")[np.count_nonzero(own < 0) :]
+            pairs = zip(order.tolist(), own[order].tolist(), strict=True)
+            return [type(items[at])(row, *items[at][1:]) for at, row in pairs]
 
         columns: dict[str, Any] = {name: getattr(self, name).over(place) for name in _SAMPLES}
         return replace(self, **columns, **{name: moved(getattr(self, name)) for name in _RECORDS})
@@ -373,24 +374,16 @@ def _events(
     read = [cfe.EVENT.column(name, payload) for name in names]
     turned = np.isin(read[1], _BIG_TYPES)
     numbers = [np.where(turned, column.byteswap(), column).tolist() for column in read]
-    texts = {}
-    for name in ("app_name", "message"):
+    texts = []
+    for name, strip in (("app_name", str), ("message", str.strip)):
         slot = cfe.EVENT.by_name[name]
         column = np.ascontiguousarray(payload[:, slot.start : slot.end]).view(f"S{slot.end - slot.start}")
         raw = column[:, 0].tolist()  # most are said again and again
-        unlike = {text: text.split(b"\0", 1)[0].decode("utf-8", "replace") for text in set(raw)}
-        texts[name] = [unlike[text] for text in raw]
-    for row, number, time_ns, app, event_id, event_type, spacecraft_id, processor_id, message in zip(
-        rows.tolist(),
-        batch.number[rows].tolist(),
-        batch.time_ns[rows].tolist(),
-        texts["app_name"],
-        *numbers,
-        texts["message"],
-        strict=True,
-    ):
-        sender = f"{spacecraft_id}:{processor_id}"
-        yield EventRecord(base + row, number, time_ns, app, event_id, event_type, sender, message.strip())
+        unlike = {text: strip(text.split(b"\0", 1)[0].decode("utf-8", "replace")) for text in set(raw)}
+        texts.append([unlike[text] for text in raw])
+    where = (column.tolist() for column in (base + rows, batch.number[rows], batch.time_ns[rows]))
+    senders = [f"{spacecraft}:{processor}" for spacecraft, processor in zip(*numbers[2:], strict=True)]
+    yield from map(EventRecord, *where, texts[0], *numbers[:2], senders, texts[1])
 
 
 def _subscriptions(payload: bytes) -> SubscriptionMessage:

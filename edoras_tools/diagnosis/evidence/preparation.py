@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 _MOST_SET: Final = 16
 """A clock is set back now and then; records that go back more often are out of order."""
 _MOST_SENDERS: Final = 1000
+_RUN: Final = 50
 _PLACE: Final = {kind: place for place, kind in enumerate(ConversationKind)}
 
 
@@ -106,9 +107,10 @@ def prepare(
     rows = _of_output(rows)
     flows, endpoints = recorder.conversations.judge(), recorder.endpoints
     kind = _kinds(rows, flows, endpoints)
-    if not _has_strangers(rows, payloads, kind):
+    strange = kind == _PLACE[ConversationKind.STRANGER]
+    if strange.any() and not _has_strangers(rows, payloads, kind):
         # CI did not count them: whatever the ports say, they did not reach it.
-        kind[kind == _PLACE[ConversationKind.STRANGER]] = _PLACE[ConversationKind.FOREIGN]
+        kind[strange] = _PLACE[ConversationKind.FOREIGN]
     foreign = kind == _PLACE[ConversationKind.FOREIGN]
     rest = _Left(rows, np.arange(len(rows)))
     count, source_of = len(rows), rows.source
@@ -189,16 +191,17 @@ class _Left(msgspec.Struct):
 
     def keep(self, some: Mask) -> None:
         """Keep some of them."""
-        if not some.all():
-            own, columns = np.flatnonzero(some), asdict(self.rows)
-            self.rows, self.places = self.rows.take(own[:0]), self.places[own]
+        if gone := len(some) - np.count_nonzero(some):
+            # A mask is copied in runs: faster where these are long.
+            own, columns = some if gone * _RUN < len(some) else np.flatnonzero(some), asdict(self.rows)
+            self.rows, self.places = self.rows.take(self.places[:0]), self.places[own]
             self.rows = Rows(**{name: columns.pop(name)[own] for name in list(columns)})
 
 
 def _crowd(rows: Rows) -> tuple[Mask, Integers]:
     """Tell which rows are of senders beyond those that are judged, and how many each of these has."""
     crowded, own = np.zeros(len(rows), bool), np.flatnonzero(among(rows.link, lambda link: link.from_cfs))
-    first, which = numbered(rows.source[own], rows.sbn_sender(own))
+    first, which = numbered(rows.source[own], rows.spacecraft_id[own], rows.processor_id[own])
     counts = np.bincount(which, minlength=len(first))
     beyond = np.argsort(-counts, kind="stable")[_MOST_SENDERS:]
     crowded[own] = np.isin(which, beyond)

@@ -162,13 +162,14 @@ def bad_command(case: Case) -> Iterator[Verdict]:
     bad = np.flatnonzero(wrong)
     findings = rows.findings[bad] | np.where(rows.claimed[bad] != 0, np.uint32(Finding.ENVELOPE_OVERRUN), 0)
     size = np.minimum(rows.length[bad], cfe.COMMAND_HEADER_BYTES)  # a longer one is of the same kind
+    mismatch = int(_MISMATCH.finding)
     by_kind: dict[tuple[BadCommandKind, int], list[int]] = {}
     by_mission: dict[tuple[BadCommandKind, int], list[int]] = {}
     for row, bits, length, msg_id in zip(
         bad.tolist(), findings.tolist(), size.tolist(), rows.msg_id[bad].tolist(), strict=True
     ):
         kind = _kind(bits, length)
-        if bits & _MISMATCH.finding and kind is not _MISMATCH and refusals(case, row, int(rows.length[row])):
+        if bits & mismatch and kind is not _MISMATCH and refusals(case, row, int(rows.length[row])):
             kind = _MISMATCH  # CI of cFS 7 looks at this first, and nobody else gets it
         by_route = kind.finding is Finding.UNKNOWN_FUNCTION_CODE and rows.route[row] != NO_ROUTE
         (by_mission if by_route else by_kind).setdefault((kind, msg_id), []).append(row)

@@ -233,8 +233,8 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
             groups.setdefault((record.sender, record.app, record.event_id), []).append(record)
     for members in groups.values():
         yield _error(case, members)
-    reports = map(parse_loss_event, case.payloads.events)
-    refused = sum(item is not None and item.kind in {"invalid", "too_big"} for item in reports)
+    every = case.reported_losses.items()
+    refused = sum(events.count for item, events in every if item.kind in {"invalid", "too_big"})
     for instance, track in case.tracks.items():
         errors = track.growth("send_errors")
         losses = sum(track.growth(name) for name in ("msg_limits", "pipe_overflows"))

@@ -163,10 +163,12 @@ def no_subscriber(case: Case) -> Iterator[Verdict]:
     Say which, where an event or the only command before a count tells.
     """
     rows, counted = case.rows, {}
-    # Where the capture missed some that came to a CI, these may be what nobody took.
-    tracks = {} if any(item.not_captured for item in case.ingests) else case.tracks
-    for instance, track in tracks.items():
-        for msg_id, members, number in _unwanted(case, track):
+    # Where the capture missed some that came to a CI, these may be what nobody took; and what one cFS sends
+    # another comes in unseen.
+    unseen = case.peers_unseen or any(item.not_captured for item in case.ingests)
+    arriving = np.zeros(0, np.intp) if unseen else _perhaps_unwanted(case)
+    for instance, track in () if unseen else case.tracks.items():
+        for msg_id, members, number in _unwanted(case, track, arriving):
             counted[instance, msg_id] = members, number
     reports = {item: events for item, events in case.reported_losses.items() if item.kind == "no_subscriber"}
     for item in (item for item in reports if item.sender.startswith(_HANDS_IN)):
@@ -184,15 +186,13 @@ def no_subscriber(case: Case) -> Iterator[Verdict]:
             yield _not_taken(case, msg_id, link, members.tolist(), text, number)
 
 
-def _unwanted(case: Case, track: Track) -> Iterator[tuple[int, Places, int]]:
+def _unwanted(case: Case, track: Track, arriving: Places) -> Iterator[tuple[int, Places, int]]:
     """Yield the MsgIds whose messages alone can be what a counter counted, these, and how many it did.
 
     Of those that are not seen to be taken, and in the fewest of them that fit: at each count it has what was
     sent before it, but for what may still be on its way.
     """
-    if case.peers_unseen:
-        return  # what one cFS sends another comes in unseen
-    arriving, times, seen_ns = _perhaps_unwanted(case), case.rows.time_ns, np.array(track.times)
+    times, seen_ns = case.rows.time_ns, np.array(track.times)
     counts, spread = track.beyond_steady("no_subscribers", np.sort(times[arriving]), _COUNTED_NS)
     if spread:
         counts = np.array(track.totals["no_subscribers"])
@@ -234,13 +234,10 @@ def _perhaps_unwanted(case: Case) -> Places:
     # A cFS sends its peer what that has subscribed to: a counter alone does not say otherwise.
     names = [item.name for item in case.instances.items]
     senders = [place for place, name in case.network.identity_of.items() if name in names]
-    return np.flatnonzero(
-        ((rows.link == CI) | (rows.link == SBN))
-        & (rows.function_code >= 0)
-        & ~rows.has(Finding.INVALID_MSG_ID | Finding.OVER_SOFTWARE_BUS)
-        & ~np.isin(rows.msg_id, list(taken))
-        & ~np.isin(rows.source, senders)
-    )
+    came = np.flatnonzero(((rows.link == CI) | (rows.link == SBN)) & (rows.function_code >= 0))
+    came = came[~np.isin(rows.msg_id[came], list(taken))]
+    refused = rows.has(Finding.INVALID_MSG_ID | Finding.OVER_SOFTWARE_BUS, came)
+    return came[~refused & ~np.isin(rows.source[came], senders)]
 
 
 def _may_be(sent_ns: Integers, seen_ns: Integers, counts: Integers, lag_ns: int, lost: int) -> bool:
@@ -250,6 +247,8 @@ def _may_be(sent_ns: Integers, seen_ns: Integers, counts: Integers, lag_ns: int,
         lost: so many at most were lost before CI.
     """
     sent_ns = np.sort(sent_ns)
+    if len(seen_ns) > 2 and not _may_be(sent_ns, seen_ns[[0, -1]], counts[[0, -1]], lag_ns, lost):
+        return False  # mostly the ends tell
     least, most = (np.searchsorted(sent_ns, seen_ns - before_ns) for before_ns in (lag_ns, 0))
     first = int(least[0])  # what was sent before it was counted in it, or after
     least = least - most[0]
@@ -374,7 +373,7 @@ def wrong_type(case: Case) -> Iterator[Verdict]:
     rows = case.rows
     for index, bad, count in misread(case):
         route = case.mission.routes[index]
-        fits = fitting(case, _samples(case, route), route.type)
+        fits = fitting(case, route)
         sizes = ", ".join(str(size) for size in np.unique(rows.cdr_length[bad])[:4].tolist())
         refused = bool(rows.has(Finding.CDR_INVALID)[bad].any())
         yield of_messages(
@@ -399,40 +398,37 @@ def wrong_type(case: Case) -> Iterator[Verdict]:
 def misread(case: Case) -> Iterator[tuple[int, Places, int]]:
     """Yield routes most of whose messages are not of their type: index, those rows, of how many."""
     rows = case.rows
-    for index, route in enumerate(case.mission.routes):
-        whole = (rows.route == index) & (rows.cdr_length > 0) & ~rows.has(Finding.CAPTURE_CUT)
-        bad = np.flatnonzero(whole & rows.has(_misfits(case, route)))
-        count = int(whole.sum())
-        if len(bad) >= 2 and len(bad) >= _SHARE * count:
-            yield index, bad, count
+    whole = (rows.route != NO_ROUTE) & (rows.cdr_length > 0) & ~rows.has(Finding.CAPTURE_CUT)
+    longer = np.flatnonzero(rows.has(Finding.CDR_TRAILING))
+    for index, members in groups(rows.route, np.flatnonzero(whole)):
+        bad = members[rows.has(_misfits(case, case.mission.routes[index], longer), members)]
+        if len(bad) >= 2 and len(bad) >= _SHARE * len(members):
+            yield index, bad, len(members)
 
 
-def _misfits(case: Case, route: Route) -> Finding:
+def _misfits(case: Case, route: Route, longer: Places) -> Finding:
     """Return the findings that a message of another type has on a route.
 
     A few bytes too many may be rounding, where no other type ends at the last of them.
+
+    Args:
+        longer: rows of messages with a few bytes too many.
     """
     types, findings = case.context.types, Finding.CDR_INVALID | Finding.CDR_TOO_LONG
     if types is None or not types.has(route.type) or types.most_trailing(route.type) > ROUNDING:
         return findings
-    members = (case.rows.msg_id == route.msg_id) & (case.rows.link == route.link)
-    if (members & case.rows.has(Finding.CDR_TRAILING)).any() and fitting(
-        case, _samples(case, route), route.type
-    ):
+    own = (case.rows.msg_id[longer] == route.msg_id) & (case.rows.link[longer] == route.link)
+    if own.any() and fitting(case, route):
         findings |= Finding.CDR_TRAILING
     return findings
 
 
-def _samples(case: Case, route: Route) -> list[bytes]:
-    return list(case.samples.get((int(route.link), route.msg_id), {}).values())
-
-
-def fitting(case: Case, samples: list[bytes], configured: str) -> list[str]:
-    """Return the other types that fit some messages; the mission's own come first."""
-    types = case.context.types
-    own = {route.type for route in case.mission.routes}
+def fitting(case: Case, route: Route) -> list[str]:
+    """Return the other types that fit the messages of a route; the mission's own come first."""
+    types, own = case.context.types, {item.type for item in case.mission.routes}
+    samples = list(case.samples.get((int(route.link), route.msg_id), {}).values())
     fits = types_that_fit(types, samples, own) if types is not None else []
-    return [name for name in fits if name != configured][:8]
+    return [name for name in fits if name != route.type][:8]
 
 
 def topic_never_seen(case: Case) -> Iterator[Verdict]:
