@@ -726,18 +726,19 @@ def _unseen(case: Case, loss: Loss) -> LedgerWay:
 def _of_no_stream(case: Case, item: Verdict, number: int) -> LedgerWay:
     """Return the way of messages that were judged by themselves: the datagrams of that time."""
     rows = case.rows
-    mask = (rows.time_ns >= item.start_ns) & (rows.time_ns <= item.end_ns)
+    end = np.searchsorted(rows.time_ns, item.end_ns, side="right")
+    own = np.arange(np.searchsorted(rows.time_ns, item.start_ns), end)
     if item.link:
-        mask &= rows.link == table.link_of_label(item.link).code
+        own = own[rows.link[own] == table.link_of_label(item.link).code]
     if item.msg_id is not None:
-        mask &= rows.msg_id == item.msg_id
+        own = own[rows.msg_id[own] == item.msg_id]
     down = [stream for stream in case.streams if stream.link.only_from_cfs and stream.msg_id == item.msg_id]
     owners = {case.label(case.owner(stream)) for stream in down if stream.link.label == item.link}
     instance = owners.pop() if len(owners) == 1 else None
     traffic = LedgerTraffic(link=item.link or "", msg_id=item.msg_id, instance=instance)
     way = LedgerWay(traffic, max(number, item.of or 0))
     way.hop(item.hop or "cFS", {"in": SEEN, "lost": "each datagram by itself"})
-    _refuse(way, item, number, np.flatnonzero(mask))
+    _refuse(way, item, number, own)
     return way
 
 

@@ -192,15 +192,15 @@ class Network:
         self._identify(rows, network)
         flight_software = {item.name for item in instances.items if item.name}
         # Where the capture cut the time off: who counts what it sends is a cFS, bridges never do.
-        counting = (rows.counted & rows.has(Finding.CAPTURE_CUT))[network]
+        counting = rows.counted[network] & rows.has(Finding.CAPTURE_CUT, network)
         own = network[(instances.of_row[network] != NOBODY) | counting]
         speakers = {self.identity_of.get(source, "") for source in np.unique(rows.source[own]).tolist()}
         flight_software |= speakers - {""}
         self._connect(rows, network, flight_software)
 
     def _identify(self, rows: Rows, network: Places) -> None:
-        short = rows.has(Finding.TRUNCATED) & ~rows.has(Finding.CAPTURE_CUT)
-        sound = network[~(rows.has(Finding.SBN_UNKNOWN_TYPE) | short)[network]]
+        short = rows.has(Finding.TRUNCATED, network) & ~rows.has(Finding.CAPTURE_CUT, network)
+        sound = network[~(rows.has(Finding.SBN_UNKNOWN_TYPE, network) | short)]
         for source, own in groups(rows.source, sound):
             name, number = rows.usual_sender(own)
             if number >= _LEAST_ROWS:

@@ -395,7 +395,7 @@ def repeated_commands(case: Case) -> Iterator[Verdict]:
     rows, hosts = case.rows, _Hosts(case)
     sent = _sound_commands(case)
     sent = sent[rows.packet_length[sent] > rows.header_length[sent]]
-    _, first, which = np.unique(rows.packet_print[sent], return_index=True, return_inverse=True)
+    first, which = numbered(rows.packet_print[sent])
     sender = hosts.of_endpoint[rows.source[sent]]
     origin = sender[first[which]]
     repeats = np.flatnonzero(sender != origin)

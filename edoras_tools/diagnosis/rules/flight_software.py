@@ -255,13 +255,13 @@ def _is_told(case: Case, record: EventRecord, quoted: str) -> bool:
     """Tell whether a verdict quotes an event, or the balance has what it names, as by counters."""
     if record.message in quoted:
         return True
-    instance = case.instances.saying(record)
-    reported = parse_loss_event(record, instance)
+    reported = parse_loss_event(record)
     if reported is None:
         return False
     if not reported.at_pipe:
         return any(item.msg_id == reported.msg_id and item.lost for item in case.verdicts)
-    return instance in case.tracks or any(loss.msg_id == reported.msg_id for loss in case.losses)
+    counted = case.instances.saying(record) in case.tracks
+    return counted or any(loss.msg_id == reported.msg_id for loss in case.losses)
 
 
 def _error(case: Case, members: list[EventRecord]) -> Verdict:
