@@ -19,6 +19,7 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.matching.streams import bursts, full_where_lacking
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.arrays.order import groups
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -100,7 +101,7 @@ def learn_constants(
     """
     down = among(rows.link, lambda link: link.only_from_cfs)
     down &= (rows.duplicates == 0) & (rows.reordered == 0)  # as it was sent
-    sent = [rows.time_ns[down & (rows.source == source)] for source in np.unique(rows.source[down]).tolist()]
+    sent = [rows.time_ns[own] for _, own in groups(rows.source, np.flatnonzero(down))]
     output = max(sent, key=len, default=rows.time_ns[:0])
     every = {"to_wake_ns": find_round(output), "ci_wake_ns": _ingest(rows, hops)}
     rounds = {name: period for name, period in every.items() if period}

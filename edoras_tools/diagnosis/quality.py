@@ -47,7 +47,7 @@ import numpy as np
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.order import by_value, distinct, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -253,7 +253,7 @@ def check_identifications(rows: Rows, hosts: NDArray[np.int32]) -> Iterator[Evid
         hosts: endpoint to the number of its address.
     """
     own = np.flatnonzero((rows.identification != 0) & ~rows.streamed)
-    _, pair = numbered(hosts[rows.source[own]], hosts[rows.destination[own]])
+    _, pair = numbered(hosts.take(rows.source[own]), hosts.take(rows.destination[own]))
     totals: dict[int, tuple[int, int]] = {}
     for _, members in by_value(pair):
         mine = own[members]
@@ -303,7 +303,7 @@ def check_inputs(
     best: dict[int, Evidence] = {}
     for members in ways.values():
         longest_ns = max(hop.last_ns for hop in members)
-        leaving = np.unique(np.concatenate([hop.out.rows for hop in members]))
+        leaving = distinct(np.concatenate([hop.out.rows for hop in members]))
         sole, captured = np.zeros((2, len(leaving)), bool)
         for hop in members:
             place = np.searchsorted(leaving, hop.out.rows)

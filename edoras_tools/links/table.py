@@ -98,6 +98,7 @@ def framings(ports: Iterable[tuple[Link, int]] = ()) -> dict[int, Framing]:
     return by_port
 
 
+@cache
 def link_of_label(name: str) -> Link:
     """Return the link of a label, in any case; ``other`` is one.
 

@@ -49,7 +49,7 @@ from edoras_tools.diagnosis.quality import CONFIDENCE
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import by_value, distinct
 from edoras_tools.wire.sbn import MsgType
 
 if TYPE_CHECKING:
@@ -175,7 +175,7 @@ def _sent_by(case: Case, sender: int) -> Integers:
     """Return when the Telemetry Output behind an endpoint sent something."""
     rows, output = case.rows, case.instances.output
     sent = among(rows.link, lambda link: link.only_from_cfs)
-    mine = [port for port in np.unique(rows.source[sent]).tolist() if sender in {port, output(port)}]
+    mine = [port for port in distinct(rows.source[sent]).tolist() if sender in {port, output(port)}]
     return rows.time_ns[sent & np.isin(rows.source, mine)]
 
 

@@ -309,7 +309,7 @@ def find_damaged(rows: Rows, hosts: NDArray[np.int32], *, shared: bool = False) 
     """
     lost, none = rows.undelivered.copy(), np.zeros(0, np.intp)
     if lost.any():
-        host = hosts[rows.source]
+        host = hosts.take(rows.source)
         number, wrong = np.bincount(host), np.bincount(host[lost], minlength=int(host.max()) + 1)
         share = np.where(number < _MANY, lost.mean(), wrong / np.maximum(number, 1))
         lost &= share[host] <= _SELDOM
@@ -373,7 +373,7 @@ def who_doubled(
     once = ~copies.copy
     answers = np.flatnonzero(once & ~copies.duplicate & among(rows.link, lambda link: link.from_cfs))
     votes: dict[int, int] = {}
-    for receiver in np.unique(rows.destination[copies.duplicate & to_cfs]).tolist():
+    for receiver in distinct(rows.destination[copies.duplicate & to_cfs]).tolist():
         mine = np.flatnonzero(once & to_cfs & (rows.destination == receiver))
         own = copies.duplicate[mine]
         vote = 0

@@ -23,7 +23,7 @@ from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import BOOT_APART_NS, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_value, distinct_rows, groups, numbered
+from edoras_tools.wire.arrays.order import by_value, distinct, distinct_rows, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
@@ -89,10 +89,10 @@ class Instances:
             (rows.mission_time_ns > 0) & among(rows.link, lambda link: link.from_cfs and link.packets)
         )
         offset = rows.time_ns[timed] - rows.mission_time_ns[timed]
-        order = np.argsort(offset, kind="stable")
-        cuts = np.flatnonzero(np.diff(offset[order]) > BOOT_APART_NS) + 1
+        ranked = np.sort(offset)
+        begins = ranked[1:][np.diff(ranked) > BOOT_APART_NS]
         says = {event.row: event.sender for event in events}
-        for part in np.split(order, cuts):
+        for _, part in by_value(np.searchsorted(begins, offset, side="right")):
             for members in _publishers(rows, timed[part], says, self.hosts):
                 if len(members) and (index := self._waited(rows, members)) != NOBODY:
                     self.of_row[members] = index
@@ -284,12 +284,11 @@ def _in_turn(whose: Sequence[Hashable], spans: Sequence[tuple[int, int]]) -> lis
 
 def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArray[np.int32]) -> list[Places]:
     """Divide the rows of one boot time by instance, if two instances have this boot time."""
-    members = np.sort(members)
     output = members[among(rows.link[members], lambda link: link.only_from_cfs)]
-    places = np.unique(hosts[rows.source[output]])
+    places = distinct(hosts[rows.source[output]])
     network = members[among(rows.link[members], lambda link: link.peers)]
     sender = rows.sbn_sender(network)
-    if max(len(places), len(np.unique(sender))) < 2 and not _conflict(rows, members):
+    if max(len(places), len(distinct(sender))) < 2 and not _conflict(rows, members):
         return [members]
     first, who = numbered(hosts[rows.source[network]], sender)
     places = hosts[rows.source[network[first]]]
@@ -326,7 +325,7 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     rows_of = np.concatenate((network, output))
     order = {name: at for at, name in enumerate(sorted(set(names)))}
     of_name = np.array([order[name] for name in names])[label]
-    return [np.sort(rows_of[of_name == index]) for index in np.unique(of_name).tolist()]
+    return [np.sort(rows_of[of_name == index]) for index in distinct(of_name).tolist()]
 
 
 def _hand_on_unseen(rows: Rows, output: Places, label: Places, on_sbn: Mask) -> None:

@@ -33,7 +33,7 @@ from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, fol
 from edoras_tools.links.table import among, carrying
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import distinct, in_16_bits, numbered, perhaps_in
+from edoras_tools.wire.arrays.order import distinct, groups, numbered, perhaps_in
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -382,8 +382,8 @@ def unsteadiness(rows: Rows) -> int:
     come out before they went in.
     """
     at = np.flatnonzero(among(rows.link, lambda link: link.only_from_cfs) & (rows.mission_time_ns > 0))
-    at = at[np.argsort(rows.mission_time_ns[at], kind="stable")]
-    at = at[np.argsort(in_16_bits(rows.source[at]), kind="stable")]
+    each = (own[np.argsort(rows.mission_time_ns[own], kind="stable")] for _, own in groups(rows.source, at))
+    at = np.concatenate((at[:0], *each))
     same = (np.diff(rows.source[at]) == 0) & (np.diff(rows.mission_time_ns[at]) < _TOGETHER_NS)
     steps = np.diff(rows.time_ns[at])[same]
     steps = steps[np.abs(steps) < _HALF_ROUND_NS]

@@ -51,7 +51,7 @@ from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.order import by_value, distinct, numbered
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
@@ -386,7 +386,7 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint], unsteady_ns: int = 0
         unsteady_ns: by how much their times are wrong in no order.
     """
     early_ns, host = max(_CLOCKS_NS, unsteady_ns), number_hosts(endpoints)
-    if not len(rows) or len(np.unique(host[rows.source])) < 2:
+    if not len(rows) or len(distinct(host[rows.source])) < 2:
         return []
     leaving: dict[int, list[Places]] = {}
     for _, behind in by_value(rows.source.astype(np.int64) << 32 | rows.destination):

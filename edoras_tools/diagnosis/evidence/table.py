@@ -27,7 +27,7 @@ from edoras_tools.model import NO_ROUTE, OTHER, Columns, Endpoint, Finding, Pack
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceRows
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.fingerprint import of_bytes
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import distinct, numbered
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.msg_id import VERSION_1
 
@@ -385,7 +385,7 @@ class Recorder:
         own = np.flatnonzero(offset >= 0)
         body[own] = of_bytes(batch.data, offset[own] + _ENCAPSULATION, length[own] - _ENCAPSULATION)
         plain, stamped = body.copy(), body.copy()
-        for index in np.unique(columns.route[own]).tolist():
+        for index in distinct(columns.route[own]).tolist():
             name = routes[index].type if index != NO_ROUTE else ""
             if name and types is not None and types.has(name):
                 rows = own[columns.route[own] == index]

@@ -23,7 +23,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding, Link, rate_hz
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value, distinct_rows, numbered, quantiles
+from edoras_tools.wire.arrays.order import by_value, distinct, distinct_rows, numbered, quantiles
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ def _nearest(
 ) -> NDArray[np.int32]:
     best = np.full(len(lost), np.iinfo(np.int64).max)
     out = np.full(len(lost), NOBODY, np.int32)
-    for index in np.unique(instance[timed]).tolist():
+    for index in distinct(instance[timed]).tolist():
         own = timed[instance[timed] == index]
         at = np.searchsorted(rows.time_ns[own], rows.time_ns[lost])
         for side in (np.maximum(at - 1, 0), np.minimum(at, len(own) - 1)):
@@ -265,7 +265,7 @@ def _stream(
     first = int(members[0])
     routes = rows.route[members]
     own = routes[routes != NO_ROUTE]
-    missing = rows.missing[members]
+    missing, time_ns = rows.missing[members], rows.time_ns[members]
     gaps = int(missing.sum())  # as info has them, which knows of no restart: what follows is for judging
     link = table.link(rows.link[first])
     if link.only_from_cfs:
@@ -285,10 +285,10 @@ def _stream(
         instance=int(instance[first]) if not link.only_to_cfs else NOBODY,
         route=int(own[0]) if len(own) else NO_ROUTE,
         rows=members,
-        time_ns=rows.time_ns[members],
+        time_ns=time_ns,
         counted=bool(rows.counted[members].any()),
         missing=np.append(missing[1:], 0),
-        pauses=_pauses(rows.time_ns[members]),
+        pauses=_pauses(time_ns),
         repeats=rows.duplicates[members] > 0,
         gaps=gaps,
         reordered=int(rows.reordered[members].sum()),

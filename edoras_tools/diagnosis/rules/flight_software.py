@@ -227,23 +227,25 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
     """
     quotes = {line for item in case.verdicts for line in item.evidence}
     quoted = "\n".join(quotes)
+    errors = [record for record in case.payloads.events if record.event_type >= EventType.ERROR]
+    told_texts = {text for text in {record.message for record in errors} if text in quoted}
     groups: dict[tuple[str, str, int], list[EventRecord]] = {}
-    for record in case.payloads.events:
-        if record.event_type >= EventType.ERROR and not _is_told(case, record, quoted):
+    for record in errors:
+        if record.message not in told_texts and not _is_told(case, record):
             groups.setdefault((record.sender, record.app, record.event_id), []).append(record)
     for members in groups.values():
         yield _error(case, members)
     every = case.reported_losses.items()
     refused = sum(events.count for item, events in every if item.kind in {"invalid", "too_big"})
     for instance, track in case.tracks.items():
-        errors = track.growth("send_errors")
+        failed = track.growth("send_errors")
         losses = sum(track.growth(name) for name in ("msg_limits", "pipe_overflows"))
-        if errors > losses + refused and not any("sends failed" in line for line in quotes):
+        if failed > losses + refused and not any("sends failed" in line for line in quotes):
             reported = any(app == NAME and number in _FAILED for _, app, number in groups)
             yield warning(
-                f"{plural(errors - losses - refused, 'send')} on the software bus of {case.label(instance)} "
+                f"{plural(failed - losses - refused, 'send')} on the software bus of {case.label(instance)} "
                 f"failed, {'as cFS reports' if reported else 'and neither a pipe nor an event says why'}",
-                f"0x803: MessageSendErrors +{errors:,}, of them {losses:,} at pipes",
+                f"0x803: MessageSendErrors +{failed:,}, of them {losses:,} at pipes",
                 hop="software bus",
                 span=(track.times[0], track.times[-1]),
                 remedy="look at the console of cFS",
@@ -251,10 +253,8 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
             )
 
 
-def _is_told(case: Case, record: EventRecord, quoted: str) -> bool:
-    """Tell whether a verdict quotes an event, or the balance has what it names, as by counters."""
-    if record.message in quoted:
-        return True
+def _is_told(case: Case, record: EventRecord) -> bool:
+    """Tell whether a verdict or the balance has what an event names, as by counters."""
     reported = parse_loss_event(record)
     if reported is None:
         return False

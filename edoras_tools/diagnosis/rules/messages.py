@@ -193,7 +193,7 @@ def _unwanted(case: Case, track: Track, arriving: Places) -> Iterator[tuple[int,
     sent before it, but for what may still be on its way.
     """
     times, seen_ns = case.rows.time_ns, np.array(track.times)
-    counts, spread = track.beyond_steady("no_subscribers", np.sort(times[arriving]), _COUNTED_NS)
+    counts, spread = track.beyond_steady("no_subscribers", times[arriving], _COUNTED_NS)
     if spread:
         counts = np.array(track.totals["no_subscribers"])
     published = (_published(item) - SECOND for item in case.streams if item.link.only_from_cfs)
@@ -204,7 +204,7 @@ def _unwanted(case: Case, track: Track, arriving: Places) -> Iterator[tuple[int,
     inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
     own = {msg_id: inside[at] for msg_id, at in by_value(case.rows.msg_id[inside])}
     lost = sum(item.lost for item in case.ingests)
-    most = most_at_once(np.sort(times[arriving]), case.profile.ci_wake_ns) if len(arriving) else 0
+    most = most_at_once(times[arriving], case.profile.ci_wake_ns) if len(arriving) else 0
     crowded = most > case.profile.ci_datagrams_per_wake  # what waits in CI's socket is counted late
     lag_ns = DRAINS_NS if crowded else _COUNTED_NS
     for size in _UNKNOWN:
@@ -246,7 +246,6 @@ def _may_be(sent_ns: Integers, seen_ns: Integers, counts: Integers, lag_ns: int,
     Args:
         lost: so many at most were lost before CI.
     """
-    sent_ns = np.sort(sent_ns)
     if len(seen_ns) > 2 and not _may_be(sent_ns, seen_ns[[0, -1]], counts[[0, -1]], lag_ns, lost):
         return False  # mostly the ends tell
     least, most = (np.searchsorted(sent_ns, seen_ns - before_ns) for before_ns in (lag_ns, 0))

@@ -25,10 +25,11 @@ def of_bytes(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray
     out = np.zeros(len(offset), np.uint64)
     cut = np.minimum(length, HASHED_BYTES)
     sizes = ((size, rows) for size, rows in by_value((cut + 7) >> 3) if size > 0)
-    parts = ((size, rows[at : at + _BLOCK]) for size, rows in sizes for at in range(0, len(rows), _BLOCK))
-    for size, rows in parts:
+    for size, own, at in ((size, rows, at) for size, rows in sizes for at in range(0, len(rows), _BLOCK)):
+        some = slice(at, at + _BLOCK)
+        rows = some if len(own) == len(out) else own[some]
         words = gather(data, offset[rows], size * 8).view(np.uint64)
-        words[:, -1] &= _LAST_WORD[cut[rows] & 7]
+        words[:, -1] &= _LAST_WORD.take(cut[rows] & 7)
         # Folded first: a factor alone would let the highest bits of two words cancel each other.
         words ^= words >> np.uint64(32)
         out[rows] = finished(words @ WEIGHTS[:size] + length[rows].astype(np.uint64) * MIX)

@@ -26,7 +26,7 @@ from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
 from edoras_tools.links.table import among
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import distinct, numbered
 from edoras_tools.wire.sbn import MsgType
 
 if TYPE_CHECKING:
@@ -277,7 +277,7 @@ def _between(rows: Rows, network: Network, at: Integers, peer: SbnParty, observe
     """Tell which rows one party sent to another."""
     ends = []
     for party, column in ((peer, rows.source), (observer, rows.destination)):
-        places = [place for place in np.unique(column[at]).tolist() if network.party(place) == party]
+        places = [place for place in distinct(column[at]).tolist() if network.party(place) == party]
         ends.append(np.isin(column[at], places))
     return np.asarray(ends[0] & ends[1])
 
@@ -299,7 +299,7 @@ def _goodbyes(
     rows: Rows, network: Network, connection: Connection, observer: SbnParty, system: int
 ) -> Iterator[Change]:
     """Yield when SBN of a cFS ended, as it says to its peers, and when it spoke again."""
-    places = [place for place in np.unique(rows.source).tolist() if network.party(place) == observer]
+    places = [place for place in distinct(rows.source).tolist() if network.party(place) == observer]
     said_ns = rows.time_ns[np.isin(rows.source, places) & among(rows.link, lambda link: link.peers)]
     for item in connection.changes:
         if item.why != SAID_GOODBYE:
