@@ -161,7 +161,7 @@ class Pipes:
         period = (
             profile.ci_wake_ns if fate.stream.link.only_to_cfs else profile.sbn_wake_ns * profile.sbn_polls
         )
-        return most_at_once(times, period) > profile.app_msg_limit
+        return more_at_once(times, period, profile.app_msg_limit)
 
     def _times(self, fate: Fate) -> tuple[Integers, Integers]:
         """Return from when and until when each message can have been counted: i64, capture time in ns.
@@ -292,9 +292,10 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
     return later * period > _OVER * clean * (span.end_ns - span.start_ns) > 0
 
 
-def most_at_once(times: Integers, period_ns: int) -> int:
-    """Return the most of some messages, at least one, that come within a period of time."""
-    return int((np.searchsorted(times, times + period_ns) - np.arange(len(times))).max())
+def more_at_once(times: Integers, period_ns: int, number: int) -> bool:
+    """Tell whether more than so many of some messages, in order of time, come within a period of time."""
+    late = times[number:]
+    return bool((late - times[: len(late)] < period_ns).any())
 
 
 def measured_depth(times: Integers, period: int) -> int:
@@ -604,7 +605,7 @@ class Leftover:
         queue = queues.application_pipe(case.profile) if visible else None
         late = [item for item in ingests if item.waiting or item.older_until_ns or item.lost]
         times, reads = self._came_ns(stream), case.profile.ci_datagrams_per_wake
-        crowded = most_at_once(times, case.profile.ci_wake_ns) > reads  # it waits in CI's socket
+        crowded = more_at_once(times, case.profile.ci_wake_ns, reads)  # it waits in CI's socket
         counted_ns = DRAINS_NS if late or crowded or not ingests else LATE_NS
         return _Candidate(
             stream.msg_id, pipe, stream, stream, spans, since_ns, sender, report, times, queue, counted_ns
@@ -631,10 +632,10 @@ class Leftover:
                 continue
             fate, times = self._fates.get(id(stream)), self._came_ns(stream)
             if stream.link.only_to_cfs and not (fate and fate.seen):
-                if most_at_once(times, application.round_ns) > application.usual_limit:
+                if more_at_once(times, application.round_ns, application.usual_limit):
                     yield self._candidate(stream, APP)
             elif stream.link.peers and stream.msg_id in msg_ids and case.goes_to(stream, instance):
-                over = most_at_once(times, output.round_ns) > output.limit(stream.msg_id)
+                over = more_at_once(times, output.round_ns, output.limit(stream.msg_id))
                 if over and case.owner(stream) != instance:
                     item, hop = self._candidate(stream, telemetry_output.PIPE), followed.get(id(stream))
                     yield item if hop is None else _not_seen(item, hop)

@@ -11,7 +11,7 @@ from edoras_tools.cfs.limits import BRIDGE_BUFFER
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
-from edoras_tools.diagnosis.accounting.pipes import most_at_once
+from edoras_tools.diagnosis.accounting.pipes import more_at_once
 from edoras_tools.diagnosis.rules.about import of_messages, packet, stream_subject
 from edoras_tools.diagnosis.verdict import About, Confidence, Severity, Verdict, error, note, warning
 from edoras_tools.links import table
@@ -204,9 +204,8 @@ def _unwanted(case: Case, track: Track, arriving: Places) -> Iterator[tuple[int,
     inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
     own = {msg_id: inside[at] for msg_id, at in by_value(case.rows.msg_id[inside])}
     lost = sum(item.lost for item in case.ingests)
-    most = most_at_once(times[arriving], case.profile.ci_wake_ns) if len(arriving) else 0
-    crowded = most > case.profile.ci_datagrams_per_wake  # what waits in CI's socket is counted late
-    lag_ns = DRAINS_NS if crowded else _COUNTED_NS
+    crowded = more_at_once(times[arriving], case.profile.ci_wake_ns, case.profile.ci_datagrams_per_wake)
+    lag_ns = DRAINS_NS if crowded else _COUNTED_NS  # what waits in CI's socket is counted late
     for size in _UNKNOWN:
         every = (np.sort(np.concatenate([own[at] for at in chosen])) for chosen in combinations(own, size))
         fits = [item for item in every if _may_be(times[item], seen_ns, counts, lag_ns, lost)]
