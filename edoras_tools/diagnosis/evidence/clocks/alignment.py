@@ -47,7 +47,6 @@ from edoras_tools.diagnosis.evidence.clocks.lines import (
 from edoras_tools.diagnosis.evidence.instances import Instances
 from edoras_tools.diagnosis.evidence.relays import pair_up
 from edoras_tools.diagnosis.evidence.table import peer_of
-from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
@@ -105,8 +104,8 @@ class Side(msgspec.Struct, frozen=True, eq=False, dict=True):
     @cached_property
     def span(self) -> tuple[int, int]:
         """Capture times of its first and its last datagram; of none, the end of time and its beginning."""
-        times = self.rows.time_ns
-        return (int(times.min()), int(times.max())) if len(times) else (NEVER, -NEVER)
+        times, ever = self.rows.time_ns, np.iinfo(np.int64)
+        return int(times.min(initial=ever.max)), int(times.max(initial=ever.min))
 
 
 def _related(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) -> Iterator[Ordered]:
