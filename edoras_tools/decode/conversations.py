@@ -221,6 +221,13 @@ class Conversations(msgspec.Struct, eq=False):
         return self.flows.get(key)
 
 
+def conversation_of(batch: PacketBatch) -> Integers:
+    """Return a number for each datagram by its endpoints: i64 (n,)."""
+    ends = batch.source_address.astype(np.uint64) << np.uint64(32) | batch.destination_address
+    ports = batch.source_port.astype(np.uint64) << np.uint64(16) | batch.destination_port
+    return ((ends * _MIX ^ ports) >> np.uint64(1)).astype(np.int64)
+
+
 def in_doubt(batch: PacketBatch, columns: Columns, context: Context) -> Mask:
     """Return the datagrams, bool, of conversations that a batch leaves in doubt: some in them are not sound.
 

@@ -75,6 +75,7 @@ from edoras_tools.model import (
 )
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.sbn import HEADER as SBN_HEADER
 
 if TYPE_CHECKING:
@@ -353,11 +354,12 @@ class Case:
         flows = [item for item in self.prepared.flows if item.kind is ConversationKind.UNNAMED]
         both = [(item, own) for item in flows if (own := quoted.get((item.source, item.destination)))]
         number = {endpoint: at for at, endpoint in enumerate(self.endpoints)}
-        times, *ends = self._errors.voices()
+        times, source, destination = self._errors.voices()
+        voices = {way: np.sort(times[at]) for way, at in by_value(source << 32 | destination)}
         shut = []
         for item, own in both:
-            here = (ends[0] == number[item.source]) & (ends[1] == number[item.destination])
-            shut.append((item, *count_shut(item, np.sort(times[here]), list(own.values()))))
+            came = voices.get(number[item.source] << 32 | number[item.destination], times[:0])
+            shut.append((item, *count_shut(item, came, list(own.values()))))
         return shut
 
     @property

@@ -296,9 +296,8 @@ def _of_two_runs(first: Side, second: Side, shift: Alignment) -> bool:
 
 
 def _is_beside(first: Side, second: Side) -> bool:
-    """Return whether two captures are of one host and of other conversations, as of two of its ports."""
-    hosts, others = ({end.address for way in side.ways for end in way} for side in (first, second))
-    return first.ways.isdisjoint(second.ways) and not hosts.isdisjoint(others)
+    """Return whether two captures are of other conversations on loopback, as of two ports: of one clock."""
+    return bool(first.local and second.local) and first.local.isdisjoint(second.local)
 
 
 def _gap_ns(first: Side, second: Side, line: ClockLine | None = None) -> int:

@@ -237,7 +237,7 @@ class Telemetry:
         closed |= silenced_at(stream, gaps.at, retold_ns)
         silences = case.silences_of(stream.sender) if stream.link.only_from_cfs else ()
         silenced = silenced_at(stream, gaps.at, silences) & ~closed
-        taken_off = (hop is None) & perhaps_taken_off(case, stream, gaps.number)
+        taken_off = perhaps_taken_off(case, stream, gaps.number) if hop is None else np.zeros_like(closed)
         if owner in self._counts:
             taken_off &= self._counts[owner].between(gaps.low_ns, gaps.high_ns) < gaps.number
         unled = (silenced_at(stream, gaps.at, unled_ns) | taken_off) & ~(closed | silenced)

@@ -237,13 +237,15 @@ class Commands:
     def _is_lost_between(self) -> bool:
         """Whether neither of two places that a file has both of can have missed what one of them lacks.
 
-        CI's counts say that just so many were lost as one place lacks of what went to it: both have the rest.
+        CI's counts say that some were lost, and just as many as one place lacks of what went to it: both have
+        the rest.
         """
         alone, links = self._case.prepared.perhaps_astray, self._case.rows.link
         up = among(links, lambda link: link.only_to_cfs)
-        share = float(alone[among(links, lambda link: link.only_from_cfs)].mean())
+        down = alone[among(links, lambda link: link.only_from_cfs)]
         lost = sum(account.lost_on_network for account in self._case.ingests)
-        return int(alone[up].sum()) == lost and (1 - share) ** int((up & ~alone).sum()) < 1 - CONFIDENCE
+        is_so = lost > 0 and int(alone[up].sum()) == lost == int(alone.sum() - down.sum())
+        return is_so and (1 - down.sum() / max(1, len(down))) ** int((up & ~alone).sum()) < 1 - CONFIDENCE
 
     def _down(self, fate: Fate) -> None:
         """Tell lost what came over SBN while its cFS was down: from its last packet to its next boot."""
@@ -649,8 +651,8 @@ class Commands:
         ends["superseded"] += more
         # Where times are wrong, what is late may be taken for another; so may what has another value.
         strange = fate.open & (~fate.edge if self._case.unsteady_ns else fate.strange)
-        ends["missed"] += (missed := min(int(strange.sum()), unaccounted - more))
-        ends["unaccounted"] += unaccounted - more - missed
+        ends["missed"] += (not_seen := min(int(strange.sum()), unaccounted - more))
+        ends["unaccounted"] += unaccounted - more - not_seen
 
     @staticmethod
     def _share(fate: Fate, own: Sequence[int], rest: list[int]) -> None:
@@ -743,8 +745,8 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
             gaps.setdefault(id(loss.stream), []).append((loss, number))
     unseen = [fate for fate in fates if fate.seen and fate.ends["unaccounted"]]
     missing = sum(number for own in gaps.values() for _, number in own)
-    followed = {id(fate.stream) for fate in unseen}
-    sent = sum(len(item) for item in case.streams if item.counted or id(item) in followed) + missing
+    streams = {id(fate.stream) for fate in unseen}
+    sent = sum(len(item) for item in case.streams if item.counted or id(item) in streams) + missing
     missing += sum(fate.ends["unaccounted"] for fate in unseen)
     if not missing or quality.excludes(missing / sent):
         return

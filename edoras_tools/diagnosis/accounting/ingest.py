@@ -201,7 +201,7 @@ def ingests(case: Case) -> list[Ingest]:
                 late = counter.account(_UNDER_WAY_NS)
                 # What a slow network explains is no loss, and no copy: rule 8.
                 if not late.lost_on_network or late.not_captured < account.not_captured:
-                    even = late if counter.stood or counter.followed else counter.steady(account)
+                    even = late if counter.stood or counter.has_output else counter.steady(account)
                     is_so = even.lost_on_network and not even.not_captured
                     account = even if is_so else replace(late, unsure=account.unsure)
                 elif counter.stood and (more := account.lost_on_network - late.lost_on_network) > 0:
@@ -298,11 +298,13 @@ class _Counted:
             np.array([getattr(item, name) for item in own])
             for name in ("seen_ns", "made_ns", "count", "instance")
         )
-        begins = (np.diff(self._count) < 0) | (np.diff(instance) != 0)  # a count that falls began again
-        for item in case.resets:
-            within = (item.start_ns <= self._seen[1:]) & (self._seen[:-1] <= item.end_ns)
+        begins = np.diff(instance) != 0
+        for item in case.resets:  # of a cFS whose clock went on; a sample may be the last sign before it
+            within = (item.start_ns < self._seen[1:]) & (self._seen[:-1] < item.end_ns)
             begins |= within & (instance[1:] == item.instance)
-        self._starts = (np.flatnonzero(begins) + 1).tolist()
+        self._restarts = np.append(False, begins)
+        """Which samples are of a cFS that was started again since the one before."""
+        self._starts = (np.flatnonzero(begins | (np.diff(self._count) < 0)) + 1).tolist()  # or CI alone was
         hops = [hop for hop in case.hops if hop.into.link.only_to_cfs and hop.into.receiver == endpoint]
         self._read = []
         for hop in hops:
@@ -313,7 +315,7 @@ class _Counted:
         A robot is sent them at once; before they leave elsewhere the application and the link may keep them.
         """
         self._arrived = np.sort(np.concatenate([sent for sent, _ in self._read])) if hops else None
-        self.followed = bool(hops)
+        self.has_output = bool(hops)
         """Whether it is seen what comes out: that shows how long it took."""
         self._all_out = all(hop.out.link.last_hop for hop in hops)
         """Whether all that is read comes out: what is rewritten for others may give way."""
@@ -426,7 +428,7 @@ class _Counted:
             lost, before = lost + before - most_read, most_read
         if commands and (self._arrived is None or not self._all_out):  # it may have ended at once
             account.unsure += max(0, before - max(total, int(self._sent_until(max(commands)[1])) - lost))
-        down = self._began_anew(sooner, later)
+        down = bool(self._restarts[first])
         if down and self._arrived is None:
             until_ns = min(self._next_sign_ns(sooner.instance, ended_ns), later.made_ns)
             if restarts := self._restarts_ns(ended_ns - self._profile.ci_wake_ns, until_ns):
@@ -436,12 +438,6 @@ class _Counted:
             before += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
             ended_ns = until_ns
         return ("down" if down else "restart", ended_ns), lost, before
-
-    def _began_anew(self, sooner: _Sample, later: _Sample) -> bool:
-        """Tell whether a cFS was started again between two samples, also one whose clock went on."""
-        own = (item for item in self._case.resets if item.instance == later.instance)
-        within = any(item.start_ns <= later.seen_ns and sooner.seen_ns <= item.end_ns for item in own)
-        return sooner.instance != later.instance or within
 
     def _end_with_outage(self, account: Ingest, begin: tuple[Cause, int]) -> None:
         """End what was lost while it did not run with the last of these: what it read since came behind."""

@@ -43,7 +43,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     Loss,
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.timeline.table import NEVER
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner
 from edoras_tools.diagnosis.matching.streams import bursts
 from edoras_tools.links.table import carrying
 from edoras_tools.units import SECOND
@@ -643,9 +643,10 @@ class Leftover:
     def _came_ns(self, stream: Stream) -> Integers:
         """Return when messages came to a pipe: what was sent while a cFS stood still, when it went on."""
         times = stream.time_ns.copy()
-        for system, owner in self._case.timeline.subjects:
-            for span in self._case.timeline.spans(owner, "stalled", system):
-                times[(times > span.start_lo) & (times < span.end_hi)] = span.end_hi
+        case = self._case
+        for system in {item for item in case.instances.systems if case.into_system(stream, item)}:
+            for span in case.timeline.spans(StateOwner("cfs"), "stalled", system):
+                times[(times > span.start_lo) & (times < span.end_hi)] = min(span.end_hi, case.end_ns)
         return times
 
     def _pipe(self, stream: Stream) -> str:

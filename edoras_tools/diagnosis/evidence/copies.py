@@ -43,6 +43,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools.decode.conversations import conversation_of
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.table import among
 from edoras_tools.model import OTHER, Columns, PacketBatch
@@ -259,13 +260,6 @@ class Repeats:
 
 def _alone(batch: PacketBatch) -> Prints:
     return _glance(batch, conversation_of(batch), network_headers(batch)[1])
-
-
-def conversation_of(batch: PacketBatch) -> Integers:
-    """Return a number for each datagram by its endpoints: i64 (n,)."""
-    ends = batch.source_address.astype(np.uint64) << np.uint64(32) | batch.destination_address
-    ports = batch.source_port.astype(np.uint64) << np.uint64(16) | batch.destination_port
-    return ((ends * MIX ^ ports) >> np.uint64(1)).astype(np.int64)
 
 
 def _glance(batch: PacketBatch, conversation: Integers, identification: NDArray[np.uint16]) -> Prints:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.diagnosis.evidence.copies import conversation_of
+from edoras_tools.decode.conversations import conversation_of
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.icmp import quoted_rows
 from edoras_tools.links.table import among

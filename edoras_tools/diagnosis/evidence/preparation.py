@@ -414,6 +414,7 @@ def _early(rows: Rows) -> Integers:
         np.minimum.at(first_ns, key, rows.time_ns[own])
         ahead, enough = first_ns[::2] - first_ns[1::2], number[::2] >= number[1::2]
         early = (ahead > _TOGETHER_NS) & (ahead < SECOND)
-        if (early & enough).sum() >= max(_LEAST_EARLY, (early & ~enough).sum()):
+        late = (ahead < 0) & (ahead > -SECOND)  # there are none of what is sent back as a command
+        if late.any() and (early & enough).sum() >= max(_LEAST_EARLY, (early & ~enough).sum()):
             out.append(ahead[early & enough])
     return np.concatenate(out)

@@ -273,12 +273,16 @@ def _ways_in(
     place, at, order, score, near = (np.concatenate(part) for part in zip(*parts, strict=True))
     rank = np.maximum(score, _ALIKE)
     alike: dict[int, list[int]] = {}
+    likely: dict[tuple[int, int], bool] = {}
     for index in np.lexsort((order, place, -near, -rank, order != 0, at)).tolist():
         kinds, likeliest = _COMPARED[order[index]], alike.setdefault(int(at[index]), [])
         if not likeliest:
-            together = place[(at == at[index]) & (order == order[index])].tolist()
-            came = (into.of(one, kinds[0]) for one in together)
-            if score[index] >= _ALIKE or _likely(np.concatenate([*came]), out.of(at[index], kinds[1])):
+            way = int(at[index]), int(order[index])
+            if way not in likely and score[index] < _ALIKE:
+                together = place[(at == at[index]) & (order == order[index])].tolist()
+                came = (into.of(one, kinds[0]) for one in together)
+                likely[way] = _likely(np.concatenate([*came]), out.of(at[index], kinds[1]))
+            if score[index] >= _ALIKE or likely[way]:
                 likeliest.append(index)
         elif score[index] == score[likeliest[0]] >= _ALIKE and order[index] == order[likeliest[0]]:
             likeliest.append(index)
@@ -446,7 +450,7 @@ def _likely(came: Prints, went: Prints) -> bool:
     every, behind = (distinct(some[some != 0]) for some in (went, went[arrived.argmax() :]))
     there_too = np.isin(behind, came)
     nearly_all = there_too.sum() >= _LEAST_DIFFERENT and there_too.mean() > _NEARLY_ALL
-    return bool(nearly_all or np.isin(every, came).mean() >= _ALIKE)
+    return bool(nearly_all or (len(every) and np.isin(every, came).mean() >= _ALIKE))
 
 
 def _match(into: Stream, out: Stream, came: Prints, went: Prints, early_ns: int) -> Hop:

@@ -238,14 +238,14 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
     every = case.reported_losses.items()
     refused = sum(events.count for item, events in every if item.kind in {"invalid", "too_big"})
     for instance, track in case.tracks.items():
-        failed = track.growth("send_errors")
+        unsent = track.growth("send_errors")
         losses = sum(track.growth(name) for name in ("msg_limits", "pipe_overflows"))
-        if failed > losses + refused and not any("sends failed" in line for line in quotes):
+        if unsent > losses + refused and not any("sends failed" in line for line in quotes):
             reported = any(app == NAME and number in _FAILED for _, app, number in groups)
             yield warning(
-                f"{plural(failed - losses - refused, 'send')} on the software bus of {case.label(instance)} "
+                f"{plural(unsent - losses - refused, 'send')} on the software bus of {case.label(instance)} "
                 f"failed, {'as cFS reports' if reported else 'and neither a pipe nor an event says why'}",
-                f"0x803: MessageSendErrors +{failed:,}, of them {losses:,} at pipes",
+                f"0x803: MessageSendErrors +{unsent:,}, of them {losses:,} at pipes",
                 hop="software bus",
                 span=(track.times[0], track.times[-1]),
                 remedy="look at the console of cFS",

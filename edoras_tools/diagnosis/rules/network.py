@@ -551,7 +551,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
     foreign = (rows.link == SBN) & rows.has(Finding.SBN_ID_MISMATCH) & ~listed
     network = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(Finding.TRUNCATED))
     times, names, party = rows.time_ns[network], case.network.identity_of.items(), case.network.party
-    served = {peer for (peer, _), own in case.network.connections.items() if len(own.sent_ns)}
+    partners = {peer for (peer, _), own in case.network.connections.items() if len(own.sent_ns)}
     for record in case.said(case.start_ns, case.end_ns, facts.NAME):
         matches = (event.pattern.search(record.message) for event in _UNKNOWN_PEER)
         if match := next(filter(None, matches), None):
@@ -563,7 +563,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             )
             # Who is named by his processor alone may be one that was named in full just before, or one that
             # is not here: it is none that this cFS sends messages to.
-            peers = [end for end, name in names if name.endswith(f":{processor}") and party(end) in served]
+            peers = [end for end, name in names if name.endswith(f":{processor}") and party(end) in partners]
             same &= bool(craft) | ~np.isin(rows.source[near], peers)
             if craft or not foreign[near[same]].any():
                 foreign[near[same]] = True

@@ -96,10 +96,11 @@ class Side(msgspec.Struct, frozen=True, eq=False, dict=True):
         return Instances(self.rows, self.events, self.endpoints)
 
     @cached_property
-    def ways(self) -> set[tuple[Endpoint, Endpoint]]:
-        """Source and destination of every conversation in it."""
-        ways, ends = np.unique(self.rows.way()).tolist(), self.endpoints
-        return {(ends[way >> 32], ends[way & 0xFFFFFFFF]) for way in ways}
+    def local(self) -> set[tuple[Endpoint, Endpoint]]:
+        """Source and destination of every conversation in it on loopback."""
+        ways = np.unique(self.rows.way()).tolist()
+        both = ((self.endpoints[way >> 32], self.endpoints[way & 0xFFFFFFFF]) for way in ways)
+        return {way for way in both if way[0].address.startswith(("127.", "::1"))}
 
     @cached_property
     def span(self) -> tuple[int, int]:
