@@ -524,8 +524,8 @@ _MOST: Final = 64
 def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
     """Return from when to when the capture has holes, and may have; rows are in order of time.
 
-    It may have one where nothing at all was captured for long, cFS went on counting, and no other shows that
-    it went on sending.
+    It may have one where nothing at all was captured for long, or most of what cFS sends is missing, and no
+    other shows that it went on sending.
     """
     steps = np.diff(rows.time_ns)
     long = np.flatnonzero(steps >= _ROUND_NS)
@@ -540,11 +540,10 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
     holes: tuple[list[tuple[int, int]], ...] = [], []
     for gap in zip(rows.time_ns[long].tolist(), rows.time_ns[long + 1].tolist(), strict=True):
         others = _steady(commands, *gap) or sum(_steady(times, *gap) for times in peers) > 1
-        if others or gap[1] - gap[0] >= _LEAST_NS:
-            missing, number, packets = _missing_at(rows, streams, gap[0])
-            sure = others and missing >= _LEAST_STREAMS and 2 * missing > number
-            if packets >= _LEAST_STREAMS and (sure or gap[1] - gap[0] >= _LEAST_NS):
-                holes[not sure].append(gap)
+        missing, number, packets = _missing_at(rows, streams, gap[0])
+        most = missing >= _LEAST_STREAMS and 2 * missing > number
+        if packets >= _LEAST_STREAMS and (most or gap[1] - gap[0] >= _LEAST_NS):
+            holes[not (others and most)].append(gap)
     return holes[0], holes[1]
 
 

@@ -662,6 +662,14 @@ def test_a_restart_beside_a_count_is_one_restart(tmp_path, gone):
     assert [account.not_captured for account in case.ingests] == [0]
 
 
+def test_rounds_of_which_nothing_is_there_may_be_missed_by_the_capture(tmp_path):
+    items = mutations.frames(FOLDER / "frames_in_bursts.pcap.zst")
+    down = [item for item in items if mutations.is_to(item.data, 1235)]
+    found = truth.examined(mutations.write(tmp_path / "down.pcap", down))
+    assert found.lost + found.unaccounted == 0
+    assert found.uncertain
+
+
 @pytest.mark.parametrize("share", [0.1, 0.3])
 def test_what_is_there_again_much_later_is_no_second_place(tmp_path, share):
     items = mutations.frames(FOLDER / "losing_network.pcap.zst")
