@@ -255,7 +255,10 @@ def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Side
                 break
     finally:
         source.close()
-    return Side(recorder.rows(), recorder.payloads.events, recorder.endpoints)
+    rows = recorder.rows()
+    # Messages of a stream have identifications of their own in each capture.
+    rows = replace(rows, identification=np.where(rows.streamed, np.uint16(0), rows.identification))
+    return Side(rows, recorder.payloads.events, recorder.endpoints)
 
 
 def _readable(source: Source) -> Iterator[PacketBatch]:

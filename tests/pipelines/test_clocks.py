@@ -108,6 +108,16 @@ def test_two_hosts_that_captured_the_same_are_one(order):
     assert abs(float(note.split(" by ")[1].split()[0])) < 0.005
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_files_that_overlap_in_streams_are_one(tmp_path, turned):
+    whole = ROOT / "tests/captures/cfs7/two_tcp.pcap.zst"
+    traffic = mutations.frames(whole)
+    parts = traffic[: len(traffic) * 3 // 5], traffic[len(traffic) // 2 :]
+    paths = [mutations.write(tmp_path / f"{at}.pcap", part) for at, part in enumerate(parts)]
+    found, _ = diagnosed(*(paths[::-1] if turned else paths))
+    assert totals(found) == totals(diagnosed(whole)[0])
+
+
 @pytest.mark.each(2)
 @pytest.mark.parametrize("name", ["a_rover", "c4_cmd_rate", "flights/ci_counters_reset", "flights/starved"])
 @pytest.mark.parametrize("late_ms", [0, 50])
