@@ -216,8 +216,8 @@ class Choice(msgspec.Struct, frozen=True):
 
     Attributes:
         text: how people are told of it.
-        takes: tells whether something is shown: of a link's label, a MsgId (None where unknown) and perhaps
-            a topic, as samples of DDS have no MsgId; ``spacecraft`` is by default the first.
+        takes: called with the label of a link, a MsgId (None where unknown) and, for DDS, a topic; and with
+            ``spacecraft`` where it is not the first. Tells whether what they concern is shown.
     """
 
     text: str

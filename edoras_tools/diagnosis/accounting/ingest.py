@@ -155,8 +155,8 @@ class Ingest(msgspec.Struct):
         """
         self.unsure += self._take_back(lambda end_ns: int((again_ns <= end_ns).sum()))
 
-    def steady(self) -> None:
-        """Take back, as times may be wrong, losses on the network that CI counts too much later."""
+    def take_back_late(self) -> None:
+        """Take back losses on the network as far as CI counts more than is here: those may have come late."""
         later = self._take_back(lambda _: self.not_captured)
         self.taken, self.not_captured = self.taken + later, self.not_captured - later
 
@@ -201,13 +201,13 @@ def ingests(case: Case) -> list[Ingest]:
                 late = counter.account(_UNDER_WAY_NS)
                 # What a slow network explains is no loss, and no copy: rule 8.
                 if not late.lost_on_network or late.not_captured < account.not_captured:
-                    even = late if counter.stood or counter.has_output else counter.steady(account)
+                    even = late if counter.stood or counter.has_output else counter.of_steady_delay(account)
                     is_so = even.lost_on_network and not even.not_captured
                     account = even if is_so else replace(late, unsure=account.unsure)
                 elif counter.stood and (more := account.lost_on_network - late.lost_on_network) > 0:
                     account = replace(late, unsure=account.unsure + more)
             account.spare(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
-            account.steady()
+            account.take_back_late()
             accounts.append(account)
     return [*accounts, *_by_kernel(case, to_ci, {item.endpoint for item in accounts})]
 
@@ -326,7 +326,7 @@ class _Counted:
         self.stood = bool((np.diff(self._sent_until(self._seen))[np.diff(self._count) == 0] > 2).any())
         """Whether nothing came between two samples though some were sent, as when a network becomes slow."""
 
-    def steady(self, account: Ingest) -> Ingest:
+    def of_steady_delay(self, account: Ingest) -> Ingest:
         """Return the account by which the fewest were lost, if a network always takes about as long.
 
         Args:
