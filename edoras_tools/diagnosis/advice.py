@@ -223,15 +223,14 @@ def _depth(case: Case, loss: Loss, queue: queues.Queue) -> int:
     return min(queue.depth, measured_depth(case.rows.time_ns[own], queue.round_ns))
 
 
+def _key(loss: Loss) -> tuple[object, ...]:
+    return loss.kind, loss.hop, loss.msg_id, loss.instance, id(loss.stream)
+
+
 def advise(case: Case, loss: Loss) -> Advice:
     """Return what helps against all losses of a MsgId at a queue, worked out once, for the worst of them."""
-    key = loss.kind, loss.hop, loss.msg_id, loss.instance, id(loss.stream)
-    if key not in case.advice:
-        alike = [
-            item
-            for item in case.losses
-            if (item.kind, item.hop, item.msg_id, item.instance, id(item.stream)) == key
-        ]
+    if (key := _key(loss)) not in case.advice:
+        alike = [item for item in case.losses if _key(item) == key]
         at_output = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
         # What holds at the lowest limit that a command set holds at all.
         worst = max(alike, key=lambda item: (-(_limit_of(limit_command(case, item)) or _MOST), item.lost))

@@ -255,10 +255,7 @@ def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Side
                 break
     finally:
         source.close()
-    rows = recorder.rows()
-    # Messages of a stream have identifications of their own in each capture.
-    rows = replace(rows, identification=np.where(rows.streamed, np.uint16(0), rows.identification))
-    return Side(rows, recorder.payloads.events, recorder.endpoints)
+    return Side.of(recorder)
 
 
 def _readable(source: Source) -> Iterator[PacketBatch]:

@@ -332,8 +332,7 @@ class _Counted:
         Args:
             account: if it takes no time.
         """
-        times = range(0, _UNDER_WAY_NS, _APART_NS)
-        every = [self.account(ns + _APART_NS, ns) for ns in times]
+        every = [self.account(ns + _APART_NS, ns) for ns in range(0, _UNDER_WAY_NS, _APART_NS)]
         least = min(every, key=lambda item: (item.before > 0, item.lost_on_network))
         return replace(least, unsure=least.unsure + max(0, account.lost - least.lost))
 

@@ -642,8 +642,7 @@ class Leftover:
 
     def _came_ns(self, stream: Stream) -> Integers:
         """Return when messages came to a pipe: what was sent while a cFS stood still, when it went on."""
-        times = stream.time_ns.copy()
-        case = self._case
+        case, times = self._case, stream.time_ns.copy()
         for system in {item for item in case.instances.systems if case.into_system(stream, item)}:
             for span in case.timeline.spans(StateOwner("cfs"), "stalled", system):
                 times[(times > span.start_lo) & (times < span.end_hi)] = min(span.end_hi, case.end_ns)

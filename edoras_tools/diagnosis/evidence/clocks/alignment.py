@@ -59,8 +59,10 @@ from edoras_tools.words import seconds
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from typing_extensions import Self
+
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
-    from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
     _Pairs = tuple[Integers, Integers]
@@ -89,6 +91,16 @@ class Side(msgspec.Struct, frozen=True, eq=False, dict=True):
     rows: Rows
     events: Sequence[EventRecord]
     endpoints: Sequence[Endpoint]
+
+    @classmethod
+    def of(cls, recorder: Recorder) -> Self:
+        """Return that of a recorder, which need not be kept.
+
+        Messages of a stream have identifications of their own in each capture: here they have none.
+        """
+        rows = recorder.rows()
+        rows = replace(rows, identification=np.where(rows.streamed, np.uint16(0), rows.identification))
+        return cls(rows, recorder.payloads.events, recorder.endpoints)
 
     @cached_property
     def instances(self) -> Instances:
