@@ -37,6 +37,7 @@ from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.model import NO_ROUTE
+from edoras_tools.wire.arrays.order import by_key
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -148,11 +149,8 @@ class WaySum(NamedTuple):
 
 def ways(rows: Iterable[Row]) -> list[WaySum]:
     """Return the way of each traffic through all its hops."""
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        key = row.route, row.link, row.msg_id, row.instance, row.topic
-        if row.hop != CAPTURE:
-            groups.setdefault((*key, row.hop) if row.msg_id is None else key, []).append(row)
+    own = (row for row in rows if row.hop != CAPTURE)
+    groups = by_key(own, lambda row: (*row.key, row.hop if row.msg_id is None else ""))
     return [WaySum(tuple(members)) for members in groups.values()]
 
 
@@ -161,10 +159,8 @@ def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
 
     Where none is configured there is a line for each; housekeeping of cFS has none.
     """
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        if row.msg_id is not None and row.link:
-            groups.setdefault((row.route, row.link, row.msg_id, row.instance), []).append(row)
+    own = (row for row in rows if row.msg_id is not None and row.link)
+    groups = by_key(own, lambda row: (row.route, row.link, row.msg_id, row.instance))
     any_own = any(key[0] != NO_ROUTE for key in groups)
     result = []
     for (route, link, _, instance), members in groups.items():

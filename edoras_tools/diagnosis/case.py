@@ -75,7 +75,7 @@ from edoras_tools.model import (
 )
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import by_key, by_value
 from edoras_tools.wire.sbn import HEADER as SBN_HEADER
 
 if TYPE_CHECKING:
@@ -513,16 +513,15 @@ class Case:
 
     def times(self, stream: Stream) -> Integers:
         """Return when a stream's MsgId comes out of its pipe, whoever made it: they share what may wait."""
-        key = stream.link.code, stream.sender, stream.receiver, stream.msg_id
-        if key not in self._times:
+        if stream.way not in self._times:
+            own = stream.sender, stream.msg_id
             alike = [
                 item.time_ns
                 for item in self.streams
-                if (item.link.code, item.sender, item.receiver, item.msg_id) == key
-                or (item.link.only_from_cfs and (item.sender, item.msg_id) == (stream.sender, stream.msg_id))
+                if item.way == stream.way or (item.link.only_from_cfs and (item.sender, item.msg_id) == own)
             ]
-            self._times[key] = np.sort(np.concatenate(alike))
-        return self._times[key]
+            self._times[stream.way] = np.sort(np.concatenate(alike))
+        return self._times[stream.way]
 
     def done_to(self, stream: Stream) -> Proxied:
         """Return what a proxy did on purpose to the datagrams of a stream."""
@@ -636,10 +635,7 @@ class Case:
 
     @cached_property
     def _losses_of(self) -> dict[int, list[Loss]]:
-        losses: dict[int, list[Loss]] = {}
-        for loss in self.losses:
-            losses.setdefault(id(loss.stream), []).append(loss)
-        return losses
+        return by_key(self.losses, lambda loss: id(loss.stream))
 
     @cached_property
     def has_telemetry(self) -> bool:

@@ -26,7 +26,7 @@ from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, WHOLE, C
 from edoras_tools.links.table import LinkStates
 from edoras_tools.mission import Mission
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, PacketBatch
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import by_key, by_value
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -165,9 +165,7 @@ class Diagnosis(msgspec.Struct, frozen=True, dict=True):
             strict: whether what may be lost counts as lost.
         """
         rows = [row for row in self.balance if row.hop != CAPTURE]
-        groups: dict[tuple[int, int | None], list[Row]] = {}
-        for row in rows:
-            groups.setdefault((row.route, row.msg_id), []).append(row)
+        groups = by_key(rows, lambda row: (row.route, row.msg_id))
         reasons = []
         for (route, msg_id), own in {**groups, (NO_ROUTE, NO_MSG_ID): rows}.items():
             missing = sum(row.proven + row.uncertain * strict for row in own)

@@ -179,6 +179,11 @@ class LedgerTraffic(msgspec.Struct, frozen=True):
     instance: str | None = None
     topic: str = ""
 
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What is equal in all rows of one traffic."""
+        return self.route, self.link, self.msg_id, self.instance, self.topic
+
 
 class LedgerEntry(NamedTuple):
     """Arrivals of one traffic that ended at one hop in one way.

@@ -47,7 +47,7 @@ import numpy as np
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import by_value, distinct, numbered
+from edoras_tools.wire.arrays.order import by_key, by_value, distinct, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -296,12 +296,8 @@ def check_inputs(
         holes: from when to when nothing was captured, ns.
     """
     start_ns = int(rows.time_ns[0]) if len(rows) else 0
-    ways: dict[tuple[int, int, int, int], list[Hop]] = {}
-    for hop in hops:
-        to = hop.out
-        ways.setdefault((to.link.code, to.sender, to.receiver, to.msg_id), []).append(hop)
     best: dict[int, Evidence] = {}
-    for members in ways.values():
+    for members in by_key(hops, lambda hop: hop.out.way).values():
         longest_ns = max(hop.last_ns for hop in members)
         leaving = distinct(np.concatenate([hop.out.rows for hop in members]))
         sole, captured = np.zeros((2, len(leaving)), bool)

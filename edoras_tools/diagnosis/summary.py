@@ -32,6 +32,7 @@ from edoras_tools.diagnosis.verdict import (
     group_verdicts,
 )
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -247,8 +248,8 @@ def _promising(result: Diagnosis, problems: Sequence[tuple[Problem, Sequence[Row
     for item, rows in problems:
         alike = [other for other, _ in problems if other.remedy == item.remedy]
         cured = sum(other.lost or 0 for other in alike)
-        keys = {_route(row) for row in rows}
-        lost = sum(row.all_lost + row.unaccounted for row in result.balance if _route(row) in keys)
+        keys = {row.key for row in rows}
+        lost = sum(row.proven for row in result.balance if row.key in keys)
         rest = item.left if (item.left or 0) < (item.lost or 0) else None  # a promise of more is none
         yield replace(item, left=rest, of=sent_of(result, rows) if lost <= cured else cured)
 
@@ -294,12 +295,8 @@ def _when(result: Diagnosis, own: Sequence[Verdict]) -> str:
 
 def sent_of(result: Diagnosis, rows: Iterable[Row]) -> int:
     """Return how many messages of the routes of some rows were sent."""
-    keys = {_route(row) for row in rows}
-    return sent(row for row in result.balance if _route(row) in keys)
-
-
-def _route(row: Row) -> tuple[Any, ...]:
-    return row.route, row.link, row.msg_id, row.instance, row.topic
+    keys = {row.key for row in rows}
+    return sent(row for row in result.balance if row.key in keys)
 
 
 def _name(result: Diagnosis, row: Row) -> str:
@@ -375,13 +372,13 @@ def _counts(problems: Iterable[Problem], kind: str = "") -> list[str]:
 
 def _lost(result: Diagnosis, proven: int) -> str:
     """Return the sentence of what was lost: of one route, or of all together."""
-    rows = [row for row in result.balance if row.all_lost or row.unaccounted]
+    rows = [row for row in result.balance if row.proven]
     noun, were = "commands" if all(row.link == "ci" for row in rows) else "messages", "were"
     if result.messages_lost < proven:
         noun = "datagrams"
     if proven == 1:
         noun, were = noun.removesuffix("s"), "was"
-    routes, of = {_route(row) for row in rows}, sent_of(result, rows)
+    routes, of = {row.key for row in rows}, sent_of(result, rows)
     has_name = (rows[0].topic, rows[0].msg_id) != ("", None)
     if len(routes) == 1 and rows[0].link and of > 1 and has_name:
         whole = "" if _HARM.isdisjoint(chain.from_iterable(row.lost for row in rows)) else " whole"
@@ -412,13 +409,8 @@ def _share(part: int, of: int, noun: str) -> str:
 
 def _fine(result: Diagnosis) -> str:
     """Return what became of all that is in no problem, in a line."""
-    routes: dict[tuple[Any, ...], list[Row]] = {}
-    for row in result.balance:
-        if row.came and (row.topic or row.msg_id is not None):
-            routes.setdefault(_route(row), []).append(row)
-    fates: dict[str, list[list[Row]]] = {}
-    for rows in routes.values():
-        fates.setdefault(_fate(rows), []).append(rows)
+    followed = (row for row in result.balance if row.came and (row.topic or row.msg_id is not None))
+    fates = by_key(by_key(followed, lambda row: row.key).values(), _fate)
     arrived, unseen = fates.get("arrived", ()), fates.get("unseen", ())
     whole = plural(sum(rows[-1].out for rows in arrived), "message")
     others = sum(rows[-1].out for rows in (*arrived, *fates.get("open", ())))
@@ -448,7 +440,7 @@ def _leaves_host(result: Diagnosis) -> bool:
 
 def _fate(rows: Sequence[Row]) -> str:
     """Return what became of the messages of a route, in a word."""
-    if any(row.all_lost or row.unaccounted for row in rows):
+    if any(row.proven for row in rows):
         return "lost"
     if any(row.out != row.came + row.duplicated for row in rows):
         return "open"

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict
 import msgspec
 from msgspec.structs import replace
 
+from edoras_tools.wire.arrays.order import by_key
+
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
@@ -205,10 +207,7 @@ def group_verdicts(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
 
 def alike(groups: Iterable[list[Verdict]]) -> list[list[list[Verdict]]]:
     """Join the groups of one rule and severity, in the same order."""
-    by_rule: dict[tuple[Severity, str], list[list[Verdict]]] = {}
-    for members in groups:
-        by_rule.setdefault((members[0].severity, members[0].rule), []).append(members)
-    return list(by_rule.values())
+    return list(by_key(groups, lambda members: (members[0].severity, members[0].rule)).values())
 
 
 class Choice(msgspec.Struct, frozen=True):

@@ -28,6 +28,7 @@ from edoras_tools.diagnosis.evidence.timeline.table import NOT_RUNNING
 from edoras_tools.diagnosis.quality import binomial_tail, overlapping
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.fingerprint import MIX
+from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.wire.robot import CFS_PORT
 
 if TYPE_CHECKING:
@@ -86,17 +87,10 @@ class WayContent(msgspec.Struct, frozen=True):
 
 def judge_contents(case: Case) -> list[WayContent]:
     """Return every way out on which something else arrived than was sent."""
-    ways: dict[tuple[int, ...], list[Hop]] = {}
-    for hop in case.hops:
-        if hop.rewritten:
-            ways.setdefault(_way(hop.out), []).append(hop)
+    ways = by_key((hop for hop in case.hops if hop.rewritten), lambda hop: hop.out.way)
     every = [_judge(case, hops) for hops in ways.values()]
-    every += [_none_sent(case, robot) for robot in case.robots if _way(robot) not in ways]
+    every += [_none_sent(case, robot) for robot in case.robots if robot.way not in ways]
     return [item for item in every if item is not None]
-
-
-def _way(out: Stream) -> tuple[int, ...]:
-    return out.link.code, out.sender, out.receiver, out.msg_id
 
 
 def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:

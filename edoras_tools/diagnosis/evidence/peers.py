@@ -19,7 +19,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import groups, numbered
+from edoras_tools.wire.arrays.order import by_key, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -214,10 +214,8 @@ class Network:
     def _connect(self, rows: Rows, network: Places, flight_software: set[str]) -> None:
         parties = [self.party(endpoint) for endpoint in range(len(self._hosts))]
         first, way = numbered(rows.source[network], rows.destination[network])
-        ends = (rows.source[network[first]].tolist(), rows.destination[network[first]].tolist())
-        ways: dict[tuple[SbnParty, SbnParty], list[int]] = {}
-        for at, (source, target) in enumerate(zip(*ends, strict=True)):
-            ways.setdefault((parties[source], parties[target]), []).append(at)
+        source, target = rows.source[network[first]], rows.destination[network[first]]
+        ways = by_key(range(len(first)), lambda at: (parties[source[at]], parties[target[at]]))
         end_ns = int(rows.time_ns[-1])
         for peer, observer in sorted(ways):
             if peer[0] and observer[0] in flight_software and peer != observer:

@@ -51,7 +51,7 @@ from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
-from edoras_tools.wire.arrays.order import by_value, distinct, numbered
+from edoras_tools.wire.arrays.order import by_key, by_value, distinct, numbered
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
@@ -388,9 +388,8 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint], unsteady_ns: int = 0
     early_ns, host = max(_CLOCKS_NS, unsteady_ns), number_hosts(endpoints)
     if not len(rows) or len(distinct(host[rows.source])) < 2:
         return []
-    leaving: dict[int, list[Places]] = {}
-    for _, behind in by_value(rows.source.astype(np.int64) << 32 | rows.destination):
-        leaving.setdefault(int(host[rows.source[behind[0]]]), []).append(behind)
+    ways = (own for _, own in by_value(rows.way()))
+    leaving = by_key(ways, lambda own: int(host[rows.source[own[0]]]))
     every = [item for own in leaving.values() for item in own] if len(leaving) <= _MOST_HOSTS else []
     relayed = []
     for relay, before in by_value(rows.destination):

@@ -85,6 +85,11 @@ class Stream(msgspec.Struct, eq=False, dict=True):
     known_id: int = NO_MSG_ID
 
     @property
+    def way(self) -> tuple[int, int, int, int]:
+        """What distinguishes it from others, whoever made its packets: link, both ends, MsgId."""
+        return self.link.code, self.sender, self.receiver, self.msg_id
+
+    @property
     def is_command(self) -> bool:
         """Whether its packets are commands."""
         return bool(VERSION_1.is_command(self.known_id))

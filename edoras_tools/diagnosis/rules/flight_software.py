@@ -20,6 +20,7 @@ from edoras_tools.links.to import TO
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
+from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -229,10 +230,8 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
     quoted = "\n".join(quotes)
     errors = [record for record in case.payloads.events if record.event_type >= EventType.ERROR]
     told_texts = {text for text in {record.message for record in errors} if text in quoted}
-    groups: dict[tuple[str, str, int], list[EventRecord]] = {}
-    for record in errors:
-        if record.message not in told_texts and not _is_told(case, record):
-            groups.setdefault((record.sender, record.app, record.event_id), []).append(record)
+    untold = (item for item in errors if item.message not in told_texts and not _is_told(case, item))
+    groups = by_key(untold, lambda item: (item.sender, item.app, item.event_id))
     for members in groups.values():
         yield _error(case, members)
     every = case.reported_losses.items()

@@ -19,7 +19,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import by_value, groups, numbered
+from edoras_tools.wire.arrays.order import by_key, by_value, groups, numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
     from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.diagnosis.ledger import LedgerEntry
     from edoras_tools.wire.arrays.order import Mask, Places
 
 
@@ -38,11 +37,9 @@ def damaged(case: Case) -> Iterator[Verdict]:
 
     Say how many, of which MsgId.
     """
-    lost: dict[tuple[str, int | None, str], list[LedgerEntry]] = {}
-    for item in case.ledger.losses():
-        if item.cause == DAMAGED:
-            lost.setdefault((item.traffic.link, item.traffic.msg_id, item.hop), []).append(item)
-    for (link, msg_id, hop), own in lost.items():
+    lost = (item for item in case.ledger.losses() if item.cause == DAMAGED)
+    places = by_key(lost, lambda item: (item.traffic.link, item.traffic.msg_id, item.hop))
+    for (link, msg_id, hop), own in places.items():
         number = sum(item.number for item in own)
         whose = "unknown MsgIds" if msg_id is None else case.name(msg_id)
         yield error(
@@ -409,9 +406,7 @@ def bad_network_message(case: Case) -> Iterator[Verdict]:
     # A message cut short inside a sound SBN datagram is the sender's application's business.
     inside = (rows.sbn_msg_type == sbn.MsgType.APP) & rows.has(Finding.TRUNCATED) & (rows.msg_id != NO_MSG_ID)
     wrong &= ~inside | rows.has(Finding.SBN_SIZE_MISMATCH | Finding.SBN_LEGACY_HEADER)
-    by_kind: dict[tuple[BadMessageKind, int], list[int]] = {}
-    for row in np.flatnonzero(wrong).tolist():
-        by_kind.setdefault((_kind(case, row), int(rows.msg_id[row])), []).append(row)
+    by_kind = by_key(np.flatnonzero(wrong).tolist(), lambda row: (_kind(case, row), int(rows.msg_id[row])))
     for (kind, _), members in by_kind.items():
         for together in one_by_one(members):
             yield _malformed(case, together, kind)

@@ -20,6 +20,7 @@ from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
@@ -84,11 +85,8 @@ def to_destination(case: Case) -> Iterator[Verdict]:
 
 def _enables(case: Case) -> list[list[CommandRecord]]:
     """Return the commands that enable Telemetry Output and went to a CI; those to one endpoint together."""
-    by_endpoint: dict[int, list[CommandRecord]] = {}
-    for item in case.payloads.outputs(telemetry_output.ENABLE):
-        if case.rows.link[item.row] == CI:
-            by_endpoint.setdefault(int(case.rows.destination[item.row]), []).append(item)
-    return list(by_endpoint.values())
+    own = (item for item in case.payloads.outputs(telemetry_output.ENABLE) if case.rows.link[item.row] == CI)
+    return list(by_key(own, lambda item: int(case.rows.destination[item.row])).values())
 
 
 @cache

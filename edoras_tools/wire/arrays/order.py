@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from typing import TypeAlias
 
     from numpy.typing import NDArray
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     Prints: TypeAlias = NDArray[np.uint64]
     """Fingerprints; 0 tells nothing."""
 
+_Item = TypeVar("_Item")
+_Key = TypeVar("_Key")
 _MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 _WIDE: Final = 1 << 31
 """Two numbers below it are one that fits."""
@@ -183,6 +185,14 @@ def groups(values: NDArray[Any], rows: NDArray[np.intp]) -> Iterator[tuple[int, 
     """Yield each distinct value of a column among some rows, with those of the rows that hold it."""
     for value, at in by_value(values[rows]):
         yield value, rows[at]
+
+
+def by_key(items: Iterable[_Item], key: Callable[[_Item], _Key]) -> dict[_Key, list[_Item]]:
+    """Return items of any kind by a key of theirs; keys and items in the order in which they come."""
+    groups: dict[_Key, list[_Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 def quantiles(values: NDArray[Any], *shares: float) -> list[float]:
