@@ -242,9 +242,8 @@ class _Learner:
     def _application(self, period_ns: int) -> Iterator[LearnedConstant]:
         case = self._case
         for hop in self._hops:
-            order = np.argsort(hop.out_rows)
-            times = case.rows.time_ns[hop.out.rows[hop.out_rows[order]]]
-            missing = np.maximum(np.append(np.diff(hop.in_rows[order]) - 1, 0), 0)
+            times = case.rows.time_ns[hop.out.rows[hop.out_rows]]
+            missing = np.maximum(np.append(np.diff(hop.in_rows) - 1, 0), 0)
             limited = any(loss.kind == "limit" for loss in case.losses_of(hop.into))
             if limited or full_rounds(times, missing, period_ns):
                 limit = _round_limit(times, missing, period_ns // 4)

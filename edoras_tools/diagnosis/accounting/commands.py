@@ -169,8 +169,7 @@ class Commands:
         """Tell lost what came out damaged, on its way to a robot: between those that came out around it."""
         case, sent = self._case, fate.stream.time_ns
         for hop in (hop for hop in fate.hops if hop.out.link.last_hop):
-            order = np.argsort(hop.out_rows)
-            out_ns, into = hop.out.time_ns[hop.out_rows[order]], hop.in_rows[order]
+            out_ns, into = hop.out.time_ns[hop.out_rows], hop.in_rows
             for when in case.damaged_of(hop.out).time_ns.tolist():
                 at = int(np.searchsorted(out_ns, when))
                 inside = fate.open & (sent < when) & (sent > when - TAIL_NS)
@@ -311,8 +310,7 @@ class Commands:
         case, hops = self._case, fate.hops
         if len(hops) != 1 or not hops[0].out.link.last_hop or not fate.stream.link.only_to_cfs:
             return
-        order = np.argsort(hops[0].out_rows)
-        came, into = hops[0].out_rows[order], hops[0].in_rows[order]
+        came, into = hops[0].out_rows, hops[0].in_rows
         missing = np.append(np.diff(into) - 1, 0)
         least = full_rounds(hops[0].out.time_ns[came], missing, case.profile.ci_wake_ns)
         if not least or (missing < 0).any() or self._fills_socket(fate):
@@ -681,9 +679,9 @@ def _in_order(hop: Hop) -> tuple[Places, Places]:
 
     Of equal messages the one that came out may be another than the one that it is taken for.
     """
-    into = hop.in_rows[np.argsort(hop.out_rows, kind="stable")]
+    into = hop.in_rows
     near = np.abs(np.argsort(np.argsort(into)) - np.arange(len(into))) <= (np.diff(into) < 0).sum()
-    return np.sort(into[near]), np.sort(hop.out_rows)[near]
+    return np.sort(into[near]), hop.out_rows[near]
 
 
 def hold_back(case: Case, claims: Sequence[Claim]) -> None:

@@ -106,9 +106,7 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
         place = place[whole]
         sent_ns[place] = rows.time_ns[hop.into.rows[hop.in_rows[whole]]]
         sole = hop.sole[hop.out_rows[whole]]
-        order = np.argsort(place)
-        newest = np.maximum.accumulate(sent_ns[place[order]])
-        inverted[place[order]] = sole[order] & (sent_ns[place[order]] < newest)
+        inverted[place] = sole & (sent_ns[place] < np.maximum.accumulate(sent_ns[place]))
         late[place] = sole & (when[place] > _expected(case, hop)[hop.in_rows[whole]])
     late &= ~inverted & ~_stood_still(case, sent_ns, when)
     others = not robot and 2 * late.sum() > (sent_ns >= 0).sum()
@@ -224,7 +222,7 @@ def _replaced(
     for hop in hops:
         absent = np.flatnonzero((hop.known | (rows.claimed[hop.into.rows] > 0)) & ~hop.arrived)
         own = np.intersect1d(rest, hop.out.rows[hop.origin < 0])
-        into, came = np.sort(hop.in_rows), np.sort(hop.out.rows[hop.out_rows])
+        into, came = np.sort(hop.in_rows), hop.out.rows[hop.out_rows]
         between = np.concatenate((np.searchsorted(into, absent), np.searchsorted(came, own)))
         when = np.concatenate((hop.into.time_ns[absent], rows.time_ns[own]))
         side = np.repeat([0, 1], [len(absent), len(own)])
@@ -233,7 +231,7 @@ def _replaced(
         pairs[id(hop)] = absent[order[opening]], own[order[closing] - len(absent)]
         rest = np.setdiff1d(rest, pairs[id(hop)][1])
         chance = max(chance, float((np.diff(into) > 1).mean()) if len(into) > 1 else 0.0)
-    first = min(int(hop.out.rows[hop.out_rows].min()) for hop in hops)
+    first = min(int(hop.out.rows[hop.out_rows[0]]) for hop in hops)
     changed = np.setdiff1d(out[odd], rest)
     unpaired = np.intersect1d(out[odd], rest)
     if (unpaired > first).any() or not _believed(case, len(changed), len(out), chance):

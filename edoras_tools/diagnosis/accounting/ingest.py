@@ -320,7 +320,7 @@ class _Counted:
         self._all_out = all(hop.out.link.last_hop for hop in hops)
         """Whether all that is read comes out: what is rewritten for others may give way."""
         self._read_ns = _read_by(hops)
-        firsts = ((int(out.min()), int(sent[out.argmin()])) for sent, out in self._read)
+        firsts = ((int(out[0]), int(sent[0])) for sent, out in self._read)
         self._first_out = min(firsts, default=(0, 0))
         """Until when CI surely had not read the first of those, and when it had been sent."""
         self.stood = bool((np.diff(self._sent_until(self._seen))[np.diff(self._count) == 0] > 2).any())
@@ -596,11 +596,9 @@ def _read_by(hops: Sequence[Hop]) -> tuple[Integers, Integers]:
     out, sent = [np.full(1, np.iinfo(np.int64).min)], [np.zeros(1, np.int64)]
     for hop in hops:
         sole = hop.sole[hop.out_rows]
-        out_ns = hop.out.time_ns[hop.out_rows[sole]]
-        order = np.argsort(out_ns, kind="stable")
-        sent_ns = hop.into.time_ns[hop.in_rows[sole]][order]
+        sent_ns = hop.into.time_ns[hop.in_rows[sole]]
         if (np.diff(sent_ns) >= 0).all():
-            out.append(out_ns[order])
+            out.append(hop.out.time_ns[hop.out_rows[sole]])
             sent.append(sent_ns)
     every, until = np.concatenate(out), np.concatenate(sent)
     order = np.argsort(every, kind="stable")

@@ -85,7 +85,7 @@ class Hop(NamedTuple):
         out_ns: i64, and when each came out.
         last_ns: the longest that one took.
         in_rows: intp, the messages that came out, as indices into the rows of ``into``.
-        out_rows: intp, and what each is, as an index into those of ``out``.
+        out_rows: intp, and what each is, as an index into those of ``out``, ascending.
     """
 
     into: Stream
@@ -128,8 +128,7 @@ class Hop(NamedTuple):
     @property
     def first(self) -> tuple[int, int]:
         """When the first came out, and when it had gone in, ns since 1970."""
-        times = self.out.time_ns[self.out_rows]
-        return int(times.min()), int(self.into.time_ns[self.in_rows[times.argmin()]])
+        return int(self.out.time_ns[self.out_rows[0]]), int(self.into.time_ns[self.in_rows[0]])
 
     @property
     def absent(self) -> Mask:
@@ -470,7 +469,6 @@ def _match(into: Stream, out: Stream, came: Prints, went: Prints, early_ns: int)
     number = np.bincount(came_as, minlength=len(which))
     often, out_often = number[came_as], np.bincount(went_as)[went_as]
     single = often[from_row] == 1
-    by_time = np.argsort(out_ns[goes_row][single], kind="stable")
     return Hop(
         into=into,
         out=out,
@@ -483,8 +481,8 @@ def _match(into: Stream, out: Stream, came: Prints, went: Prints, early_ns: int)
         sole=(went != 0) & (out_often == 1) & (number[went_as] <= 1),
         doubled=int((np.bincount(came_as[arrived], minlength=len(which))[went_as] > 0).sum()) - len(goes_row),
         latency=latency_of(delay[single]),
-        delays_ns=delay[single][by_time],
-        out_ns=out_ns[goes_row][single][by_time],
+        delays_ns=delay[single],
+        out_ns=out_ns[goes_row][single],
         last_ns=int(delay.max(initial=0)),
         in_rows=from_row,
         out_rows=goes_row,
