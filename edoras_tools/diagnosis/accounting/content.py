@@ -284,10 +284,5 @@ def _expected(case: Case, hop: Hop) -> Integers:
 
 def _stood_still(case: Case, sent_ns: Integers, when: Integers) -> Mask:
     """Tell which were under way while cFS or an application did not run, or the interface was away."""
-    spans = [
-        (span.start_lo, span.end_hi)
-        for system, subject in case.timeline.subjects
-        for state in NOT_RUNNING
-        for span in case.timeline.spans(subject, state, system)
-    ]
+    spans = [(span.start_lo, span.end_hi) for span in case.timeline.every(*NOT_RUNNING)]
     return case.is_away(sent_ns, when) | overlapping(sent_ns, when, spans)

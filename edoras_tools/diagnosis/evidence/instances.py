@@ -247,9 +247,17 @@ class Instances:
             source: the endpoint that speaks for it: of two of one name, the one of its address is meant.
         """
         fits = [index for index, item in enumerate(self.items) if item.name == name]
-        near = [index for index in fits if self.items[index].host == self.hosts[source]]
-        if not fits:
-            return NOBODY
+        return self._nearest(fits, source, time_ns) if fits else NOBODY
+
+    def system_at(self, endpoint: int, time_ns: int) -> int:
+        """Return the cFS that takes what is sent to an endpoint: of its address, nearest in time."""
+        if len(set(self.systems)) < 2:
+            return self.systems[0] if self.systems else 0
+        return self.systems[self._nearest(range(len(self.items)), endpoint, time_ns)]
+
+    def _nearest(self, fits: Sequence[int], endpoint: int, time_ns: int) -> int:
+        """Return which of some instances is nearest in time: of those at an address, if any is there."""
+        near = [index for index in fits if self.items[index].host == self.hosts[endpoint]]
 
         def away(index: int) -> int:
             item = self.items[index]

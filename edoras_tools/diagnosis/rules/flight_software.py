@@ -69,22 +69,21 @@ def cfs_stalled(case: Case) -> Iterator[Verdict]:
     Name each time, and how many messages were sent into it: they wait, and then come all at once.
     """
     rows = case.rows
-    for system, subject in case.timeline.subjects:
-        for span in case.timeline.spans(subject, "stalled", system) if subject.kind == "cfs" else ():
-            into = among(rows.link, lambda link: link.only_to_cfs)
-            into |= among(rows.link, lambda link: link.peers) & (rows.function_code >= 0)
-            sent = int((into & (rows.time_ns > span.start_lo) & (rows.time_ns < span.end_hi)).sum())
-            text = f"; {plural(sent, 'message')} sent to it then had to wait, and came at once"
-            waited = text if sent else ""
-            whose = case.label(case.instances.systems.index(system))
-            yield warning(
-                f"{whose} stood still from {case.at(span.start_lo)} to {case.at(span.end_hi)}{waited}",
-                span.change.witness,
-                hop="cFS",
-                span=(span.start_lo, span.end_hi),
-                remedy=LET_RUN,
-                confidence="medium",
-            )
+    for span in case.timeline.every("stalled"):
+        into = among(rows.link, lambda link: link.only_to_cfs)
+        into |= among(rows.link, lambda link: link.peers) & (rows.function_code >= 0)
+        sent = int((into & (rows.time_ns > span.start_lo) & (rows.time_ns < span.end_hi)).sum())
+        text = f"; {plural(sent, 'message')} sent to it then had to wait, and came at once"
+        waited = text if sent else ""
+        whose = case.label(case.instances.systems.index(span.change.system))
+        yield warning(
+            f"{whose} stood still from {case.at(span.start_lo)} to {case.at(span.end_hi)}{waited}",
+            span.change.witness,
+            hop="cFS",
+            span=(span.start_lo, span.end_hi),
+            remedy=LET_RUN,
+            confidence="medium",
+        )
 
 
 def _down(case: Case, start_ns: int, end_ns: int) -> list[Loss]:

@@ -12,7 +12,6 @@ import numpy as np
 
 from edoras_tools.cfs import executive_services, telemetry_output
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
-from edoras_tools.diagnosis.evidence.timeline.changes import system_at
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
 from edoras_tools.diagnosis.rules.about import packet
 from edoras_tools.diagnosis.verdict import Severity, Verdict, security, verdict, warning
@@ -212,7 +211,7 @@ def _added_again(case: Case, item: CommandRecord, when: int) -> str:
     """Return when a MsgId that was removed was added again, and with what limit; nothing where it was not."""
     if item.entry < 0:
         return ""
-    system = system_at(case.instances, int(case.rows.destination[item.row]), when)
+    system = case.instances.system_at(int(case.rows.destination[item.row]), when)
     for change in case.timeline.of(StateOwner("entry", "", item.entry), system):
         if change.state == "subscribed" and change.not_before_ns > when:
             again_ns = change.not_before_ns

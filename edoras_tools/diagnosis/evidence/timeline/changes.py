@@ -66,19 +66,6 @@ _APP_STATES: Final = {
 }
 
 
-def system_at(instances: Instances, endpoint: int, time_ns: int) -> int:
-    """Return the cFS that takes what is sent to an endpoint: of its address, nearest in time."""
-    items, systems = instances.items, instances.systems
-    if len(set(systems)) < 2:
-        return systems[0] if systems else 0
-    near = [at for at, item in enumerate(items) if item.host == instances.hosts[endpoint]]
-
-    def away(at: int) -> int:
-        return max(items[at].first_ns - time_ns, time_ns - items[at].last_ns, 0)
-
-    return systems[min(near or range(len(items)), key=away)]
-
-
 class SoftwareChanges:
     """Makes the changes of a capture.
 
@@ -115,7 +102,7 @@ class SoftwareChanges:
 
     def _command(self, command: CommandRecord) -> Iterator[Change]:
         sent_ns = int(self._rows.time_ns[command.row])
-        system = system_at(self._instances, int(self._rows.destination[command.row]), sent_ns)
+        system = self._instances.system_at(int(self._rows.destination[command.row]), sent_ns)
         values, code = command.values, command.function_code
 
         def change(subject: StateOwner, state: str, value: int | str | None = None) -> Change:

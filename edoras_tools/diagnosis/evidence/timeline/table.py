@@ -129,6 +129,12 @@ class Timeline:
                 out.append(StateSpan(item.not_before_ns, item.not_after_ns, *ends, item, end))
         return out
 
+    def every(self, *states: str) -> Iterator[StateSpan]:
+        """Yield the times in which anything was in one of some states."""
+        for system, subject in self.subjects:
+            for state in states:
+                yield from self.spans(subject, state, system)
+
 
 def _follow(before: list[Change], change: Change) -> None:
     """Put a change behind those before it of its subject."""
