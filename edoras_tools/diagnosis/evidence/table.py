@@ -17,9 +17,8 @@ from edoras_tools.diagnosis.evidence.fingerprint import (
     robot_prints,
     with_garbled,
 )
-from edoras_tools.diagnosis.evidence.payloads import Payloads
+from edoras_tools.diagnosis.evidence.payloads import Payloads, StateRecorder
 from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder
-from edoras_tools.diagnosis.evidence.states import StateRecorder
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.io.frames.network import wrong_checksums
 from edoras_tools.links.table import among
