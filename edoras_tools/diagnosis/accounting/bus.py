@@ -367,12 +367,11 @@ class Telemetry:
         if stream.is_housekeeping or not stream.link.only_from_cfs:
             return None
         for command in case.payloads.about_apps(executive_services.STOP_APP):
-            when = int(case.rows.time_ns[command.row])
+            if command.app not in telemetry_output.NAMES or command.time_ns <= span.start_ns - TAIL_NS:
+                continue
             # It starts without anybody to send to: who enabled it again must be here, or the capture missed
             # more than that.
-            again = any(when < enabled_ns < span.end_ns for enabled_ns in enables_ns(case))
-            stops = command.app in telemetry_output.NAMES and span.start_ns - TAIL_NS < when < span.end_ns
-            if stops and again:
+            if any(command.time_ns < enabled_ns < span.end_ns for enabled_ns in enables_ns(case)):
                 text = f"packet {case.rows.number[command.row]} told ES to stop {command.app}"
                 return "stopped", command.app, text
         return None

@@ -115,8 +115,8 @@ def routes_cut(case: Case, stream: Stream) -> list[StateSpan]:
 
 def _commanded_ns(case: Case, stream: Stream, *codes: int) -> Integers:
     """Return when Telemetry Output was told something about a stream's MsgId, or about all, in order."""
-    about = [item.row for item in case.payloads.outputs(*codes) if item.entry in {-1, stream.msg_id}]
-    return np.sort(case.rows.time_ns[np.array(about, np.intp)])
+    about = (item for item in case.payloads.outputs(*codes) if item.entry in {-1, stream.msg_id})
+    return np.array([item.time_ns for item in about], np.int64)
 
 
 def silenced_at(stream: Stream, at: Places, spans: Sequence[tuple[int, int]]) -> Mask:
@@ -181,8 +181,7 @@ def _sent_by(case: Case, sender: int) -> Integers:
 
 def enables_ns(case: Case) -> list[int]:
     """Return when Telemetry Output was told to send, and to whom: capture times in ns."""
-    enables = case.payloads.outputs(telemetry_output.ENABLE)
-    return [int(case.rows.time_ns[item.row]) for item in enables]
+    return [item.time_ns for item in case.payloads.outputs(telemetry_output.ENABLE)]
 
 
 def silences_of(case: Case, sender: int) -> list[tuple[int, int]]:

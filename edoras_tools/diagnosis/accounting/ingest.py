@@ -448,13 +448,9 @@ class _Counted:
 
     def _restarts_ns(self, start_ns: int, end_ns: int) -> list[int]:
         """Return when its cFS was told to restart, of the commands to it between two times."""
-        rows, payloads = self._case.rows, self._case.payloads
-        restarts = [
-            int(rows.time_ns[item.row])
-            for item in payloads.about_apps(executive_services.RESTART)
-            if rows.destination[item.row] == self._endpoint
-        ]
-        return [when for when in restarts if start_ns < when <= end_ns]
+        restarts = self._case.payloads.about_apps(executive_services.RESTART)
+        mine = [item for item in restarts if self._case.rows.destination[item.row] == self._endpoint]
+        return [item.time_ns for item in mine if start_ns < item.time_ns <= end_ns]
 
     def _next_sign_ns(self, instance: int, ended_ns: int) -> int:
         """Return when a cFS that last gave a sign at a time would have given the next one."""
@@ -477,7 +473,7 @@ class _Counted:
         """Return until when CI may have read on after commands that end it, and when these were sent."""
         case, names = self._case, command_ingest.NAMES
         about = case.payloads.about_apps(*executive_services.ENDS_APP)
-        times = [int(case.rows.time_ns[item.row]) for item in about if item.app in names]
+        times = [item.time_ns for item in about if item.app in names]
         ends_ns = {item.start_ns: item.ended_ns for item in case.outages if item.app in names}
         until = ((min(when + _ENDS_NS, ends_ns.get(when, end_ns)), when) for when in times)
         return [item for item in until if start_ns < item[0] < end_ns]

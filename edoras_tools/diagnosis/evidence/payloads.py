@@ -173,6 +173,7 @@ class CommandRecord(NamedTuple):
 
     Attributes:
         row: of the table.
+        time_ns: capture time.
         msg_id: of version 1.
         function_code: its number at the application that takes it.
         values: its arguments, as ``cfs.arguments`` has them; those that are not there are missing.
@@ -180,6 +181,7 @@ class CommandRecord(NamedTuple):
     """
 
     row: int
+    time_ns: int
     msg_id: int
     function_code: int
     values: Mapping[str, Any]
@@ -276,7 +278,8 @@ class Payloads(msgspec.Struct):
             cut = bool(columns.findings[row] & np.uint32(Finding.CAPTURE_CUT))
             if (values := arguments_of(*key, content, cut=cut)) is not None:
                 is_whole = len(content) >= ARGUMENTS[key].size
-                self.commands.append(CommandRecord(base + row, *key, values, is_whole))
+                when = int(batch.time_ns[row])
+                self.commands.append(CommandRecord(base + row, when, *key, values, is_whole))
 
     def add_limits(self, packets: ColumnRows, base: int) -> None:
         """Read which numbers of a batch are outside limits; see ``add``."""
@@ -334,8 +337,9 @@ class Payloads(msgspec.Struct):
     def timed(self, time_ns: Integers) -> Payloads:
         """Return them with other capture times, one a row of the table."""
         columns: dict[str, Any] = {name: getattr(self, name).timed(time_ns) for name in _SAMPLES}
-        events = [item._replace(time_ns=int(time_ns[item.row])) for item in self.events]
-        return replace(self, **columns, events=events)
+        for name in _RECORDS:
+            columns[name] = [item._replace(time_ns=int(time_ns[item.row])) for item in getattr(self, name)]
+        return replace(self, **columns)
 
     def _subscribe(self, batch: PacketBatch, rows: Places, base: int) -> None:
         """Read each SUB and UNSUB once: the public flight bridge says the same twice a second."""

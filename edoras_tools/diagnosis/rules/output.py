@@ -59,7 +59,7 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
     yield warning(
         reason,
         f"{plural(len(commands), 'command')} to CI, no datagram from Telemetry Output",
-        *(f"enabled for {item.address!r} at {case.at(int(rows.time_ns[item.row]))}" for item in enables),
+        *(f"enabled for {item.address!r} at {case.at(item.time_ns)}" for item in enables),
         place=("to", "TO_LAB_APP"),
         remedy=f"{case.inject(ENABLE_OUTPUT)}; to see telemetry, capture on the host that it is enabled for, "
         "UDP port 1235; on the console of cFS, look for TO_LAB_APP's first event",
@@ -99,12 +99,8 @@ def _is_address(text: str) -> bool:
 
 
 def _no_address(case: Case, item: CommandRecord) -> Verdict:
-    start_ns = int(case.rows.time_ns[item.row])
-    events = [
-        record
-        for record in case.said(start_ns, start_ns + 2 * SECOND, *telemetry_output.NAMES)
-        if telemetry_output.ENABLED.phrase in record.message
-    ]
+    near = case.said(item.time_ns, item.time_ns + 2 * SECOND, *telemetry_output.NAMES)
+    events = [record for record in near if telemetry_output.ENABLED.phrase in record.message]
     return warning(
         f"Telemetry Output was enabled for {item.address!r}, which is no address: where it sends then is up "
         "to the flight host",
@@ -112,16 +108,14 @@ def _no_address(case: Case, item: CommandRecord) -> Verdict:
         *(f"cFS said: {record}" for record in events[:1]),
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         place=("ci", "TO_LAB_APP"),
-        span=(start_ns, start_ns),
+        span=(item.time_ns, item.time_ns),
         remedy="send the whole char[16]: 24 bytes in all",
     )
 
 
 def _fight(case: Case, members: list[CommandRecord]) -> Verdict:
-    rows = case.rows
-    times = [int(rows.time_ns[item.row]) for item in members]
-    steps = [f"{case.at(time_ns)} {item.address}" for time_ns, item in zip(times, members, strict=True)]
-    senders = {case.endpoints[rows.source[item.row]].address for item in members}
+    steps = [f"{case.at(item.time_ns)} {item.address}" for item in members]
+    senders = {case.endpoints[case.rows.source[item.row]].address for item in members}
     changes = sum(a.address != b.address for a, b in pairwise(members))
     fighting = changes > 1
     who = "two ground stations fight over Telemetry Output: it" if len(senders) > 1 else "Telemetry Output"
@@ -133,7 +127,7 @@ def _fight(case: Case, members: list[CommandRecord]) -> Verdict:
         f"enabled for: {listed(steps)}",
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         place=("to", "TO_LAB_APP"),
-        span=(times[0], times[-1]),
+        span=(members[0].time_ns, members[-1].time_ns),
         remedy="enable TO from one station only, and fan its telemetry out from there (edoras proxy)",
     )
 
@@ -184,20 +178,19 @@ def _commanded(case: Case, explain: Callable[..., tuple[int | None, list[str]]])
     """Name each command that stops telemetry."""
     rows = case.rows
     for item in case.payloads.outputs(*telemetry_output.STOPS):
-        when = int(rows.time_ns[item.row])
         whose = "every MsgId" if item.entry < 0 else case.name(item.entry)
-        lost, facts = explain(when, item.entry)
-        again = _added_again(case, item, when)
+        lost, facts = explain(item.time_ns, item.entry)
+        again = _added_again(case, item)
         sends = item.entry < 0 or any(item.entry == stream.msg_id for stream in case.streams)
         yield verdict(
             Severity.WARNING if facts or (sends and not again) else Severity.NOTE,
-            f"Telemetry Output was told to stop sending {whose} at {case.at(when)}{again}",
+            f"Telemetry Output was told to stop sending {whose} at {case.at(item.time_ns)}{again}",
             f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
             f"{item.function_code}, from {case.endpoints[rows.source[item.row]].address}",
             *facts,
             msg_id=item.entry if item.entry >= 0 else None,
             place=("to", telemetry_output.NAME),
-            span=(when, when),
+            span=(item.time_ns, item.time_ns),
             lost=lost,
             remedy="none: it was added again"
             if again
@@ -207,13 +200,13 @@ def _commanded(case: Case, explain: Callable[..., tuple[int | None, list[str]]])
         )
 
 
-def _added_again(case: Case, item: CommandRecord, when: int) -> str:
+def _added_again(case: Case, item: CommandRecord) -> str:
     """Return when a MsgId that was removed was added again, and with what limit; nothing where it was not."""
     if item.entry < 0:
         return ""
-    system = case.instances.system_at(int(case.rows.destination[item.row]), when)
+    system = case.instances.system_at(int(case.rows.destination[item.row]), item.time_ns)
     for change in case.timeline.of(StateOwner("entry", "", item.entry), system):
-        if change.state == "subscribed" and change.not_before_ns > when:
+        if change.state == "subscribed" and change.not_before_ns > item.time_ns:
             again_ns = change.not_before_ns
             return f", and to send it again, at most {change.value} a round, at {case.at(again_ns)}"
     return ""
@@ -297,7 +290,7 @@ def _ended(case: Case) -> Iterator[Verdict]:
     length = case.end_ns - last_ns
     commands = int(((rows.link == CI) & (rows.time_ns > last_ns + SECOND)).sum())
     removed = any(
-        item.entry < 0 and abs(int(rows.time_ns[item.row]) - last_ns) < _WAIT_NS
+        item.entry < 0 and abs(item.time_ns - last_ns) < _WAIT_NS
         for item in case.payloads.outputs(*telemetry_output.STOPS)
     )
     # That it was stopped is said by itself.

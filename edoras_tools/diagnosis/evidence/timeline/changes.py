@@ -101,12 +101,11 @@ class SoftwareChanges:
         yield from self._boots()
 
     def _command(self, command: CommandRecord) -> Iterator[Change]:
-        sent_ns = int(self._rows.time_ns[command.row])
-        system = self._instances.system_at(int(self._rows.destination[command.row]), sent_ns)
+        system = self._instances.system_at(int(self._rows.destination[command.row]), command.time_ns)
         values, code = command.values, command.function_code
 
         def change(subject: StateOwner, state: str, value: int | str | None = None) -> Change:
-            span = sent_ns, sent_ns + _SLACK_NS
+            span = command.time_ns, command.time_ns + _SLACK_NS
             return Change(system, subject, state, *span, str(command), (command.row,), value, sure=False)
 
         if command.msg_id == executive_services.COMMAND_MSG_ID:
@@ -152,7 +151,7 @@ class SoftwareChanges:
 
     def _asked_ns(self, app: str, ended_ns: int) -> int:
         """Return when an application that ended by a time was told to, or what comes behind the command."""
-        times = [int(self._rows.time_ns[item.row]) for item in self._payloads.about_apps() if item.app == app]
+        times = [item.time_ns for item in self._payloads.about_apps() if item.app == app]
         return max([ended_ns - _ENDS_NS, *(when + 1 for when in times if when < ended_ns)])
 
     def _silenced(self, change: Change) -> Change:
