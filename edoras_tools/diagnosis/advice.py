@@ -136,20 +136,14 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
     """Return the pipe of a loss, how many of its MsgId may wait there, and whether that was measured."""
     output = loss.hop == telemetry_output.PIPE
     queue = queues.telemetry_pipe(case.profile) if output else queues.peer_pipe(case.profile)
-    rounds = case.rounds(loss.stream, loss.span) if loss.stream and loss.span else None
-    near = 10 if output else 5
-    is_round = rounds and abs(rounds.period_ns - queue.round_ns) < queue.round_ns // near
-    if rounds and is_round and rounds.share >= _FULL and _is_full(loss, rounds.most):
-        return replace(queue, round_ns=rounds.period_ns), rounds.most, True
+    if loss.stream and loss.span:
+        own, rounds = loss.span.rows, case.rounds(loss.stream, loss.span)
+        near = abs(rounds.period_ns - queue.round_ns) < queue.round_ns // (10 if output else 5)
+        lacking = loss.stream.time_ns[own], loss.stream.missing[own], rounds.most
+        if near and rounds.share >= _FULL and full_where_lacking(*lacking):
+            return replace(queue, round_ns=rounds.period_ns), rounds.most, True
     commanded = _limit_of(limit_command(case, loss))
     return queue, queue.limit(loss.msg_id) if commanded is None else commanded, False
-
-
-def _is_full(loss: Loss, most: int) -> bool:
-    if loss.stream is None or loss.span is None:
-        return False
-    own = slice(loss.span.first, loss.span.last + 1)
-    return full_where_lacking(loss.stream.time_ns[own], loss.stream.missing[own], most)
 
 
 def limit_command(case: Case, loss: Loss) -> Change | None:
@@ -211,7 +205,7 @@ def _rows_of(loss: Loss) -> Places:
     """Return the rows of the traffic that a loss is of, in its time."""
     if loss.span is None or loss.stream is None:
         return np.zeros(0, np.intp)
-    return loss.stream.rows[loss.span.first : loss.span.last + 1]
+    return loss.stream.rows[loss.span.rows]
 
 
 def _depth(case: Case, loss: Loss, queue: queues.Queue) -> int:

@@ -525,8 +525,7 @@ def _lost_copies(case: Case, fate: Fate, doubled: int) -> tuple[int, int]:
     stream, relayed = fate.stream, case.commands.relayed.get(id(fate.stream))
     copied = np.isin(stream.rows, case.prepared.duplicates) | find_echoes(case.rows, stream.rows)
     for span in stream.spans if len(stream.spans) > 1 else ():  # each at a rate of its own
-        own = slice(span.first, span.last + 1)
-        copied[own] |= find_echoes(case.rows, stream.rows[own])
+        copied[span.rows] |= find_echoes(case.rows, stream.rows[span.rows])
     number = relayed.figures["duplicated"] if relayed else int(copied.sum())
     if not fate.seen:  # else those that are lost are datagrams of the capture
         doubled += sum(item.not_captured for item in case.ingests_at(stream.receiver))

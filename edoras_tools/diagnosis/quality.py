@@ -411,7 +411,7 @@ def check_periods(
     """
     for stream in streams:
         for span in () if stream.link.only_from_cfs else stream.spans:
-            times = stream.time_ns[span.first : span.last + 1]
+            times = stream.time_ns[span.rows]
             steps = np.diff(times)
             period = max(1, int(np.median(steps))) if len(steps) >= _LEAST_COUNTED else 0
             periods = np.rint(steps / period) if period else steps

@@ -429,9 +429,8 @@ class Telemetry:
             if is_named or (self._grown(part, COUNTERS[kind]) and pressed(case, stream, span, kind, gaps)):
                 kinds.append((not is_named, kind))
         if not kinds and part.owner not in self._counts and stream.link.only_from_cfs and not via:
-            own = slice(span.first, span.last + 1)
             period_ns = queues.telemetry_pipe(case.profile).round_ns
-            if least := full_rounds(stream.time_ns[own], gaps[own], period_ns):
+            if least := full_rounds(stream.time_ns[span.rows], gaps[span.rows], period_ns):
                 part.evidence.append(f"they are missing behind full rounds alone, of {least} or more")
                 kinds.append((True, "limit"))
         return tuple(kind for _, kind in sorted(kinds, key=lambda item: item[0]))
@@ -471,13 +470,13 @@ class Telemetry:
         times, span = part.stream.time_ns, part.span
         if span.last == len(times) - 1:
             return True
-        steps, next_ns = np.diff(times[span.first : span.last + 1]), times[span.last + 1]
+        steps, next_ns = np.diff(times[span.rows]), times[span.last + 1]
         soon = next_ns - times[span.last] <= _SOON * steps.max(initial=0)
         return bool(soon and times[-1] - next_ns < self._case.profile.to_wake_ns)
 
     def _most_behind(self, part: Part) -> int:
         """Return how many can be missing behind a stream's last message: what a round loses."""
-        gaps = part.stream.missing[:-1][part.span.first : part.span.last + 1]
+        gaps = part.stream.missing[:-1][part.span.rows]
         most = int(gaps.max(initial=0))
         return most if (gaps > 0).sum() >= _FEW_ROUNDS else max(most, int(0.7 * part.span.offered_hz + 2))
 

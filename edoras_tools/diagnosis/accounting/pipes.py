@@ -286,7 +286,7 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
     # Others may share the MsgId: the round that was full need not have brought one of this stream's.
     if _beside(_full(case.times(stream), period, limit), own[at], own[at + 1], missing[at]):
         return True
-    inside = own[span.first : span.last + 1]
+    inside = own[span.rows]
     later = len(inside) - int(np.searchsorted(inside, inside[0] + period // 2))
     later += int(missing[span.first : span.last].sum())
     return later * period > _OVER * clean * (span.end_ns - span.start_ns) > 0
@@ -384,9 +384,7 @@ def _not_seen(item: _Candidate, hop: Hop) -> _Candidate:
     """Return a candidate less what is seen not to go out: between the first that did and the last."""
     times, out_ns = hop.into.time_ns, hop.out.time_ns
     beyond = hop.absent & ((times < out_ns[0]) | (times > out_ns[-1]))
-    spans = [
-        replace(span, count=int(beyond[span.first : span.last + 1].sum()), missing=0) for span in item.spans
-    ]
+    spans = [replace(span, count=int(beyond[span.rows].sum()), missing=0) for span in item.spans]
     return replace(item, spans=[span for span in spans if span.count], queue=None)
 
 

@@ -389,6 +389,11 @@ class Span(msgspec.Struct, frozen=True):
     missing: int
 
     @property
+    def rows(self) -> slice:
+        """Where its rows are among the stream's."""
+        return slice(self.first, self.last + 1)
+
+    @property
     def rate_hz(self) -> float:
         """Rows a second."""
         return rate_hz(self.count, self.end_ns - self.start_ns)

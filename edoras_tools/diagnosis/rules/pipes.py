@@ -96,7 +96,7 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     if crowd := crowding_of(case, loss):
         reason += f". {crowd[0].upper()}{crowd[1:]}"
     if loss.span is not None and loss.stream is not None and loss.span.rate_hz:
-        times = loss.stream.time_ns[loss.span.first : loss.span.last + 1]
+        times = loss.stream.time_ns[loss.span.rows]
         most = int((np.searchsorted(times, times + period) - np.arange(len(times))).max())
         sent = f"sent at {loss.span.rate_hz:.1f} Hz"
         if loss.span.rate_hz > clean and times[-1] - times[0] > period:
