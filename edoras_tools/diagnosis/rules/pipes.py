@@ -32,6 +32,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, warni
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
+from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.order import groups
 from edoras_tools.words import plural
@@ -142,23 +143,26 @@ def to_message_limit(case: Case) -> Iterator[Verdict]:
     for loss in case.losses:
         its_own = not loss.closed and not loss.rivals
         if loss.kind == "limit" and loss.hop == telemetry_output.PIPE and its_own:
-            yield _over_output_limit(case, loss)
+            origin = "" if "to_wake_ns" in case.constants.learned else " (assumed)"
+            text = "this MsgId may wait{} and TO sends every {:.0f} ms, so {:.1f}/s get through"
+            yield _over_limit(case, loss, "to", text + origin)
 
 
-def _over_output_limit(case: Case, loss: Loss) -> Verdict:
+def _over_limit(case: Case, loss: Loss, link: str, text: str) -> Verdict:
+    """Return the verdict on what a pipe that is emptied in rounds did not take.
+
+    Args:
+        text: how many may wait there, with places for who set that, the period and the rate.
+    """
     queue, limit, measured = clean_round(case, loss)
-    period, rate = queue.round_ns, queue.rate_hz(limit)
-    reason = (
-        f"{lost_at(case, loss)}: {published(loss)}{limit} of this MsgId may wait{set_by(case, loss, limit)} "
-        f"and TO sends every {period / 1e6:.0f} ms, so {rate:.1f}/s get through"
-        f"{'' if 'to_wake_ns' in case.constants.learned else ' (assumed)'}"
-    )
+    period_ms, rate = queue.round_ns / MILLISECOND, queue.rate_hz(limit)
+    rounds = text.format(set_by(case, loss, limit), period_ms, rate)
     evidence = list(loss.evidence)
     if measured:
-        evidence.append(
-            f"at most {limit} came in one round, every {period / 1e6:.1f} ms: {rate:.1f} Hz is clean"
-        )
-    return loss_verdict(case, loss, reason, link="to", evidence=evidence, remedy=advise(case, loss))
+        clean = f": {rate:.1f} Hz is clean" if link == "to" else ""
+        evidence.append(f"at most {limit} came in one round, every {period_ms:.1f} ms{clean}")
+    reason = f"{lost_at(case, loss)}: {published(loss)}{limit} of {rounds}"
+    return loss_verdict(case, loss, reason, link=link, evidence=evidence, remedy=advise(case, loss))
 
 
 def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
@@ -250,24 +254,8 @@ def sbn_peer_pipe(case: Case) -> Iterator[Verdict]:
     """
     for loss in case.losses:
         if loss.kind in {"limit", "overflow"} and loss.hop.startswith("SBN") and not loss.rivals:
-            yield _over_peer_limit(case, loss)
-
-
-def _over_peer_limit(case: Case, loss: Loss) -> Verdict:
-    pipe, limit, measured = clean_round(case, loss)
-    period, rate = pipe.round_ns, pipe.rate_hz(limit)
-    evidence = list(loss.evidence)
-    if measured:
-        evidence.append(f"at most {limit} came in one round, every {period / 1e6:.1f} ms")
-    return loss_verdict(
-        case,
-        loss,
-        f"{lost_at(case, loss)}: {published(loss)}{limit} of one MsgId may wait and SBN serves "
-        f"the pipe every {period / 1e6:.0f} ms, so {rate:.0f}/s get through",
-        link="sbn",
-        evidence=evidence,
-        remedy=advise(case, loss),
-    )
+            text = "one MsgId may wait{} and SBN serves the pipe every {:.0f} ms, so {:.0f}/s get through"
+            yield _over_limit(case, loss, "sbn", text)
 
 
 _LARGER: Final = "sudo sysctl -w net.core.rmem_default=4194304, then start that program again"
