@@ -135,35 +135,21 @@ _BURST_NS: Final = 50 * MILLISECOND
 """What is sent within so long is taken together."""
 
 
-End = Literal[
-    "queued",
-    "crowded",
-    "late",
-    "passed_on",
-    "superseded",
-    "unaccounted",
-    "earlier",
-    "shared",
-    "elsewhere",
-    "uncertain",
-    "missed",
-    "held",
-    "beyond",
-]
-"""How messages into cFS end that are in no loss.
-
-At CI: ``queued`` may wait in its socket, ``crowded`` only if that holds more than usual, or it may have read
-them just before it went down, or before its first count; ``late`` were sent after its last count.
-
-On the bus: ``earlier`` may be some that its first count had already; ``shared`` is the most that may be among
-those that a counter has of several traffics together, and ``elsewhere`` those that did not come out and may
-be among these.
-
-At the application: ``passed_on`` came out, and were lost behind that; ``superseded`` gave way to a newer
-one; of ``unaccounted`` nothing tells what became; ``uncertain`` may yet come out, and their pipe lost others
-to the end; ``missed`` may have come out, and the capture may have missed them; ``held`` it may have taken
-just before it was stopped, or when it was back, and they gave way; ``beyond`` were sent before the first that
-came out or behind the last, by a way whose end may be behind the application."""
+EndAtCi = Literal["queued", "crowded", "late"]
+"""``queued`` may wait in its socket, ``crowded`` only if that holds more than usual, or it may have read them
+just before it went down, or before its first count; ``late`` were sent after its last count."""
+EndOnBus = Literal["earlier", "shared", "elsewhere"]
+"""``earlier`` may be some that its first count had already; ``shared`` is the most that may be among those
+that a counter has of several traffics together, and ``elsewhere`` those that did not come out and may be
+among these."""
+EndAtApp = Literal["passed_on", "superseded", "unaccounted", "uncertain", "missed", "held", "beyond"]
+"""``passed_on`` came out, and were lost behind that; ``superseded`` gave way to a newer one; of
+``unaccounted`` nothing tells what became; ``uncertain`` may yet come out, and their pipe lost others to the
+end; ``missed`` may have come out, and the capture may have missed them; ``held`` it may have taken just
+before it was stopped, or when it was back, and they gave way; ``beyond`` were sent before the first that came
+out or behind the last, by a way whose end may be behind the application."""
+End = EndAtCi | EndOnBus | EndAtApp
+"""How messages into cFS end that are in no loss: at CI, on the bus, or at the application."""
 
 
 @dataclass(slots=True)
