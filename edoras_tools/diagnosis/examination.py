@@ -22,7 +22,7 @@ from edoras_tools.diagnosis.missing import ALL, Missing, missing
 from edoras_tools.diagnosis.rules import SINGLE, others, rules
 from edoras_tools.diagnosis.rules.capture import too_many
 from edoras_tools.diagnosis.rules.silence import note_silences
-from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, WHOLE, Choice, Severity, Verdict
+from edoras_tools.diagnosis.verdict import CAPTURE_RULES, WHOLE, Choice, Severity, Verdict
 from edoras_tools.links.table import LinkStates
 from edoras_tools.mission import Mission
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, PacketBatch
@@ -511,18 +511,7 @@ def _called(verdict: Verdict, case: Case) -> Verdict:
 
 
 def _sorted(verdicts: Any) -> tuple[Verdict, ...]:
-    return tuple(
-        sorted(
-            verdicts,
-            key=lambda item: (
-                item.rule not in CAPTURE_RULES,
-                -item.severity,
-                item.rule == QUOTING_RULE,
-                -(item.lost or 0),
-                item.start_ns,
-            ),
-        )
-    )
+    return tuple(sorted(verdicts, key=lambda item: (*item.rank, -(item.lost or 0), item.start_ns)))
 
 
 def _verdicts(parts: list[Diagnosis]) -> Iterator[Verdict]:
@@ -625,16 +614,9 @@ def _crossings(items: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     totals: dict[tuple[str, str], dict[str, Any]] = {}
     for item in items:
         key = item["from"], item["from_link"]
-        total = totals.get(key)
-        totals[key] = (
-            item
-            if total is None
-            else {
-                **item,
-                **{name: total[name] + item[name] for name in _CROSSED},
-                "latency": _slower(total["latency"], item["latency"]),
-            }
-        )
+        before = totals.setdefault(key, {**dict.fromkeys(_CROSSED, 0), "latency": None})
+        sums = {name: before[name] + item[name] for name in _CROSSED}
+        totals[key] = {**item, **sums, "latency": _slower(before["latency"], item["latency"])}
     return list(totals.values())
 
 

@@ -36,6 +36,7 @@ The capture has a hole if nothing was captured although everybody went on sendin
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter
 from functools import cache, cached_property
 from math import ceil, exp, lgamma, log, log1p, sqrt
@@ -479,14 +480,11 @@ def largest_number(count: int, checked: int, missing: int, confidence: float = C
     If each is missed by chance, those that are missed lie among the checked and the others as their numbers
     say: that so few lie among the checked would be less likely than the confidence allows.
     """
-    low, high = 0, count
-    while low < high:
-        middle = (low + high + 1) // 2
-        if hypergeometric_tail(missing, checked, count, middle + missing) < 1 - confidence:
-            high = middle - 1
-        else:
-            low = middle
-    return low
+
+    def is_unlikely(number: int) -> bool:
+        return hypergeometric_tail(missing, checked, count, number + missing) < 1 - confidence
+
+    return bisect_left(range(1, count + 1), True, key=is_unlikely)
 
 
 def hypergeometric_tail(most: int, checked: int, others: int, drawn: int) -> float:

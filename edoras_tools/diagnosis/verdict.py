@@ -118,6 +118,11 @@ class Verdict(msgspec.Struct, frozen=True):
         """What it is about, whenever it was: spans of one trouble share it."""
         return self.rule, self.msg_id, self.link, self.hop
 
+    @property
+    def rank(self) -> tuple[bool, int, bool]:
+        """What people read first has the least: what is said of the capture itself, then what is grave."""
+        return self.rule not in CAPTURE_RULES, -self.severity, self.rule == QUOTING_RULE
+
     def as_json(self) -> dict[str, Any]:
         """Return the verdict in the shape of ``doctor --json``."""
         return {
@@ -186,9 +191,7 @@ def group_verdicts(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
     def order(verdict: Verdict) -> tuple[Any, ...]:
         single = verdict.lost is None or verdict.rule in ONE_BY_ONE
         return (
-            verdict.rule not in CAPTURE_RULES,
-            -verdict.severity,
-            verdict.rule == QUOTING_RULE,
+            *verdict.rank,
             verdict.lost is None,
             verdict.rule,
             verdict.spacecraft or 0,
