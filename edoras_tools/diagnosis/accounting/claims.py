@@ -20,7 +20,7 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value, numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
@@ -356,22 +356,6 @@ def settle_possible(
     return list(shared.values())
 
 
-def _reached(
-    tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], start: Place
-) -> set[int]:
-    """Return the open claims that some counts can go to, by moving those of others."""
-    todo, places, reached = [start], {start}, set[int]()
-    while todo:
-        place = todo.pop()
-        for at in tables[place[0], place[1]].within(place[2]):
-            if at not in reached:
-                reached.add(at)
-                others = {item for item in claims[at].taken if item[:2] in tables} - places
-                places |= others
-                todo += others
-    return {at for at in reached if claims[at].open}
-
-
 class _Table:
     """Who may take the counts of one counter.
 
@@ -476,8 +460,10 @@ def _improve(
     for (instance, kind), table in tables.items():
         for second in np.flatnonzero(table.left).tolist():
             place = instance, kind, second
-            if alone and len({claims[at].flow for at in _reached(tables, claims, place)}) != 1:
-                continue
+            if alone:
+                ways = _ways_from(tables, claims, place, set())
+                if len({claims[at].flow for at, _, _ in ways if claims[at].open}) != 1:
+                    continue
             while table.left[second] and (path := _path(tables, claims, place, dead)):
                 _shift(table, claims, path)
 
@@ -504,26 +490,39 @@ def _path(
         dead: claims that lead nowhere; added to where there is no path.
     """
     from_: dict[int, tuple[Place, int | None]] = {}
-    todo: list[tuple[Place, int | None]] = [(start, None)]
-    looked: set[Place] = set()
-    while todo:
-        place, before = todo.pop()
-        if place in looked:
-            continue
-        looked.add(place)
-        for at in tables[place[0], place[1]].within(place[2]):
-            if at in from_ or at in dead:
-                continue
-            from_[at] = place, before
-            if claims[at].open:
-                path = [(place, at)]
-                while before is not None:
-                    path.append((from_[before][0], before))
-                    before = from_[before][1]
-                return path[::-1]
-            todo += [(other, at) for other in claims[at].taken if (other[0], other[1]) in tables]
+    for at, place, giver in _ways_from(tables, claims, start, dead):
+        from_[at] = place, giver
+        if claims[at].open:
+            path, before = [(place, at)], giver
+            while before is not None:
+                path.append((from_[before][0], before))
+                before = from_[before][1]
+            return path[::-1]
     dead.update(from_)
     return None
+
+
+def _ways_from(
+    tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], start: Place, dead: set[int]
+) -> Iterator[tuple[int, Place, int | None]]:
+    """Yield the claims that some counts can go to, by moving those of others: each with what it would get.
+
+    And who has that; None where nobody does.
+
+    Args:
+        dead: claims that are passed over.
+    """
+    todo: list[tuple[Place, int | None]] = [(start, None)]
+    places, reached = set[Place](), set[int]()
+    while todo:
+        place, giver = todo.pop()
+        if place not in places:
+            places.add(place)
+            for at in tables[place[0], place[1]].within(place[2]):
+                if at not in reached and at not in dead:
+                    reached.add(at)
+                    yield at, place, giver
+                    todo += [(other, at) for other in claims[at].taken if (other[0], other[1]) in tables]
 
 
 def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[int]:
