@@ -48,7 +48,7 @@ import numpy as np
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import by_key, by_value, distinct, numbered
+from edoras_tools.wire.arrays.order import by_key, by_value, distinct, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -529,8 +529,7 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
     streams = _counted_streams(rows)
     commands = rows.time_ns[among(rows.link, lambda link: link.only_to_cfs)]
     network = np.flatnonzero(among(rows.link, lambda link: link.peers))
-    who = rows.spacecraft_id[network].astype(np.int64) << 32 | rows.processor_id[network]
-    peers = [rows.time_ns[network[members]] for _, members in by_value(who)]
+    peers = [rows.time_ns[own] for _, own in groups(rows.sbn_sender(), network)]
     holes: tuple[list[tuple[int, int]], ...] = [], []
     for gap in zip(rows.time_ns[long].tolist(), rows.time_ns[long + 1].tolist(), strict=True):
         others = _steady(commands, *gap) or sum(_steady(times, *gap) for times in peers) > 1

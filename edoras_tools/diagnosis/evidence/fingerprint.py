@@ -286,11 +286,8 @@ def with_garbled(columns: Columns, batch: PacketBatch) -> Columns:
     garbled = (batch.source_port == robot.CFS_PORT) & (batch.destination_port == robot.ROBOT_PORT)
     length = batch.length + np.maximum(batch.original_length - batch.frame_length, 0)
     garbled &= (columns.link == OTHER) & np.isin(length, list(_TYPES))
-    return (
-        replace(columns, link=np.where(garbled, np.uint8(ROBOT.code), columns.link))
-        if garbled.any()
-        else columns
-    )
+    link = np.where(garbled, np.uint8(ROBOT.code), columns.link)
+    return replace(columns, link=link) if garbled.any() else columns
 
 
 def robot_prints(batch: PacketBatch, rows: Places, types: TypeStore | None) -> tuple[Prints, Prints]:

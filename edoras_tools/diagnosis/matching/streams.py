@@ -23,7 +23,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding, Link, rate_hz
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value, distinct, distinct_rows, numbered, quantiles
+from edoras_tools.wire.arrays.order import by_value, distinct, distinct_rows, groups, numbered, quantiles
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
@@ -154,9 +154,8 @@ def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
 def find_robots(rows: Rows) -> list[Stream]:
     """Return what was sent to each robot: bare numbers, no MsgId and no count."""
     own = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
-    ends = rows.source[own].astype(np.int64) << 32 | rows.destination[own]
     nobody, none = np.full(len(rows), NOBODY, np.int32), own[:0]
-    streams = [_stream(rows, own[members], nobody, none) for _, members in by_value(ends)]
+    streams = [_stream(rows, members, nobody, none) for _, members in groups(rows.way(), own)]
     return [replace(item, pauses=np.zeros(len(item), np.bool_)) for item in streams]
 
 

@@ -47,16 +47,12 @@ _CLOCK: Final = StateOwner("clock")
 _OUTPUT: Final = StateOwner("output")
 _ALL_ENTRIES: Final = StateOwner("entry")
 _APP_EVENTS: Final = (
-    (frozenset({executive_services.STARTED}), "running", re.compile(r"Started (\S+) from")),
-    (frozenset({executive_services.STOPPED}), "stopped", re.compile(r"Stop Application (\S+) Completed")),
+    (executive_services.STARTED, "running", re.compile(r"Started (\S+) from")),
+    (executive_services.STOPPED, "stopped", re.compile(r"Stop Application (\S+) Completed")),
     # It ended; what it had opened was not all closed.
-    (frozenset({37}), "stopped", re.compile(r"Stop Application (\S+) Failed: CleanUpApp")),
-    (
-        frozenset({executive_services.RESTARTED}),
-        "running",
-        re.compile(r"Restart Application (\S+) Completed"),
-    ),
-    (frozenset({executive_services.RELOADED}), "running", re.compile(r"Reload Application (\S+) Completed")),
+    (37, "stopped", re.compile(r"Stop Application (\S+) Failed: CleanUpApp")),
+    (executive_services.RESTARTED, "running", re.compile(r"Restart Application (\S+) Completed")),
+    (executive_services.RELOADED, "running", re.compile(r"Reload Application (\S+) Completed")),
 )
 _APP_STATES: Final = {
     executive_services.START_APP: "running",
@@ -191,8 +187,8 @@ class SoftwareChanges:
             return Change(system, subject, state, low, made_ns, witness, (event.row,), value)
 
         if event.app == executive_services.NAME:
-            for ids, state, pattern in _APP_EVENTS:
-                if event.event_id in ids and (match := pattern.search(event.message)):
+            for number, state, pattern in _APP_EVENTS:
+                if event.event_id == number and (match := pattern.search(event.message)):
                     result = change(StateOwner("app", match[1]), state)
                     if event.event_id != executive_services.STARTED and state == "running":
                         asked_ns = self._asked_ns(match[1], made_ns)
