@@ -74,13 +74,14 @@ class Instances:
         items: them, by offset.
         systems: a number each: boots of one cFS have the same.
         hosts: i32, endpoint to the number of its address.
+        addresses: the address of each number.
         of_row: i32, the instance that made each row's packet; ``NOBODY`` where the packet has no time.
         made_ns: i64, when each row's packet was made, in capture time; of one without a time, when captured.
     """
 
     def __init__(self, rows: Rows, events: Sequence[EventRecord], endpoints: Sequence[Endpoint]) -> None:
         self.hosts = number_hosts(endpoints)
-        self._addresses = list(dict.fromkeys(item.address for item in endpoints))
+        self.addresses = list(dict.fromkeys(item.address for item in endpoints))
         self._ports = [item.port for item in endpoints]
         self.of_row = np.full(len(rows), NOBODY, np.int32)
         self.items: list[Instance] = []
@@ -156,7 +157,7 @@ class Instances:
         """Return an instance's name for the user, with address and port if another cFS has the same ones."""
         item, where = self.items[instance], ""
         if self.others_named(instance):
-            where = f" at {self._addresses[item.host]}"
+            where = f" at {self.addresses[item.host]}"
             if len(self._systems_at[item.name, item.host]) > 1:
                 ports = {
                     self._ports[source]

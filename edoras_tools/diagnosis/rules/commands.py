@@ -304,25 +304,14 @@ def _answers(case: Case, kind: BadCommandKind, row: int) -> list[EventRecord]:
     return []
 
 
-class _Hosts:
-    """The addresses of a capture.
-
-    Attributes:
-        of_endpoint: i32, endpoint to the place of its address in ``names``.
-        names: the addresses.
-    """
-
-    def __init__(self, case: Case) -> None:
-        self.names = list(dict.fromkeys(item.address for item in case.endpoints))
-        self.of_endpoint, self._rows = case.instances.hosts, case.rows
-
-    def ways(self, rows: Places) -> Iterator[tuple[tuple[str, str], Places]]:
-        """Yield from which address to which some rows went, and those that did."""
-        ends = [self.of_endpoint[end[rows]] for end in (self._rows.source, self._rows.destination)]
-        first, which = numbered(*ends)
-        for number, members in by_value(which):
-            source, destination = (self.names[end[first[number]]] for end in ends)
-            yield (source, destination), rows[members]
+def _ways(case: Case, rows: Places) -> Iterator[tuple[tuple[str, str], Places]]:
+    """Yield from which address to which some rows went, and those that did."""
+    hosts, names = case.instances.hosts, case.instances.addresses
+    ends = [hosts[end[rows]] for end in (case.rows.source, case.rows.destination)]
+    first, which = numbered(*ends)
+    for number, members in by_value(which):
+        source, destination = (names[end[first[number]]] for end in ends)
+        yield (source, destination), rows[members]
 
 
 def stranger_commands(case: Case) -> Iterator[Verdict]:
@@ -330,11 +319,11 @@ def stranger_commands(case: Case) -> Iterator[Verdict]:
 
     Name every such address; silent where the capture shows no telemetry of that cFS.
     """
-    rows, hosts = case.rows, _Hosts(case)
+    rows = case.rows
     stations: dict[str, set[str]] = {}
-    for (cfs, station), _ in hosts.ways(np.flatnonzero(rows.link == TO)):
+    for (cfs, station), _ in _ways(case, np.flatnonzero(rows.link == TO)):
         stations.setdefault(cfs, set()).add(station)
-    for (sender, target), members in hosts.ways(_sound_commands(case)):
+    for (sender, target), members in _ways(case, _sound_commands(case)):
         addresses = stations.get(target)
         if not addresses or sender in addresses or sender == target:  # the flight host itself is no stranger
             continue
@@ -364,13 +353,13 @@ def identity_from_two_addresses(case: Case) -> Iterator[Verdict]:
 
     Name every identity that does: a receiver tells peers apart by it, never by their address.
     """
-    rows, hosts = case.rows, _Hosts(case)
+    rows, hosts, addresses = case.rows, case.instances.hosts, case.instances.addresses
     spoke = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(_UNSOUND_NETWORK))
     for who, members in groups(rows.sbn_sender(), spoke):
-        first, address = numbered(hosts.of_endpoint[rows.source[members]])
+        first, address = numbered(hosts[rows.source[members]])
         if len(first) < 2:
             continue
-        order = [hosts.names[host] for host in hosts.of_endpoint[rows.source[members[first]]].tolist()]
+        order = [addresses[host] for host in hosts[rows.source[members[first]]].tolist()]
         counts = np.bincount(address).tolist()
         times = [case.at(when) for when in rows.time_ns[members[first]].tolist()]
         yield security(
@@ -392,19 +381,19 @@ def repeated_commands(case: Case) -> Iterator[Verdict]:
 
     Name every address that does; bare headers, as a no-op, are the same whoever sends them.
     """
-    rows, hosts = case.rows, _Hosts(case)
+    rows, addresses = case.rows, case.instances.addresses
     sent = _sound_commands(case)
     sent = sent[rows.packet_length[sent] > rows.header_length[sent]]
     first, which = numbered(rows.packet_print[sent])
-    sender = hosts.of_endpoint[rows.source[sent]]
+    sender = case.instances.hosts[rows.source[sent]]
     origin = sender[first[which]]
     repeats = np.flatnonzero(sender != origin)
     for who, at in by_value(sender[repeats]):
         members = sent[repeats[at]]
-        origins = sorted({hosts.names[item] for item in origin[repeats[at]].tolist()})
+        origins = sorted({addresses[item] for item in origin[repeats[at]].tolist()})
         earlier = sent[first[which[repeats[at[0]]]]]
         yield security(
-            f"{plural(len(members), 'command')} from {hosts.names[who]} repeat, byte for byte, what "
+            f"{plural(len(members), 'command')} from {addresses[who]} repeat, byte for byte, what "
             f"{', '.join(origins)} sent before: a recording is being sent again",
             f"{packet(case, members[0])} repeats packet {rows.number[earlier]}",
             f"MsgIds: {', '.join(sorted({case.name(int(rows.msg_id[item])) for item in members}))}",
@@ -447,15 +436,14 @@ def privileged_commands(case: Case) -> Iterator[Verdict]:
         senders = sorted(
             {case.endpoints[source].address for source in np.unique(rows.source[members]).tolist()}
         )
-        times = rows.time_ns[members].tolist()
+        times = [case.at(when) for when in rows.time_ns[members].tolist()]
         yield security(
             f"{plural(len(members), 'command')} {command_name(msg_id, code)} on {case.name(msg_id)} from "
             f"{_some(senders)}: it can {PRIVILEGED[msg_id, code]}",
-            f"sent at {_some([case.at(when) for when in times])}",
+            f"sent at {_some(times)}",
             f"packet {rows.number[members[0]]} is the first",
-            msg_id=msg_id,
-            place=("ci", "CI_LAB_APP"),
-            span=(times[0], times[-1]),
+            **subject(case, members),
+            hop="CI_LAB_APP",
             remedy="see that whoever sent it was meant to; CI asks nobody who he is",
         )
 
