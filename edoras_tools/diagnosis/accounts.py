@@ -43,7 +43,6 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
     times = rows.time_ns[own]
     lost = sum(loss.lost for loss in case.losses_of(stream))
     refused = case.commands.fates[id(stream)].refused.total() if id(stream) in case.commands.fates else 0
-    silent = case.unheard.get(id(stream))
     unreached = sum(item.number for item in case.unreached if item.stream is stream)
     to_cfs = route.to_cfs if route else stream.is_command
     clean_hz, told_by = clean_rate(case, stream)
@@ -60,7 +59,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "instance": case.label(stream.instance) if stream.instance != NOBODY else None,
         "sent": len(stream) if behind else len(stream) + lost,
         "seen": len(stream),
-        "lost": lost + refused + unreached + (len(silent.lost) + len(silent.restarted) if silent else 0),
+        "lost": lost + refused + unreached + len(case.unheard_of(stream)),
         "rate_hz": round(rate_hz(len(stream), int(times[-1]) - int(times[0])), 3),
         "limit_hz": clean_hz,
         "limit_from": told_by,

@@ -614,6 +614,11 @@ class Case:
         """All that was lost, each message in one of them."""
         return [*self.telemetry.losses, *self.commands.losses]
 
+    def unheard_of(self, stream: Stream) -> list[int]:
+        """Return what of a stream surely was not heard, as indices into its rows."""
+        silent = self.unheard.get(id(stream))
+        return silent.unheard if silent else []
+
     def losses_of(self, stream: Stream) -> list[Loss]:
         """Return what was lost of a stream."""
         return self._losses_of.get(id(stream), [])

@@ -212,10 +212,9 @@ class Commands:
     def _astray(self, stream: Stream, fate: Fate | None) -> None:
         """Tell lost what came to one capture and never to the next; leave open what that may lack."""
         masks = self._case.rows.undelivered, self._case.prepared.perhaps_astray
-        silent = self._case.unheard.get(id(stream))
         rows, perhaps = (np.flatnonzero(mask[stream.rows]) for mask in masks)
-        if silent:
-            rows, perhaps = (np.setdiff1d(own, silent.unheard) for own in (rows, perhaps))
+        if unheard := self._case.unheard_of(stream):
+            rows, perhaps = (np.setdiff1d(own, unheard) for own in (rows, perhaps))
         if fate is None and len(perhaps) and self._is_lost_between:
             rows, perhaps = np.union1d(rows, perhaps), perhaps[:0]
         text = f"{plural(len(rows), 'datagram')} came to one capture, and not to the next on their way"
@@ -276,9 +275,8 @@ class Commands:
         elif fate.seen and stream.link.only_to_cfs:
             self._uncounted(fate, stops)
         if fate.seen or all(stream.receiver != item.endpoint for item in case.ingests):
-            errors, silent = case.unreachable, case.unheard.get(id(stream))
+            errors, unheard = case.unreachable, case.unheard_of(stream)
             masks = (mask[stream.rows] for mask in (errors.closed, errors.uncertain))
-            unheard = silent.unheard if silent else ()
             closed, perhaps = (np.setdiff1d(np.flatnonzero(fate.open & own), unheard) for own in masks)
             self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
             if stream.link.only_to_cfs:
