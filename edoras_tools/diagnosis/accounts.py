@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-import numpy as np
-
 from edoras_tools.cfs.names import MSG_ID_NAMES, message_name
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.losses import COUNTERS
@@ -138,12 +136,8 @@ def _delay(case: Case, stream: Stream) -> Latency | None:
     """Return how long telemetry waited between publication and the wire, more than its luckiest packet."""
     if stream.link.only_to_cfs or stream.instance == NOBODY:
         return None
-    mission = case.rows.mission_time_ns[stream.rows]
-    timed = (case.instances.of_row[stream.rows] == stream.instance) & (mission > 0)
-    if not timed.any():
-        return None
-    offset = case.instances.items[stream.instance].offset_ns
-    return latency_of(np.asarray(stream.time_ns[timed] - mission[timed] - offset))
+    own = stream.rows[case.instances.of_row[stream.rows] == stream.instance]
+    return latency_of(case.rows.delay_ns(own) - case.instances.items[stream.instance].offset_ns)
 
 
 def _json(latency: Latency | None) -> dict[str, Any] | None:

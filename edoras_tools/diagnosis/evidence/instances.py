@@ -86,10 +86,8 @@ class Instances:
         self.of_row = np.full(len(rows), NOBODY, np.int32)
         self.items: list[Instance] = []
         self._source = rows.source
-        timed = np.flatnonzero(
-            (rows.mission_time_ns > 0) & among(rows.link, lambda link: link.from_cfs and link.packets)
-        )
-        offset = rows.time_ns[timed] - rows.mission_time_ns[timed]
+        timed = np.flatnonzero(rows.timed)
+        offset = rows.delay_ns(timed)
         ranked = np.sort(offset)
         begins = ranked[1:][np.diff(ranked) > BOOT_APART_NS]
         says = {event.row: event.sender for event in events}
@@ -112,7 +110,7 @@ class Instances:
         first_ns, last_ns = int(rows.time_ns[members].min()), int(rows.time_ns[members].max())
         if last_ns - first_ns > BOOT_APART_NS:
             return NOBODY
-        offset = int((rows.time_ns[members] - rows.mission_time_ns[members]).min())
+        offset = int(rows.delay_ns(members).min())
         sources = np.unique(rows.source[members])
         for index, item in enumerate(self.items):
             if not item.first_ns < first_ns <= last_ns < item.last_ns:
@@ -126,7 +124,7 @@ class Instances:
     def _add(self, rows: Rows, members: Places, says: dict[int, str]) -> None:
         self.of_row[members] = len(self.items)
         times = rows.time_ns[members]
-        offset = int((times - rows.mission_time_ns[members]).min())
+        offset = int(rows.delay_ns(members).min())
         name = self._name(rows, members, says)
         # Who hands on others' packets does so through Telemetry Output: on SBN everyone speaks for himself.
         own = members[among(rows.link[members], lambda link: link.peers)]
@@ -194,7 +192,7 @@ class Instances:
         """Return when each packet was made, in capture time, by the quickest of its time: clocks drift."""
         made_ns = rows.time_ns.copy()
         for _, own in groups(self.of_row, np.flatnonzero(self.of_row != NOBODY)):
-            delay = rows.time_ns[own] - rows.mission_time_ns[own]
+            delay = rows.delay_ns(own)
             window = (rows.time_ns[own] - rows.time_ns[own].min()) // _BASELINE_NS
             # Of the windows in which something came: times that are garbled may lie centuries apart.
             windows, _, window = distinct_rows(window)
@@ -308,14 +306,13 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     owner = {int(rows.source[row]): says[row] for row in events.tolist() if row in says}
     first, port = numbered(rows.source[output])
     peers = tuple(names)
-    offset = rows.time_ns - rows.mission_time_ns
-    quickest = np.array([offset[network[who == at]].min() for at in range(len(peers))])
+    quickest = np.array([rows.delay_ns(network[who == at]).min() for at in range(len(peers))])
     senders = []
     for source in rows.source[output[first]].tolist():
         near = {name for host, name in peers if host == hosts[source]}
         # Where two are in what it sends, it hands on what the one on SBN made.
         alone = len(near) == 1 and not _conflict(rows, output[rows.source[output] == source])
-        mine = offset[output[(rows.source[output] == source) & (from_ < 0)]]
+        mine = rows.delay_ns(output[(rows.source[output] == source) & (from_ < 0)])
         if len(near) > 1 and len(mine):  # the one whose clock it goes by
             away = np.abs(quickest - mine.min())
             nearest = np.argsort(away)

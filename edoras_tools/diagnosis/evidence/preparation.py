@@ -313,8 +313,7 @@ def _goes_back(rows: Rows, far: Places) -> bool:
     timed = np.flatnonzero((rows.mission_time_ns > 0) & among(rows.link, lambda link: link.from_cfs))
     if not len(timed):
         return False
-    offset = rows.time_ns[timed] - rows.mission_time_ns[timed]
-    votes = 0
+    offset, votes = rows.delay_ns(timed), 0
     for row in far[far < timed[-1]].tolist():
         at = int(np.searchsorted(timed, row, side="right"))
         # Clocks of two cFS differ, too.

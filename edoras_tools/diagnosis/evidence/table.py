@@ -143,6 +143,15 @@ class Rows(msgspec.Struct, frozen=True):
         """Return the source and the destination of some rows as one number each: i64."""
         return self.source[rows].astype(np.int64) << 32 | self.destination[rows]
 
+    @property
+    def timed(self) -> Mask:
+        """Which are packets of a cFS that say when they were made."""
+        return (self.mission_time_ns > 0) & among(self.link, lambda link: link.from_cfs and link.packets)
+
+    def delay_ns(self, rows: NDArray[Any] | slice = slice(None)) -> Integers:
+        """Return the capture time of some rows, less their mission time: i64."""
+        return np.asarray(self.time_ns[rows] - self.mission_time_ns[rows])
+
     def sbn_sender(self, rows: NDArray[Any] | slice = slice(None)) -> Prints:
         """Return the SBN identity of the senders of some rows as one number each, as ``peer_of`` reads it."""
         return self.spacecraft_id[rows].astype(np.uint64) << np.uint64(32) | self.processor_id[rows]

@@ -641,7 +641,7 @@ def _same_ways(first: Side, second: Side, pair: tuple[int, int]) -> list[int]:
     for side, index in zip((first, second), pair, strict=True):
         rows = side.rows
         own = np.flatnonzero(side.instances.of_row == index)
-        delay = rows.time_ns[own] - rows.mission_time_ns[own]
+        delay = rows.delay_ns(own)
         ends = side.endpoints
         offsets.append(
             {

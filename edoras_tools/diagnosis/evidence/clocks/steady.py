@@ -14,7 +14,6 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
-from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import groups, numbered
 
@@ -95,7 +94,7 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> Integers:
     alone = not ((rows.processor_id != 0) & (rows.mission_time_ns > 0)).any()
     for index, instance in enumerate(instances.items if alone else ()):
         own = np.flatnonzero(instances.of_row == index)
-        delay = rows.time_ns[own] - rows.mission_time_ns[own] - instance.offset_ns
+        delay = rows.delay_ns(own) - instance.offset_ns
         window = (rows.time_ns[own] - rows.time_ns[own[0]]) // _WINDOW_NS
         edges = np.flatnonzero(np.diff(window, prepend=window[0] - 1))
         least = np.minimum.reduceat(delay, edges)
@@ -197,7 +196,7 @@ def _parted(rows: Rows, instances: Instances) -> tuple[Jump, int] | None:
             # What either clock slipped by earlier or later is another jump.
             own = own[rows.time_ns[own] > rows.time_ns[low] - _BESIDE_NS]
             other = other[rows.time_ns[other] < rows.time_ns[high] + _BESIDE_NS]
-            by = _offset_ns(rows, other) - _offset_ns(rows, own)
+            by = int(rows.delay_ns(other).min() - rows.delay_ns(own).min())
             steps = np.diff(rows.time_ns[low : high + 1])
             widest = int(steps.argmax()) if len(steps) else 0
             if by > 0 and len(steps) and abs(int(steps[widest]) - by) < SECOND + by // 10:
@@ -216,14 +215,12 @@ def _set_ahead(rows: Rows, instances: Instances) -> Jump | None:
         for index in np.unique(instances.of_row[near]).tolist():
             own = near[instances.of_row[near] == index]
             before, after = own[own <= at], own[own > at]
-            by = _offset_ns(rows, after) - _offset_ns(rows, before) if len(before) and len(after) else 0
+            if not (len(before) and len(after)):
+                continue
+            by = int(rows.delay_ns(after).min() - rows.delay_ns(before).min())
             if by > 2 * _CYCLE_NS and abs(by - int(steps[at])) < _CYCLE_NS:
                 return Jump("capture", at + 1, by)
     return None
-
-
-def _offset_ns(rows: Rows, own: Places) -> int:
-    return int((rows.time_ns[own] - rows.mission_time_ns[own]).min())
 
 
 def _first_and_last(rows: Rows, own: Places) -> list[dict[tuple[int, ...], int]]:
@@ -273,10 +270,5 @@ def _without(rows: Rows, jump: Jump, before: Mask) -> Rows:
     later = np.arange(len(rows)) >= jump.row
     if jump.clock == "capture":
         return replace(rows, time_ns=rows.time_ns - later * jump.by_ns)
-    timed = (
-        later
-        & ~before
-        & (rows.mission_time_ns > 0)
-        & among(rows.link, lambda link: link.from_cfs and link.packets)
-    )
-    return replace(rows, mission_time_ns=rows.mission_time_ns - timed * jump.by_ns)
+    moved = later & ~before & rows.timed
+    return replace(rows, mission_time_ns=rows.mission_time_ns - moved * jump.by_ns)
