@@ -590,10 +590,7 @@ def _one_boot(first: Side, second: Side, pair: tuple[int, int]) -> bool:
 
     They are not where both sent a MsgId on one link at the same mission times, and never the same packet.
     """
-    ours, theirs = (
-        side.rows.take(np.flatnonzero(side.instances.of_row == index))
-        for side, index in zip((first, second), pair, strict=True)
-    )
+    ours, theirs = (side.rows.take(own) for side, own in _both_of(first, second, pair))
     if np.isin(ours.mission_time_ns, theirs.mission_time_ns).any():
         return True
     kinds = [rows.link.astype(np.int64) << 32 | rows.msg_id for rows in (ours, theirs)]
@@ -607,19 +604,20 @@ def _one_boot(first: Side, second: Side, pair: tuple[int, int]) -> bool:
 
 def _same_packets(first: Side, second: Side, pair: tuple[int, int]) -> int:
     """Return how many packets of a boot both captured, whatever carried them."""
-    ours, theirs = (
-        side.rows.bytes_print[side.instances.of_row == index]
-        for side, index in zip((first, second), pair, strict=True)
-    )
+    ours, theirs = (side.rows.bytes_print[own] for side, own in _both_of(first, second, pair))
     return len(matches(ours, theirs)[0])
+
+
+def _both_of(first: Side, second: Side, pair: tuple[int, int]) -> Iterator[tuple[Side, Places]]:
+    """Yield both captures, each with its rows of a boot."""
+    for side, index in zip((first, second), pair, strict=True):
+        yield side, np.flatnonzero(side.instances.of_row == index)
 
 
 def _of_boot(first: Side, second: Side, pair: tuple[int, int]) -> Ordered:
     """Return when each captured the quickest of a boot's packets of some minutes, as if made at one time."""
-    boots = []
-    for side, index in zip((first, second), pair, strict=True):
-        own = np.flatnonzero(side.instances.of_row == index)
-        boots.append((side.rows.mission_time_ns[own], side.rows.time_ns[own]))
+    both = _both_of(first, second, pair)
+    boots = [(side.rows.mission_time_ns[own], side.rows.time_ns[own]) for side, own in both]
     begin = max(int(made_ns.min()) for made_ns, _ in boots)
     windows = [(made_ns - begin) // _LONG_NS for made_ns, _ in boots]
     common = np.intersect1d(windows[0], windows[1])
@@ -638,15 +636,12 @@ def _of_boot(first: Side, second: Side, pair: tuple[int, int]) -> Ordered:
 def _same_ways(first: Side, second: Side, pair: tuple[int, int]) -> list[int]:
     """Return the offset that each way tells that one boot's packets took in both, by the shortest delays."""
     offsets: list[dict[tuple[Endpoint, Endpoint], int]] = []
-    for side, index in zip((first, second), pair, strict=True):
-        rows = side.rows
-        own = np.flatnonzero(side.instances.of_row == index)
-        delay = rows.delay_ns(own)
-        ends = side.endpoints
+    for side, own in _both_of(first, second, pair):
+        delay, ends = side.rows.delay_ns(own), side.endpoints
         offsets.append(
             {
                 (ends[value >> 32], ends[value & 0xFFFFFFFF]): int(delay[members].min())
-                for value, members in by_value(rows.way(own))
+                for value, members in by_value(side.rows.way(own))
                 if len(members) >= _MANY
             }
         )
