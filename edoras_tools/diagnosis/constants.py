@@ -156,17 +156,14 @@ def _usual(profile: SimProfile, name: str) -> bool:
     return bool(name not in profile.stated and getattr(profile, name) == getattr(_USUAL, name))
 
 
-def _last(hops: Sequence[Hop]) -> list[Hop]:
-    """Return the hops from Command Ingest to the last hop: nothing else makes their messages wait."""
-    return [hop for hop in hops if hop.into.link.only_to_cfs and hop.out.link.last_hop]
-
-
 def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
-    out = [rows.time_ns[hop.out.rows[hop.out_rows]] for hop in _last(hops)]
+    # Nothing else makes messages wait on their way from Command Ingest to the last hop.
+    last = [hop for hop in hops if hop.into.link.only_to_cfs and hop.out.link.last_hop]
+    out = [rows.time_ns[hop.out.rows[hop.out_rows]] for hop in last]
     round_ns = find_round(np.sort(np.concatenate(out))) if out else None
     if round_ns is None:
         return None
-    delays = np.concatenate([hop.delays_ns for hop in _last(hops)])
+    delays = np.concatenate([hop.delays_ns for hop in last])
     longest = float(np.quantile(delays, 0.9)) / round_ns if len(delays) else 0.0
     return round_ns if _WAITS[0] < longest < _WAITS[1] else None
 

@@ -34,10 +34,11 @@ _EDGE: Final = 8
 """The first and the last of so many parts of a pause may be of the time around it."""
 _BEHIND: Final = 8
 """So many messages of a stream show when what waited was made."""
+_CFS: Final = StateOwner("cfs")
 _OFF: Final = (
     (StateOwner("output"), ("disabled", "suppressed")),
     (StateOwner("entry"), ("unsubscribed", "as at the start")),
-    (StateOwner("cfs"), ("down",)),
+    (_CFS, ("down",)),
     *(
         (StateOwner("app", name), ("stopped", "restarting", "failed"))
         for name in (*telemetry_output.NAMES, *executive_services.SCHEDULERS)
@@ -73,14 +74,10 @@ def stalls(
                 if item.instance != NOBODY and instances.systems[item.instance] == system and item.counted
             ]
             if _published_nothing(instances, own, (start_ns, end_ns), usual_ns):
-                seconds = (end_ns - start_ns) / SECOND
-                text = (
-                    f"nothing came of it for {seconds:.1f} s, no count is missing, and it went on as before"
-                )
-                yield Change(system, StateOwner("cfs"), "stalled", start_ns, start_ns + usual_ns, text)
-                yield Change(
-                    system, StateOwner("cfs"), "running", end_ns - usual_ns, end_ns, "it sends again"
-                )
+                text = f"nothing came of it for {(end_ns - start_ns) / SECOND:.1f} s"
+                text += ", no count is missing, and it went on as before"
+                yield Change(system, _CFS, "stalled", start_ns, start_ns + usual_ns, text)
+                yield Change(system, _CFS, "running", end_ns - usual_ns, end_ns, "it sends again")
 
 
 def _switched_off(timeline: Timeline, system: int, start_ns: int, end_ns: int) -> bool:

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import groups, numbered
+from edoras_tools.wire.arrays.order import by_key, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -233,19 +233,15 @@ def _first_and_last(rows: Rows, own: Places) -> list[dict[tuple[int, ...], int]]
     return ends
 
 
-def _places(last: list[dict[tuple[int, ...], int]]) -> dict[tuple[int, ...], tuple[Places, Integers]]:
-    """Return of each stream which instances have it, and their last counts of it."""
-    pairs: dict[tuple[int, ...], tuple[list[int], list[int]]] = {}
-    for place, counts in enumerate(last):
-        for item, count in counts.items():
-            places, lasts = pairs.setdefault(item, ([], []))
-            places.append(place)
-            lasts.append(count)
-    return {item: (np.array(one, np.intp), np.array(other, np.int64)) for item, (one, other) in pairs.items()}
+def _places(last: list[dict[tuple[int, ...], int]]) -> dict[tuple[int, ...], Integers]:
+    """Return of each stream which instances have it, and their last counts of it: i64 (2, n)."""
+    each = ((key, place, count) for place, counts in enumerate(last) for key, count in counts.items())
+    streams = by_key(each, lambda item: item[0])
+    return {key: np.array([item[1:] for item in own], np.int64).T for key, own in streams.items()}
 
 
 def _taken_up(
-    last: dict[tuple[int, ...], tuple[Places, Integers]], begin: dict[tuple[int, ...], int], end: int
+    last: dict[tuple[int, ...], Integers], begin: dict[tuple[int, ...], int], end: int
 ) -> list[int]:
     """Return of which instances before one it takes up most counts.
 
