@@ -381,8 +381,7 @@ class Case:
     @cached_property
     def timeline(self) -> Timeline:
         """The states of everything over time."""
-        resets = [(item.instance, item.start_ns, item.end_ns) for item in self.resets]
-        software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps, resets)
+        software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps, self.resets)
         changes = list(software.changes())
         # What commands and events tell of an application is not told by its peers again.
         subjects = {(item.system, item.subject) for item in changes}

@@ -14,8 +14,10 @@
 from __future__ import annotations
 
 import re
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 from msgspec.structs import replace
 
@@ -62,31 +64,25 @@ _APP_STATES: Final = {
 }
 
 
-class SoftwareChanges:
+class SoftwareChanges(msgspec.Struct, dict=True):
     """Makes the changes of a capture.
 
-    Args:
+    Attributes:
         jumps: clocks that were set, as they were measured.
         resets: restarts of a cFS whose clock went on: instance, and between which two times in ns.
     """
 
-    def __init__(
-        self,
-        rows: Rows,
-        payloads: Payloads,
-        instances: Instances,
-        jumps: Sequence[Jump] = (),
-        resets: Sequence[tuple[int, int, int]] = (),
-    ) -> None:
-        self._rows = rows
-        self._payloads = payloads
-        self._instances = instances
-        self._resets = resets
-        self._jumps = [item for item in jumps if item.clock != "capture"]
-        # Those that are whole say their limit themselves.
-        self._cut = {
-            item.entry for item in payloads.outputs(telemetry_output.ADD_PACKET) if not item.is_whole
-        }
+    _rows: Rows
+    _payloads: Payloads
+    _instances: Instances
+    jumps: Sequence[Jump]
+    resets: Sequence[tuple[int, int, int]]
+
+    @cached_property
+    def _cut(self) -> set[int]:
+        """Entries that commands add and are cut off; those that are whole say their limit themselves."""
+        added = self._payloads.outputs(telemetry_output.ADD_PACKET)
+        return {item.entry for item in added if not item.is_whole}
 
     def changes(self) -> Iterator[Change]:
         """Yield all changes, those of a boot last."""
@@ -169,7 +165,8 @@ class SoftwareChanges:
         if setting and setting.sign and not setting.each_second:
             micros = command.values["seconds"] * 10**6 + command.values["microseconds"]
             return replace(change, value=setting.sign * micros * 1000)
-        measured = [item for item in self._jumps if low <= int(self._rows.time_ns[item.row]) <= high]
+        own = [item for item in self.jumps if item.clock != "capture"]
+        measured = [item for item in own if low <= int(self._rows.time_ns[item.row]) <= high]
         return replace(change, value=measured[0].by_ns) if len(measured) == 1 else change
 
     def _event(self, event: EventRecord) -> Iterator[Change]:
@@ -211,7 +208,7 @@ class SoftwareChanges:
             if system in last and last[system] < item.first_ns:
                 yield from _boot(system, last[system], item.first_ns, "its clock and counts began anew")
             last[system] = max(last.get(system, 0), item.last_ns)
-        for instance, start_ns, end_ns in self._resets:
+        for instance, start_ns, end_ns in self.resets:
             yield from _boot(self._instances.system(instance), start_ns, end_ns, "its counts began anew")
 
 
