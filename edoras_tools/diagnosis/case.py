@@ -62,7 +62,6 @@ from edoras_tools.diagnosis.quality import (
     host_drops,
     overlapping,
 )
-from edoras_tools.links.table import among
 from edoras_tools.model import (
     NO_MSG_ID,
     NO_ROUTE,
@@ -530,7 +529,7 @@ class Case:
     @cached_property
     def peers_unseen(self) -> bool:
         """Whether a cFS hands on what another one made, and how that came to it was not captured."""
-        on_sbn = among(self.rows.link, lambda link: link.peers).any()
+        on_sbn = self.rows.on(lambda link: link.peers).any()
         return not on_sbn and any(
             stream.link.only_from_cfs and stream.instance not in {NOBODY, self.owner(stream)}
             for stream in self.streams
@@ -644,7 +643,7 @@ class Case:
     @cached_property
     def has_telemetry(self) -> bool:
         """Whether anything that a cFS sends is in the capture."""
-        return bool(self.instances.items or among(self.rows.link, lambda link: link.only_from_cfs).any())
+        return bool(self.instances.items or self.rows.on(lambda link: link.only_from_cfs).any())
 
     @cached_property
     def perhaps_doubled(self) -> Counter[tuple[int, int, int]]:
@@ -729,7 +728,7 @@ class Case:
     @cached_property
     def _target(self) -> str:
         """``--target`` for the only CI of the capture, unless it is the usual one here; and its headers."""
-        to_ci = among(self.rows.link, lambda link: link.only_to_cfs)
+        to_ci = self.rows.on(lambda link: link.only_to_cfs)
         places = {self.endpoints[item] for item in np.unique(self.rows.destination[to_ci]).tolist()}
         usual = Endpoint("127.0.0.1", command_ingest.PORT)
         target = f" --target {next(iter(places))}" if len(places) == 1 and places != {usual} else ""

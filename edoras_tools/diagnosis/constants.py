@@ -17,7 +17,6 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.matching.streams import bursts, full_where_lacking
-from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import groups
 
@@ -99,7 +98,7 @@ def learn_constants(
         losses: what events name as lost.
         overflows: whether a pipe was full.
     """
-    down = among(rows.link, lambda link: link.only_from_cfs)
+    down = rows.on(lambda link: link.only_from_cfs)
     down &= (rows.duplicates == 0) & (rows.reordered == 0)  # as it was sent
     sent = [rows.time_ns[own] for _, own in groups(rows.source, np.flatnonzero(down))]
     output = max(sent, key=len, default=rows.time_ns[:0])

@@ -33,7 +33,6 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
 from edoras_tools.links import table
 from edoras_tools.links.robot import ROBOT
-from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.wire.arrays.order import groups
 
@@ -573,8 +572,8 @@ def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
 def _damaged(case: Case) -> Iterator[LedgerWay]:
     """Yield what came to cFS damaged so that nothing else of its MsgId is in the capture."""
     rows = case.damaged_of(None)
-    to_cfs = among(rows.link, lambda link: link.to_cfs and link.packets)
-    to_cfs &= (rows.msg_id != NO_MSG_ID) | ~among(rows.link, lambda link: link.peers)
+    to_cfs = rows.on(lambda link: link.to_cfs and link.packets)
+    to_cfs &= (rows.msg_id != NO_MSG_ID) | ~rows.on(lambda link: link.peers)
     to_cfs &= np.isin(rows.destination, [item.stream.receiver for item in case.commands.fates.values()])
     for key, own in groups(rows.link.astype(np.int64) << 32 | (rows.msg_id + 1), np.flatnonzero(to_cfs)):
         link, msg_id = table.link(key >> 32), (key & 0xFFFFFFFF) - 1

@@ -46,7 +46,6 @@ import msgspec
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import by_key, by_value, distinct, groups, numbered
 
@@ -327,7 +326,7 @@ def check_ci_counts(
     Args:
         holes: from when to when nothing was captured, ns.
     """
-    to_ci = np.flatnonzero(among(rows.link, lambda link: link.only_to_cfs))
+    to_ci = np.flatnonzero(rows.on(lambda link: link.only_to_cfs))
     samples = payloads.ingest
     whose = instances.of_row[samples["row"]]
     own = np.flatnonzero(whose != NOBODY)
@@ -527,8 +526,8 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
         return [], []
     long = np.sort(long[np.argsort(-steps[long], kind="stable")[:_MOST]])
     streams = _counted_streams(rows)
-    commands = rows.time_ns[among(rows.link, lambda link: link.only_to_cfs)]
-    network = np.flatnonzero(among(rows.link, lambda link: link.peers))
+    commands = rows.time_ns[rows.on(lambda link: link.only_to_cfs)]
+    network = np.flatnonzero(rows.on(lambda link: link.peers))
     peers = [rows.time_ns[own] for _, own in groups(rows.sbn_sender(), network)]
     holes: tuple[list[tuple[int, int]], ...] = [], []
     for gap in zip(rows.time_ns[long].tolist(), rows.time_ns[long + 1].tolist(), strict=True):
@@ -542,7 +541,7 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
 
 def _counted_streams(rows: Rows) -> list[Places]:
     """Return the rows of each stream that cFS counts."""
-    own = np.flatnonzero(rows.counted & among(rows.link, lambda link: link.from_cfs))
+    own = np.flatnonzero(rows.counted & rows.on(lambda link: link.from_cfs))
     keys = (rows.link, rows.source, rows.destination, rows.processor_id, rows.msg_id)
     _, which = numbered(*(key[own].astype(np.int64) for key in keys))
     return [own[members] for _, members in by_value(which)]

@@ -76,6 +76,7 @@ def test_what_is_missing_lies_between_a_row_and_its_next(link, between):
         counted=np.ones(size, bool),
         missing=missing,
         has=lambda finding: (np.arange(size) == 2) & (finding == Finding.STREAM_GAP),
+        on=lambda accepts, rows=slice(None): np.full(size, accepts(link))[rows],
         **dict.fromkeys(("source", "destination", "processor_id", "spacecraft_id"), zeros),
         **dict.fromkeys(("duplicates", "reordered", "restarts"), zeros + 1),
     )

@@ -48,7 +48,6 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reasons_for
 from edoras_tools.diagnosis.matching.streams import Span, full_rounds
 from edoras_tools.diagnosis.quality import overlapping
-from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
@@ -586,7 +585,7 @@ class Telemetry:
         rows = self._case.rows
         same = (rows.link == stream.link.code) & (rows.msg_id == stream.msg_id)
         bare = (rows.mission_time_ns[same] <= 0).any()
-        timed = among(rows.link, lambda link: link.from_cfs and link.packets)
+        timed = rows.on(lambda link: link.from_cfs and link.packets)
         return bool(bare and (rows.has(Finding.CAPTURE_CUT) & timed).any())
 
     def _grown(self, part: Part, name: str) -> int:

@@ -46,7 +46,6 @@ from edoras_tools.diagnosis.accounting.losses import BUS, READY_NS, TAIL_NS, WAI
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, Way, reasons_for
 from edoras_tools.diagnosis.quality import CONFIDENCE
-from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value, distinct
@@ -138,7 +137,7 @@ def one_sided(case: Case, stream: Stream) -> bool:
         said = (rows.source == stream.receiver) & (rows.destination == stream.sender)
         lists = rows.has(Finding.CAPTURE_CUT) & np.isin(rows.sbn_msg_type, (MsgType.SUB, MsgType.UNSUB))
         return not said.any() or bool((said & lists).any())
-    return not among(rows.link, lambda link: link.only_to_cfs).any()
+    return not rows.on(lambda link: link.only_to_cfs).any()
 
 
 def unled_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], ...]:
@@ -174,7 +173,7 @@ def perhaps_taken_off(case: Case, stream: Stream, missing: Integers) -> Mask:
 def _sent_by(case: Case, sender: int) -> Integers:
     """Return when the Telemetry Output behind an endpoint sent something."""
     rows, output = case.rows, case.instances.output
-    sent = among(rows.link, lambda link: link.only_from_cfs)
+    sent = rows.on(lambda link: link.only_from_cfs)
     mine = [port for port in distinct(rows.source[sent]).tolist() if sender in {port, output(port)}]
     return rows.time_ns[sent & np.isin(rows.source, mine)]
 

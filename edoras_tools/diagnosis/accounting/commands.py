@@ -50,7 +50,6 @@ from edoras_tools.diagnosis.accounting.losses import (
 from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes
 from edoras_tools.diagnosis.matching.streams import counted_gaps, full_rounds
 from edoras_tools.diagnosis.quality import CONFIDENCE, overlapping
-from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.wire.arrays.order import distinct
 from edoras_tools.words import plural
@@ -238,9 +237,9 @@ class Commands:
         CI's counts say that some were lost, and just as many as one place lacks of what went to it: both have
         the rest.
         """
-        alone, links = self._case.prepared.perhaps_astray, self._case.rows.link
-        up = among(links, lambda link: link.only_to_cfs)
-        down = alone[among(links, lambda link: link.only_from_cfs)]
+        alone, rows = self._case.prepared.perhaps_astray, self._case.rows
+        up = rows.on(lambda link: link.only_to_cfs)
+        down = alone[rows.on(lambda link: link.only_from_cfs)]
         lost = sum(account.lost_on_network for account in self._case.ingests)
         is_so = lost > 0 and int(alone[up].sum()) == lost == int(alone.sum() - down.sum())
         return is_so and (1 - down.sum() / max(1, len(down))) ** int((up & ~alone).sum()) < 1 - CONFIDENCE
@@ -537,7 +536,7 @@ class Commands:
         Where several are, all the others together are fewer than that.
         """
         rows = self._case.rows
-        robot = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
+        robot = np.flatnonzero(rows.on(lambda item: item.last_hop))
         unseen = [fate for fate in fates if fate.stream.link.only_to_cfs and not fate.seen]
         unseen = [fate for fate in unseen if not fate.stream.is_housekeeping]
         total = sum(len(fate.stream) for fate in unseen)

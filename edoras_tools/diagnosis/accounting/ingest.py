@@ -37,7 +37,6 @@ from edoras_tools.diagnosis.accounting.claims import shares
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, Fate, Loss
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.quality import overlapping
-from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import changes, distinct, groups
 
@@ -184,7 +183,7 @@ class Ingest(msgspec.Struct):
 def ingests(case: Case) -> list[Ingest]:
     """Return the account of every CI that is counted: by itself, or by the kernel of the recording host."""
     rows = case.rows
-    came = among(rows.link, lambda link: link.only_to_cfs) & ~rows.undelivered & (rows.length > 0)
+    came = rows.on(lambda link: link.only_to_cfs) & ~rows.undelivered & (rows.length > 0)
     to_ci = np.flatnonzero(came)
     samples = _samples(case)
     every = distinct(rows.destination[to_ci]).tolist()
@@ -241,7 +240,7 @@ def _samples(case: Case) -> dict[int, list[_Sample]]:
     rows, instances = case.rows, case.instances
     samples = case.payloads.ingest
     row, counts = samples["row"], (samples["packets"] + samples["errors"]) % _MODULUS
-    own = (instances.of_row[row] != NOBODY) & among(rows.link[row], lambda link: link.only_from_cfs)
+    own = (instances.of_row[row] != NOBODY) & rows.on(lambda link: link.only_from_cfs, row)
     # An older count behind a newer one is no start anew; of two places copies are out of order.
     own &= (rows.reordered[row] == 0) | (case.prepared.copies > 0)
     own &= instances.owners(rows.source[row], samples["time_ns"]) == instances.of_row[row]

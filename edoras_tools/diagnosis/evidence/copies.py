@@ -45,7 +45,6 @@ import numpy as np
 
 from edoras_tools.decode.conversations import conversation_of
 from edoras_tools.io.frames.linklayer import network_headers
-from edoras_tools.links.table import among
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
@@ -363,9 +362,9 @@ def who_doubled(
         sources: who sent each of them, as an index of ``endpoints``.
     """
     out = np.zeros(len(rows), np.int8)
-    to_cfs = among(rows.link, lambda link: link.to_cfs and link.packets)
+    to_cfs = rows.on(lambda link: link.to_cfs and link.packets)
     once = ~copies.copy
-    answers = np.flatnonzero(once & ~copies.duplicate & among(rows.link, lambda link: link.from_cfs))
+    answers = np.flatnonzero(once & ~copies.duplicate & rows.on(lambda link: link.from_cfs))
     votes: dict[int, int] = {}
     for receiver in distinct(rows.destination[copies.duplicate & to_cfs]).tolist():
         mine = np.flatnonzero(once & to_cfs & (rows.destination == receiver))
@@ -394,7 +393,7 @@ def _tracks(
 ) -> Iterator[tuple[Integers, Integers]]:
     """Yield times and counts of each CI that may be a receiver: those at its address."""
     address = endpoints[receiver].address
-    if not among(rows.link[rows.destination == receiver], lambda link: link.only_to_cfs).all():
+    if not rows.on(lambda link: link.only_to_cfs, rows.destination == receiver).all():
         return
     for source, members in by_value(sources):
         if endpoints[source].address == address:

@@ -19,7 +19,6 @@ import numpy as np
 
 from edoras_tools.diagnosis.evidence.preparation import handed_on
 from edoras_tools.diagnosis.evidence.table import number_hosts, peer_of
-from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import BOOT_APART_NS, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
@@ -127,7 +126,7 @@ class Instances:
         offset = int(rows.delay_ns(members).min())
         name = self._name(rows, members, says)
         # Who hands on others' packets does so through Telemetry Output: on SBN everyone speaks for himself.
-        own = members[among(rows.link[members], lambda link: link.peers)]
+        own = members[rows.on(lambda link: link.peers, members)]
         if not len(own):
             events = members[rows.known_id[members] == cfe.EVENT_MSG_ID]
             own = np.array([row for row in events.tolist() if row in says], np.intp)
@@ -185,7 +184,7 @@ class Instances:
         names = Counter(says[row] for row in events.tolist() if row in says)
         if names:
             return names.most_common(1)[0][0]
-        network = members[among(rows.link[members], lambda link: link.peers)]
+        network = members[rows.on(lambda link: link.peers, members)]
         return rows.usual_sender(network)[0] if len(network) else ""
 
     def _when_made(self, rows: Rows) -> Integers:
@@ -208,7 +207,7 @@ class Instances:
     def _find_owners(self, rows: Rows) -> dict[int, list[tuple[int, int]]]:
         """Find the instance that owns each telemetry socket: events never come from another instance."""
         owners: dict[int, list[tuple[int, int]]] = {}
-        telemetry = among(rows.link, lambda link: link.only_from_cfs) & (self.of_row != NOBODY)
+        telemetry = rows.on(lambda link: link.only_from_cfs) & (self.of_row != NOBODY)
         for source, own in groups(rows.source, np.flatnonzero(telemetry)):
             events = own[rows.known_id[own] == cfe.EVENT_MSG_ID]
             publishers = self.of_row[events if len(events) else own]
@@ -291,9 +290,9 @@ def _in_turn(whose: Sequence[Hashable], spans: Sequence[tuple[int, int]]) -> lis
 
 def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArray[np.int32]) -> list[Places]:
     """Divide the rows of one boot time by instance, if two instances have this boot time."""
-    output = members[among(rows.link[members], lambda link: link.only_from_cfs)]
+    output = members[rows.on(lambda link: link.only_from_cfs, members)]
     places = distinct(hosts[rows.source[output]])
-    network = members[among(rows.link[members], lambda link: link.peers)]
+    network = members[rows.on(lambda link: link.peers, members)]
     sender = rows.sbn_sender(network)
     if max(len(places), len(distinct(sender))) < 2 and not _conflict(rows, members):
         return [members]

@@ -15,7 +15,6 @@ import msgspec
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
-from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
@@ -186,7 +185,7 @@ class Network:
             (int(rows.time_ns[listed["row"][at]]), payloads.contents[listed["said"][at]].wanted)
             for at in unsubscribed.tolist()
         ]
-        network = np.flatnonzero(among(rows.link, lambda link: link.peers) & (rows.sbn_msg_type >= 0))
+        network = np.flatnonzero(rows.on(lambda link: link.peers) & (rows.sbn_msg_type >= 0))
         if not len(network):
             return
         self._identify(rows, network)

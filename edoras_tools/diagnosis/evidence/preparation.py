@@ -30,7 +30,7 @@ from edoras_tools.diagnosis.evidence.copies import (
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
 from edoras_tools.diagnosis.evidence.relays import before_proxy, find_relayed, one_name
 from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, followed, number_hosts
-from edoras_tools.links.table import among, carrying
+from edoras_tools.links.table import carrying
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import distinct, groups, numbered, perhaps_in
@@ -200,7 +200,7 @@ class _Left(msgspec.Struct):
 
 def _crowd(rows: Rows) -> tuple[Mask, Integers]:
     """Tell which rows are of senders beyond those that are judged, and how many each of these has."""
-    crowded, own = np.zeros(len(rows), bool), np.flatnonzero(among(rows.link, lambda link: link.from_cfs))
+    crowded, own = np.zeros(len(rows), bool), np.flatnonzero(rows.on(lambda link: link.from_cfs))
     first, which = numbered(rows.source[own], rows.spacecraft_id[own], rows.processor_id[own])
     counts = np.bincount(which, minlength=len(first))
     beyond = np.argsort(-counts, kind="stable")[_MOST_SENDERS:]
@@ -285,7 +285,7 @@ def _has_strangers(rows: Rows, payloads: Payloads, kind: NDArray[np.int8]) -> bo
     steps = np.diff(samples["packets"])
     grown = int((steps + np.diff(samples["errors"]))[steps >= 0].sum())
     between = (rows.time_ns >= samples["time_ns"][0]) & (rows.time_ns <= samples["time_ns"][-1])
-    to_ci = between & among(rows.link, lambda link: link.to_cfs and not link.from_cfs)
+    to_ci = between & rows.on(lambda link: link.to_cfs and not link.from_cfs)
     strange = int((to_ci & (kind == _PLACE[ConversationKind.STRANGER])).sum())
     return 2 * (grown - _different(rows, to_ci & (kind == _PLACE[ConversationKind.CFS]))) >= strange
 
@@ -310,7 +310,7 @@ def _disordered(rows: Rows) -> int:
 
 def _goes_back(rows: Rows, far: Places) -> bool:
     """Tell whether the times in cFS's packets go back where the records do: then no clock was set."""
-    timed = np.flatnonzero((rows.mission_time_ns > 0) & among(rows.link, lambda link: link.from_cfs))
+    timed = np.flatnonzero((rows.mission_time_ns > 0) & rows.on(lambda link: link.from_cfs))
     if not len(timed):
         return False
     offset, votes = rows.delay_ns(timed), 0
@@ -380,7 +380,7 @@ def unsteadiness(rows: Rows) -> int:
     otherwise, by less than half a round, are not those at which it left. Nor are they where several messages
     come out before they went in.
     """
-    at = np.flatnonzero(among(rows.link, lambda link: link.only_from_cfs) & (rows.mission_time_ns > 0))
+    at = np.flatnonzero(rows.on(lambda link: link.only_from_cfs) & (rows.mission_time_ns > 0))
     each = (own[np.argsort(rows.mission_time_ns[own], kind="stable")] for _, own in groups(rows.source, at))
     at = np.concatenate((at[:0], *each))
     same = (np.diff(rows.source[at]) == 0) & (np.diff(rows.mission_time_ns[at]) < _TOGETHER_NS)
@@ -398,11 +398,9 @@ def _early(rows: Rows) -> Integers:
     Where a value comes out more often than it went in, the capture may lack the one that it was made of.
     """
     prints, out = rows.body_print, [np.zeros(0, np.int64)]
-    peers = among(rows.link, lambda link: link.peers)
-    came = np.flatnonzero(
-        (prints != 0) & (among(rows.link, lambda link: link.only_to_cfs) | peers & ~rows.counted)
-    )
-    robot, from_cfs = (among(rows.link, attrgetter(kind)) for kind in ("last_hop", "only_from_cfs"))
+    peers = rows.on(lambda link: link.peers)
+    came = np.flatnonzero((prints != 0) & (rows.on(lambda link: link.only_to_cfs) | peers & ~rows.counted))
+    robot, from_cfs = (rows.on(attrgetter(kind)) for kind in ("last_hop", "only_from_cfs"))
     for side in (robot, peers & rows.counted, from_cfs):
         went = np.flatnonzero(side & (prints != 0))
         went = went[perhaps_in(prints[went], prints[came])]

@@ -46,7 +46,6 @@ import numpy as np
 
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal, paired
 from edoras_tools.diagnosis.evidence.table import number_hosts
-from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
@@ -151,7 +150,7 @@ def before_proxy(rows: Rows, proxied: Mapping[RouteWay, Proxied]) -> Mask:
         matches = _matching(rows, own, prints, np.array([when for when, _ in item.dropped], np.int64))
         if len(matches) < _LEAST * len(prints):
             continue
-        in_front = np.isin(way, np.unique(way[matches])) & among(rows.link, lambda kind: kind.packets)
+        in_front = np.isin(way, np.unique(way[matches])) & rows.on(lambda kind: kind.packets)
         if (~in_front[own]).any():
             out |= in_front
         else:

@@ -22,7 +22,7 @@ from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.io.frames.network import wrong_checksums
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_ROUTE, OTHER, Columns, Endpoint, Finding, PacketBatch, Peer
+from edoras_tools.model import NO_ROUTE, OTHER, Columns, Endpoint, Finding, Link, PacketBatch, Peer
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceRows
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.fingerprint import of_bytes
@@ -143,10 +143,14 @@ class Rows(msgspec.Struct, frozen=True):
         """Return the source and the destination of some rows as one number each: i64."""
         return self.source[rows].astype(np.int64) << 32 | self.destination[rows]
 
+    def on(self, accepts: Callable[[Link], bool], rows: NDArray[Any] | slice = slice(None)) -> Mask:
+        """Tell which of some rows are of links that a test accepts: ``rows.on(lambda link: link.to_cfs)``."""
+        return among(self.link[rows], accepts)
+
     @property
     def timed(self) -> Mask:
         """Which are packets of a cFS that say when they were made."""
-        return (self.mission_time_ns > 0) & among(self.link, lambda link: link.from_cfs and link.packets)
+        return (self.mission_time_ns > 0) & self.on(lambda link: link.from_cfs and link.packets)
 
     def delay_ns(self, rows: NDArray[Any] | slice = slice(None)) -> Integers:
         """Return the capture time of some rows, less their mission time: i64."""

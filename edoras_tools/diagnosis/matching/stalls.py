@@ -14,7 +14,6 @@ import numpy as np
 from edoras_tools.cfs import executive_services, telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, Change, StateOwner, Timeline
-from edoras_tools.links.table import among
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ def stalls(
         timeline: what else is known of it.
     """
     whose = np.array([*instances.systems, NOBODY])[instances.of_row]
-    robot = among(rows.link, lambda link: link.last_hop)
+    robot = rows.on(lambda link: link.last_hop)
     for system in sorted(set(instances.systems)):
         # What goes to a robot comes of the only cFS, or may come of any.
         times = rows.time_ns[(whose == system) | robot]

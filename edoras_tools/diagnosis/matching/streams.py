@@ -19,7 +19,6 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.preparation import handed_on
 from edoras_tools.links import table
-from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding, Link, rate_hz
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.units import SECOND
@@ -133,15 +132,15 @@ def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
     """Return every stream of a capture."""
     instance = _whole(rows, instances)
     packets = np.flatnonzero(rows.msg_id != NO_MSG_ID)
-    link = rows.link[packets]
     # Whoever commands does not count, and may use any number of ports.
-    up, down = among(link, lambda item: item.only_to_cfs), among(link, lambda item: item.only_from_cfs)
+    up = rows.on(lambda item: item.only_to_cfs, packets)
+    down = rows.on(lambda item: item.only_from_cfs, packets)
     sender = np.where(up, -1, rows.source[packets])
     sources, _, which = distinct_rows(sender[down])
     sender[down] = np.array([*map(instances.output, sources.tolist())], np.int64)[which]
     receiver = np.where(down, -1, rows.destination[packets])
     packet = rows.processor_id[packets], rows.spacecraft_id[packets], rows.msg_id[packets]
-    keys = link, sender, receiver, *packet, np.where(up, NOBODY, instance[packets])
+    keys = rows.link[packets], sender, receiver, *packet, np.where(up, NOBODY, instance[packets])
     first, which = numbered(*keys)
     # In the order of their keys, whatever comes first in the capture.
     order = np.lexsort([key[first] for key in reversed(keys)])
@@ -153,7 +152,7 @@ def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
 
 def find_robots(rows: Rows) -> list[Stream]:
     """Return what was sent to each robot: bare numbers, no MsgId and no count."""
-    own = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
+    own = np.flatnonzero(rows.on(lambda item: item.last_hop))
     nobody, none = np.full(len(rows), NOBODY, np.int32), own[:0]
     streams = [_stream(rows, members, nobody, none) for _, members in groups(rows.way(), own)]
     return [replace(item, pauses=np.zeros(len(item), np.bool_)) for item in streams]
@@ -198,8 +197,8 @@ def find_resets(rows: Rows, streams: Sequence[Stream]) -> list[Reset]:
 def _whole(rows: Rows, instances: Instances) -> NDArray[np.int32]:
     """Give packets without a time of their own (wake-ups) the instance whose count they continue."""
     out = instances.of_row.copy()
-    network = among(rows.link, lambda link: link.peers)
-    output = among(rows.link, lambda link: link.only_from_cfs)
+    network = rows.on(lambda link: link.peers)
+    output = rows.on(lambda link: link.only_from_cfs)
     cases = ((network, rows.processor_id.astype(np.int64)), (output, rows.source.astype(np.int64)))
     for mask, sender in cases:
         lost = np.flatnonzero(mask & (out == NOBODY) & (rows.msg_id != NO_MSG_ID))
@@ -221,9 +220,7 @@ def _whole(rows: Rows, instances: Instances) -> NDArray[np.int32]:
 
 def _handed_on(rows: Rows, lost: NDArray[np.intp], out: NDArray[np.int32]) -> NDArray[np.intp]:
     """Give packets from Telemetry Output the instance that sent the same ones over SBN; return the others."""
-    network = np.flatnonzero(
-        among(rows.link, lambda link: link.peers) & np.isin(rows.msg_id, rows.msg_id[lost])
-    )
+    network = np.flatnonzero(rows.on(lambda link: link.peers) & np.isin(rows.msg_id, rows.msg_id[lost]))
     both = np.concatenate((network, lost))
     cut = rows.msg_id[both[rows.has(Finding.CAPTURE_CUT)[both]]]
     rest = []

@@ -15,7 +15,6 @@ from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
 from edoras_tools.diagnosis.verdict import Severity, Verdict, note, verdict, warning
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.table import among
 from edoras_tools.links.to import TO
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
@@ -70,8 +69,8 @@ def cfs_stalled(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     for span in case.timeline.every("stalled"):
-        into = among(rows.link, lambda link: link.only_to_cfs)
-        into |= among(rows.link, lambda link: link.peers) & (rows.function_code >= 0)
+        into = rows.on(lambda link: link.only_to_cfs)
+        into |= rows.on(lambda link: link.peers) & (rows.function_code >= 0)
         sent = int((into & (rows.time_ns > span.start_lo) & (rows.time_ns < span.end_hi)).sum())
         text = f"; {plural(sent, 'message')} sent to it then had to wait, and came at once"
         waited = text if sent else ""

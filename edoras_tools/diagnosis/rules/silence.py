@@ -13,7 +13,6 @@ from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reas
 from edoras_tools.diagnosis.matching.streams import Span, steady_rate
 from edoras_tools.diagnosis.rules.pipes import START_AGAIN, revival
 from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
-from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
@@ -252,7 +251,7 @@ def _explained(case: Case, silence: Silence) -> bool:
         return not ((inputs[0] > start_ns) & (inputs[0] < end_ns - _SLACK_NS)).any()
     # What cFS sends to a bridge is mostly what an operator sends to cFS.
     rows = case.rows
-    sent = rows.time_ns[among(rows.link, lambda link: link.only_to_cfs)]
+    sent = rows.time_ns[rows.on(lambda link: link.only_to_cfs)]
     onward = stream.link.peers and stream.counted and len(sent) > 0
     return onward and not ((sent > start_ns) & (sent < end_ns - _SLACK_NS)).any()
 

@@ -47,7 +47,6 @@ from edoras_tools.diagnosis.evidence.clocks.lines import (
 from edoras_tools.diagnosis.evidence.instances import Instances
 from edoras_tools.diagnosis.evidence.relays import pair_up
 from edoras_tools.diagnosis.evidence.table import peer_of
-from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
@@ -192,7 +191,7 @@ def _values(cause: Rows, effect: Rows, about: ClockLine | None, *, back: bool) -
     """Yield when messages went into cFS and the same came out, read and written anew."""
     into = np.flatnonzero((cause.msg_id != NO_MSG_ID) & VERSION_1.is_command(cause.known_id))
     into = into[(cause.body_print[into] != 0) | (cause.value_print[into] != 0)]
-    robot = among(effect.link, lambda item: item.last_hop)
+    robot = effect.on(lambda item: item.last_hop)
     out = np.flatnonzero(robot | ((effect.msg_id != NO_MSG_ID) & ~VERSION_1.is_command(effect.known_id)))
     for came, went in (
         (cause.body_print, effect.body_print),
@@ -210,10 +209,8 @@ def _packets(
     cause: Side, effect: Side, about: ClockLine | None, *, back: bool
 ) -> Iterator[tuple[_Pairs, str, str]]:
     """Yield when SBN carried packets and a Telemetry Output sent them, whose, and who made them."""
-    network = np.flatnonzero(
-        among(cause.rows.link, lambda link: link.peers) & (cause.rows.msg_id != NO_MSG_ID)
-    )
-    output = np.flatnonzero(among(effect.rows.link, lambda link: link.only_from_cfs))
+    network = np.flatnonzero(cause.rows.on(lambda link: link.peers) & (cause.rows.msg_id != NO_MSG_ID))
+    output = np.flatnonzero(effect.rows.on(lambda link: link.only_from_cfs))
     ours, theirs = matches(cause.rows.packet_print[network], effect.rows.packet_print[output])
     ours, theirs = network[ours], output[theirs]
     maker = cause.rows.sbn_sender(ours)
@@ -493,7 +490,7 @@ def _one(first: Side, second: Side) -> Callable[..., Mask]:
         return np.asarray(np.sum([end[ours] == number[other[theirs]] for end, other in ends], axis=0))
 
     def renamed(ours: Places, theirs: Places) -> Mask:
-        return np.asarray(among(a.link[ours], lambda link: link.only_from_cfs) & (common(ours, theirs) == 1))
+        return np.asarray(a.on(lambda link: link.only_from_cfs, ours) & (common(ours, theirs) == 1))
 
     # Telemetry from one place, or to one, is one datagram: its other ends are two names of one host.
     ours, theirs = matches(a.bytes_print, b.bytes_print)

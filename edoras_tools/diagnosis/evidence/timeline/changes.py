@@ -26,7 +26,6 @@ from edoras_tools.cfs.arguments import SB_MSG_ID, TIME_MSG_ID
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
-from edoras_tools.links.table import among
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import distinct, numbered
 from edoras_tools.wire.sbn import MsgType
@@ -149,7 +148,7 @@ class SoftwareChanges(msgspec.Struct, dict=True):
     def _silenced(self, change: Change) -> Change:
         """Return that Telemetry Output ended, with when it fell silent where it did."""
         rows, instances, told_ns = self._rows, self._instances, change.not_before_ns
-        own = among(rows.link, lambda link: link.only_from_cfs) & (rows.time_ns > told_ns - _ROUND_NS)
+        own = rows.on(lambda link: link.only_from_cfs) & (rows.time_ns > told_ns - _ROUND_NS)
         whose = np.array([*instances.systems, NOBODY])[instances.of_row]
         times = np.append(rows.time_ns[own & (whose == change.system)], NEVER)
         quiet = times[:-1][np.diff(times) > _SLACK_NS]
@@ -279,7 +278,7 @@ def _goodbyes(
 ) -> Iterator[Change]:
     """Yield when SBN of a cFS ended, as it says to its peers, and when it spoke again."""
     places = [place for place in distinct(rows.source).tolist() if network.party(place) == observer]
-    said_ns = rows.time_ns[np.isin(rows.source, places) & among(rows.link, lambda link: link.peers)]
+    said_ns = rows.time_ns[np.isin(rows.source, places) & rows.on(lambda link: link.peers)]
     for item in connection.changes:
         if item.why != SAID_GOODBYE:
             continue
