@@ -10,14 +10,13 @@ from edoras_tools.diagnosis.accounting.losses import COUNTERS
 from edoras_tools.diagnosis.advice import clean_round
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.crossing import Hop, Latency, latency_of
-from edoras_tools.diagnosis.matching.streams import comb
+from edoras_tools.diagnosis.matching.streams import Stream, comb
 from edoras_tools.model import NO_ROUTE, rate_hz
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.matching.streams import Stream
 
 _ROUND: Final = 10
 """A period within a tenth of a task's is that task's."""

@@ -22,12 +22,12 @@ from msgspec.structs import replace
 from numpy.lib.stride_tricks import sliding_window_view
 
 from edoras_tools.cfs import queues, telemetry_output
-from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS
+from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS, Loss
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
 from edoras_tools.diagnosis.evidence.copies import crowding, senders_at_once
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
-from edoras_tools.diagnosis.matching.streams import full_where_lacking
+from edoras_tools.diagnosis.evidence.timeline.table import Change, StateOwner, StateSpan
+from edoras_tools.diagnosis.matching.streams import Stream, full_where_lacking
 from edoras_tools.diagnosis.verdict import Advice, Verdict, error
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.words import plural
@@ -35,10 +35,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.timeline.table import Change, StateSpan
-    from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 

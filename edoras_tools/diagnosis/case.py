@@ -21,7 +21,7 @@ from edoras_tools.diagnosis.accounting.bus import Telemetry
 from edoras_tools.diagnosis.accounting.claims import Counts
 from edoras_tools.diagnosis.accounting.commands import Commands
 from edoras_tools.diagnosis.accounting.content import judge_contents
-from edoras_tools.diagnosis.constants import learn_constants
+from edoras_tools.diagnosis.constants import Constants, learn_constants
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.loss_reports import (
@@ -34,8 +34,8 @@ from edoras_tools.diagnosis.evidence.loss_reports import (
 )
 from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
-from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied
-from edoras_tools.diagnosis.evidence.table import followed
+from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied, RouteWay
+from edoras_tools.diagnosis.evidence.table import Recorder, Rows, followed
 from edoras_tools.diagnosis.evidence.timeline.changes import SoftwareChanges, capture_changes, network_changes
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Timeline
 from edoras_tools.diagnosis.evidence.unreachable import Unreachable, count_shut, find_unreachable
@@ -74,7 +74,7 @@ from edoras_tools.model import (
 )
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_key, by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key, by_value
 from edoras_tools.wire.sbn import HEADER as SBN_HEADER
 
 if TYPE_CHECKING:
@@ -84,16 +84,12 @@ if TYPE_CHECKING:
     from edoras_tools.decode import Context
     from edoras_tools.diagnosis.accounting.ingest import Ingest
     from edoras_tools.diagnosis.accounting.losses import Loss
-    from edoras_tools.diagnosis.constants import Constants
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
-    from edoras_tools.diagnosis.evidence.relays import RouteWay
-    from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.diagnosis.verdict import Advice, Verdict
     from edoras_tools.links.doors import LinkEvidence, SampleStream, Unwrapper
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import CutDatagram
     from edoras_tools.structs.bound import Bound
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _MOST: Final = 0.5
 _SLACK_NS: Final = 50 * MILLISECOND

@@ -16,9 +16,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.diagnosis.matching.streams import bursts, full_where_lacking
+from edoras_tools.diagnosis.matching.streams import Stream, bursts, full_where_lacking
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import groups
+from edoras_tools.wire.arrays.order import Integers, groups
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, ReportedLoss
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.crossing import Hop
-    from edoras_tools.diagnosis.matching.streams import Stream
-    from edoras_tools.wire.arrays.order import Integers
 
 _USUAL: Final = SimProfile()
 _BURST_NS: Final = 20 * MILLISECOND

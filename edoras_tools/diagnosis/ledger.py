@@ -26,27 +26,23 @@ import numpy as np
 from msgspec.structs import asdict, replace
 
 from edoras_tools.cfs import telemetry_output
-from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT
-from edoras_tools.diagnosis.accounting.losses import BEHIND, BUS, COUNTERS, SBN_SOCKET, Among, Loss
+from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT, Unheard, Unreached
+from edoras_tools.diagnosis.accounting.losses import BEHIND, BUS, COUNTERS, SBN_SOCKET, Among, Fate, Loss
 from edoras_tools.diagnosis.evidence.copies import find_echoes
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
+from edoras_tools.diagnosis.evidence.relays import PROXY_HOP, LostInRelay
 from edoras_tools.links import table
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
-from edoras_tools.wire.arrays.order import groups
+from edoras_tools.wire.arrays.order import Places, groups
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from edoras_tools.diagnosis.accounting.closed import Unheard, Unreached
-    from edoras_tools.diagnosis.accounting.losses import Fate
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.relays import LostInRelay
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Verdict
-    from edoras_tools.wire.arrays.order import Places
 
 HowEnded = Literal["lost", "superseded", "waiting", "not_captured", "unaccounted", "uncertain", "shared"]
 """How an arrival can end at a hop."""

@@ -45,7 +45,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import by_key, by_value, distinct, groups, numbered
 
@@ -54,7 +54,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.loss_reports import Track
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.table import Rows

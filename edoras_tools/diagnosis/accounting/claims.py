@@ -17,12 +17,10 @@ import numpy as np
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, LEAD_NS, TAIL_NS
 from edoras_tools.diagnosis.evidence.loss_reports import PipeKind, Track
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 class Rank(IntEnum):

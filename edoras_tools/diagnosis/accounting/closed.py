@@ -44,11 +44,11 @@ from msgspec.structs import replace
 from edoras_tools.cfs import command_ingest, executive_services, queues, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import BUS, READY_NS, TAIL_NS, WAITS_NS, Fate, Loss, LossKind
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, Way, reasons_for
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, StateSpan, Way, reasons_for
 from edoras_tools.diagnosis.quality import CONFIDENCE
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value, distinct
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, distinct
 from edoras_tools.wire.sbn import MsgType
 
 if TYPE_CHECKING:
@@ -57,10 +57,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.timeline.table import StateSpan
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 _SILENT_WAKES: Final = 5

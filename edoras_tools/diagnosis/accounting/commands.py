@@ -48,10 +48,10 @@ from edoras_tools.diagnosis.accounting.losses import (
     regroup,
 )
 from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes
-from edoras_tools.diagnosis.matching.streams import counted_gaps, full_rounds
+from edoras_tools.diagnosis.matching.streams import Stream, counted_gaps, full_rounds
 from edoras_tools.diagnosis.quality import CONFIDENCE, overlapping
 from edoras_tools.model import Finding
-from edoras_tools.wire.arrays.order import distinct
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, distinct
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -63,9 +63,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.relays import LostInRelay
     from edoras_tools.diagnosis.matching.crossing import Hop
-    from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Verdict
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _COUNTS: Final = 256
 _WRAPPED: Final = 128

@@ -28,7 +28,7 @@ from edoras_tools.diagnosis.evidence.timeline.table import NOT_RUNNING
 from edoras_tools.diagnosis.quality import binomial_tail, overlapping
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.fingerprint import MIX
-from edoras_tools.wire.arrays.order import by_key
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key
 from edoras_tools.wire.robot import CFS_PORT
 
 if TYPE_CHECKING:
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _ENCAPSULATION: Final = 4
 _LEAST: Final = 3

@@ -38,14 +38,13 @@ from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, Fate, Lo
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import changes, distinct, groups
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, changes, distinct, groups
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
     _May = tuple[Fate, Mask]
     """What became of messages, and which of these may be lost."""

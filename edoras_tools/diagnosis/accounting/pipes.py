@@ -44,10 +44,10 @@ from edoras_tools.diagnosis.accounting.losses import (
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner
-from edoras_tools.diagnosis.matching.streams import bursts
+from edoras_tools.diagnosis.matching.streams import Span, Stream, bursts
 from edoras_tools.links.table import carrying
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value, distinct
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, distinct
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -57,9 +57,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, PipeKind, ReportedLoss
     from edoras_tools.diagnosis.matching.crossing import Hop
-    from edoras_tools.diagnosis.matching.streams import Span, Stream
     from edoras_tools.diagnosis.verdict import Confidence
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 LATE_NS: Final = 2 * SECOND

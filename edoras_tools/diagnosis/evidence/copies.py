@@ -45,7 +45,7 @@ import numpy as np
 
 from edoras_tools.decode.conversations import conversation_of
 from edoras_tools.io.frames.linklayer import network_headers
-from edoras_tools.model import OTHER, Columns, PacketBatch
+from edoras_tools.model import OTHER, Columns, Endpoint, PacketBatch
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
 from edoras_tools.wire.arrays.order import by_value, distinct, groups, numbered, perhaps_in, quantiles
@@ -58,7 +58,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.evidence.payloads import Samples
     from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.model import Endpoint
     from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
 

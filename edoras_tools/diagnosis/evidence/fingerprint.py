@@ -18,12 +18,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.links.robot import ROBOT
-from edoras_tools.model import OTHER
+from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.structs.shapes import UDP_KEY
 from edoras_tools.wire import robot
 from edoras_tools.wire.arrays.fingerprint import HASHED_BYTES, MIX, WEIGHTS, finished, of_bytes, stirred
-from edoras_tools.wire.arrays.order import in_16_bits, numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints, in_16_bits, numbered
 from edoras_tools.wire.arrays.window import PADDING, gather
 
 if TYPE_CHECKING:
@@ -32,11 +32,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode import Context
-    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.ros import TypeStore
     from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
     from edoras_tools.structs import Structs
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
 
 _OCTETS: Final = np.uint8, np.int8

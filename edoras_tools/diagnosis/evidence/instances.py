@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.preparation import handed_on
-from edoras_tools.diagnosis.evidence.table import number_hosts, peer_of
+from edoras_tools.diagnosis.evidence.table import Rows, number_hosts, peer_of
 from edoras_tools.sessions.sequence import BOOT_APART_NS, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
-    from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
 

@@ -12,7 +12,7 @@ import numpy as np
 from edoras_tools.cfs import sbn, software_bus, telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.sessions.sequence import MODULUS
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import Integers, Places, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads, Samples
     from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.wire.arrays.order import Integers, Places
 
 
 _BYTE: Final = 1 << 8

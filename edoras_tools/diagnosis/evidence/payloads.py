@@ -24,7 +24,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.wire import cfe, robot, sbn
 from edoras_tools.wire.arrays.fingerprint import of_bytes
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.order import Integers, Places, Prints, by_value, numbered
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.structs.shapes import Member
-    from edoras_tools.wire.arrays.order import Integers, Places, Prints
 
 _MOST: Final = 200_000
 """Of each kind; a link that sends more than this says nothing new with the rest."""

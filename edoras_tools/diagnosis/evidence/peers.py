@@ -18,7 +18,7 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import by_key, groups, numbered
+from edoras_tools.wire.arrays.order import Integers, Places, by_key, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.wire.arrays.order import Integers, Places
 
 ObservedState = Literal["connected", "silent", "timed_out", "disconnected"]
 _LEAST_ROWS: Final = 3

@@ -10,7 +10,7 @@ from edoras_tools.decode.conversations import conversation_of
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.icmp import quoted_rows
 from edoras_tools.links.table import among
-from edoras_tools.model import OTHER
+from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire.arrays.fingerprint import of_bytes
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
     Numbers = Callable[[PacketBatch], tuple[NDArray[np.int32], NDArray[np.int32]]]

@@ -33,7 +33,7 @@ from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, fol
 from edoras_tools.links.table import carrying
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import distinct, groups, numbered, perhaps_in
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, distinct, groups, numbered, perhaps_in
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.relays import LostInRelay, Proxied, RouteWay
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _MOST_SET: Final = 16
 """A clock is set back now and then; records that go back more often are out of order."""

@@ -45,7 +45,7 @@ import msgspec
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal, paired
-from edoras_tools.diagnosis.evidence.table import number_hosts
+from edoras_tools.diagnosis.evidence.table import Rows, number_hosts
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
@@ -58,7 +58,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
     from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints

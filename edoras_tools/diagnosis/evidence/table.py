@@ -26,7 +26,7 @@ from edoras_tools.model import NO_ROUTE, OTHER, Columns, Endpoint, Finding, Link
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceRows
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.fingerprint import of_bytes
-from edoras_tools.wire.arrays.order import distinct, numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints, distinct, numbered
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.msg_id import VERSION_1
 
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from edoras_tools.decode import Context
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
 SCATTERED: Final = 20
 """One record in so many, at the least, stands before an earlier one where a capture is out of order."""

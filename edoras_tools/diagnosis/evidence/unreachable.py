@@ -22,19 +22,17 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.diagnosis.evidence.fingerprint import brackets
-from edoras_tools.diagnosis.evidence.table import number_hosts
+from edoras_tools.diagnosis.evidence.table import Rows, number_hosts
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from edoras_tools.decode.conversations import Flow
     from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder, PortErrors
-    from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
-    from edoras_tools.wire.arrays.order import Integers, Mask
 
 _WITHIN_NS: Final = 5 * SECOND
 """An error comes so long after its datagram at most."""

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
-from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.preparation import handed_on
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding, Link, rate_hz
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.wire.arrays.order import Integers
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
+from edoras_tools.diagnosis.verdict import About, Severity, Verdict, verdict
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
-    from edoras_tools.diagnosis.verdict import About
     from edoras_tools.wire.arrays.order import Places
 
 _FEW: Final = 20

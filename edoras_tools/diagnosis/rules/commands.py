@@ -22,7 +22,7 @@ from edoras_tools.links.to import TO
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_value, groups, numbered
+from edoras_tools.wire.arrays.order import Places, by_value, groups, numbered
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
-    from edoras_tools.wire.arrays.order import Places
 
 
 _ANSWERED_NS: Final = 1700 * MILLISECOND

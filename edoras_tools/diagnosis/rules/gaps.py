@@ -11,7 +11,7 @@ from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.software_bus import NAME
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT, one_sided
-from edoras_tools.diagnosis.accounting.losses import BUS
+from edoras_tools.diagnosis.accounting.losses import BUS, Fate, Loss
 from edoras_tools.diagnosis.advice import loss_verdict, lost_at
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.rules.about import stream_subject
@@ -26,7 +26,6 @@ from edoras_tools.words import listed, plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.diagnosis.accounting.losses import Fate, Loss
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.unreachable import ClosedSpan
     from edoras_tools.diagnosis.matching.streams import Stream

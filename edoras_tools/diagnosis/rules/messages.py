@@ -23,7 +23,7 @@ from edoras_tools.ros.cdr.plan import ROUNDING
 from edoras_tools.ros.fitting import types_that_fit, types_that_fit_each
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import by_value, groups
+from edoras_tools.wire.arrays.order import Integers, Places, by_value, groups
 from edoras_tools.words import either, listed, plural
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.loss_reports import Track
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.mission import Route
-    from edoras_tools.wire.arrays.order import Integers, Places
 
 
 def struct_overrun(case: Case) -> Iterator[Verdict]:

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from edoras_tools.cfs import sbn as facts
 from edoras_tools.cfs.sbn import NAME
 from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE, UNSEEN, Connection, PeerChange, PeerSilence
-from edoras_tools.diagnosis.evidence.table import peer_of
+from edoras_tools.diagnosis.evidence.table import Rows, peer_of
 from edoras_tools.diagnosis.ledger import DAMAGED
 from edoras_tools.diagnosis.rules.about import one_by_one, packet, subject
 from edoras_tools.diagnosis.rules.pipes import revival
@@ -19,7 +19,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import by_key, by_value, groups, numbered
+from edoras_tools.wire.arrays.order import Mask, Places, by_key, by_value, groups, numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.event_services import EventText
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
-    from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.wire.arrays.order import Mask, Places
 
 
 def damaged(case: Case) -> Iterator[Verdict]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from edoras_tools.cfs import executive_services, telemetry_output
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
-from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
+from edoras_tools.diagnosis.evidence.timeline.table import Change, StateOwner
 from edoras_tools.diagnosis.rules.about import packet
 from edoras_tools.diagnosis.verdict import Severity, Verdict, security, verdict, warning
 from edoras_tools.links.ci import CI
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import CommandRecord
-    from edoras_tools.diagnosis.evidence.timeline.table import Change
 
 _WAIT_NS: Final = 3 * SECOND
 _ENDS_NS: Final = 5 * SECOND

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reasons_for
-from edoras_tools.diagnosis.matching.streams import Span, steady_rate
+from edoras_tools.diagnosis.matching.streams import Span, Stream, steady_rate
 from edoras_tools.diagnosis.rules.pipes import START_AGAIN, revival
 from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
 from edoras_tools.model import NO_ROUTE
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.wire.arrays.order import Integers
 
 _FEW: Final = 2

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from typing import TypeAlias
 
     from numpy.typing import NDArray
 
-    Integers: TypeAlias = NDArray[np.int64]
-    """Times in ns, or counts."""
-    Mask: TypeAlias = NDArray[np.bool_]
-    """Which elements of others are meant."""
-    Places: TypeAlias = NDArray[np.intp]
-    """Where elements of others are."""
-    Prints: TypeAlias = NDArray[np.uint64]
-    """Fingerprints; 0 tells nothing."""
-
+Integers: TypeAlias = "NDArray[np.int64]"
+"""Times in ns, or counts."""
+Mask: TypeAlias = "NDArray[np.bool_]"
+"""Which elements of others are meant."""
+Places: TypeAlias = "NDArray[np.intp]"
+"""Where elements of others are."""
+Prints: TypeAlias = "NDArray[np.uint64]"
+"""Fingerprints; 0 tells nothing."""
 _Item = TypeVar("_Item")
 _Key = TypeVar("_Key")
 _MIX: Final = np.uint64(0x9E3779B97F4A7C15)

@@ -46,12 +46,12 @@ from edoras_tools.diagnosis.evidence.clocks.lines import (
 )
 from edoras_tools.diagnosis.evidence.instances import Instances
 from edoras_tools.diagnosis.evidence.relays import pair_up
-from edoras_tools.diagnosis.evidence.table import peer_of
+from edoras_tools.diagnosis.evidence.table import Recorder, Rows, peer_of
 from edoras_tools.model import NO_MSG_ID, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays.fingerprint import MIX, matches
-from edoras_tools.wire.arrays.order import by_value, groups
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints, by_value, groups
 from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.words import seconds
 
@@ -61,8 +61,6 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
-    from edoras_tools.diagnosis.evidence.table import Recorder, Rows
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
     _Pairs = tuple[Integers, Integers]
     """When causes were captured, and when their effects."""

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import by_key, groups, numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _BACK_NS: Final = SECOND
 _MOST: Final = 16

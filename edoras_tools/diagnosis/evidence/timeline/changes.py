@@ -23,22 +23,19 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs import executive_services, sbn, software_bus, telemetry_output, time_services
 from edoras_tools.cfs.arguments import SB_MSG_ID, TIME_MSG_ID
-from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE
+from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
+from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE, Connection, Network, SbnParty
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import distinct, numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, distinct, numbered
 from edoras_tools.wire.sbn import MsgType
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.diagnosis.evidence.clocks.steady import Jump
-    from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.payloads import CommandRecord, EventRecord, Payloads
-    from edoras_tools.diagnosis.evidence.peers import Connection, Network, SbnParty
     from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.wire.arrays.order import Integers, Mask
 
 
 _SLACK_NS: Final = 2 * SECOND

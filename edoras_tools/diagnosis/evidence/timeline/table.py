@@ -17,12 +17,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs import sbn, telemetry_output
-from edoras_tools.model import NO_MSG_ID
+from edoras_tools.model import NO_MSG_ID, Link
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from edoras_tools.model import Link
 
 
 Kind = Literal["cfs", "app", "output", "entry", "peer", "subscription", "route", "clock", "capture"]
