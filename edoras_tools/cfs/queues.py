@@ -19,7 +19,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import in_16_bits, numbered
+from edoras_tools.wire.arrays.order import Integers, in_16_bits, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.wire.arrays.order import Integers
 
 NO_LIMIT: Final = 1 << 62
 

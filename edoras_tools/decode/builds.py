@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import distinct_rows
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, distinct_rows
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
 from edoras_tools.wire.msg_id import VERSION_1
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from edoras_tools.cfs import names
     from edoras_tools.model import Datagram, PacketBatch
     from edoras_tools.structs import Structs
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 class CommandTable:

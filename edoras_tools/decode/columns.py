@@ -17,7 +17,7 @@ from edoras_tools.decode.variants import Variants
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, UNKNOWABLE, Columns, Finding, PacketBatch
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value
 from edoras_tools.wire.arrays.window import any_nonzero, gather, xor_bytes
 from edoras_tools.wire.cdr import ROUNDED
 from edoras_tools.wire.envelope import (
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.links.protocol import LinkProtocol
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _PACKET_WINDOW: Final = 24
 """Bytes that hold every header of a space packet."""

@@ -27,7 +27,7 @@ import numpy as np
 from edoras_tools.links import table
 from edoras_tools.model import OTHER, Columns, Endpoint, Finding, Link, PacketBatch
 from edoras_tools.wire import ccsds, cfe, sbn
-from edoras_tools.wire.arrays.order import distinct, numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, distinct, numbered
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.msg_id import VERSION_1
 
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _SHARE: Final = 20
 """One sound datagram in so many makes a conversation cFS's."""

@@ -22,7 +22,7 @@ from edoras_tools.errors import TruncatedError
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Finding, Link
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, by_value
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
-    from edoras_tools.wire.arrays.order import Integers, Mask
 
 _LAYERS: Final = {
     cfe.EVENT_MSG_ID: cfe.EVENT,

@@ -12,14 +12,13 @@ import numpy as np
 
 from edoras_tools.links import table
 from edoras_tools.model import OTHER, Datagram, Finding, Link, PacketBatch
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Mask, Places, by_value
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.wire.arrays.order import Mask, Places
     from edoras_tools.wire.layout import Layout
 
 

@@ -20,9 +20,9 @@ import numpy as np
 
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import fingerprint
-from edoras_tools.wire.arrays.order import distinct_rows
+from edoras_tools.wire.arrays.order import Mask, Places, Prints, distinct_rows
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.msg_id import MSG_ID_BYTES
+from edoras_tools.wire.msg_id import MSG_ID_BYTES, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.mission import Mission
     from edoras_tools.model import Datagram, Link, PacketBatch
-    from edoras_tools.wire.arrays.order import Mask, Places, Prints
-    from edoras_tools.wire.msg_id import MsgIds
 
 FIRST_SPACECRAFT: Final = 1
 _MOST: Final = 64

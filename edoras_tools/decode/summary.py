@@ -12,12 +12,12 @@ from msgspec.structs import replace
 from edoras_tools.cfs import names
 from edoras_tools.cfs.arguments import ARGUMENTS, command_line
 from edoras_tools.links.table import links, protocol
-from edoras_tools.model import OTHER
-from edoras_tools.ros.cdr.columns import Ragged
-from edoras_tools.ros.cdr.plan import Repeat
+from edoras_tools.model import OTHER, Decoded
+from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
+from edoras_tools.ros.cdr.plan import CdrPlan, Repeat
 from edoras_tools.ros.types.schema import PLACEHOLDER
 from edoras_tools.wire import cfe
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -25,11 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.protocol import LinkProtocol
-    from edoras_tools.model import Decoded
-    from edoras_tools.ros.cdr.columns import MessageColumns
-    from edoras_tools.ros.cdr.plan import CdrPlan
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
-    from edoras_tools.wire.msg_id import MsgIds
 
     Column: TypeAlias = "NDArray[Any] | Ragged | Group"
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from edoras_tools.errors import TruncatedError
-from edoras_tools.model import Datagram, Finding, Layer, LayerField
+from edoras_tools.model import Datagram, Finding, Layer, LayerField, RosMessage
 
 if TYPE_CHECKING:
-    from edoras_tools.model import RosMessage
     from edoras_tools.wire.layout import Layout
 
 

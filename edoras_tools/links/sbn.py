@@ -18,7 +18,7 @@ from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, prefixed
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds, sbn
-from edoras_tools.wire.arrays.order import by_value, groups
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, groups
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.reading import Reading
     from edoras_tools.links.site import Site
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
     from edoras_tools.wire.layout import Layout
 
 BRIDGE_PORT: Final = 2236

@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import TopicState
+from edoras_tools.middleware.graph import Qos, TopicState
 from edoras_tools.middleware.names import check_name, node_name, unknown_options
 from edoras_tools.ros.types.schema import full_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from edoras_tools.middleware.graph import Qos
     from edoras_tools.ros import TypeStore
 
 _MODULES: Final = ("rclpy", "rclpy.context", "rclpy.event_handler", "rclpy.executors", "rclpy.qos")

@@ -22,16 +22,14 @@ from msgspec.structs import asdict
 
 from edoras_tools.decode.columns import Begun
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io import SourceOver
-from edoras_tools.io.processes import Workers, portable
+from edoras_tools.io import Source, SourceOver
+from edoras_tools.io.processes import Desk, Workers, portable
 from edoras_tools.io.processors import jobs_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from edoras_tools.decode import ColumnDecoder
-    from edoras_tools.io import Source
-    from edoras_tools.io.processes import Desk
     from edoras_tools.model import Columns, PacketBatch
 
     _Answer = tuple[PacketBatch | None, Columns | Begun | None, bytes, Exception | None]

@@ -22,7 +22,7 @@ from edoras_tools.diagnosis.evidence.clocks.alignment import (
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.errors import CaptureError
-from edoras_tools.io import SourceOver
+from edoras_tools.io import Source, SourceOver
 from edoras_tools.io.formats.merge import SEAM_NS, MergedSource, merge_sources
 from edoras_tools.io.formats.open import is_cfe_file, open_file
 from edoras_tools.pipelines.runs import APART_NS
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io import Source
     from edoras_tools.model import HostCounters, PacketBatch
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress

@@ -25,11 +25,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import msgspec
 
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io import Sink, SourceDefaults
+from edoras_tools.io import DisplaySink, Sink, SourceDefaults
 from edoras_tools.io.frames.build import HEADER_BYTES, FramePage
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.outputs import Patience, waiting_for_room
-from edoras_tools.io.processes import Workers, portable, writer_killed
+from edoras_tools.io.processes import Desk, Workers, portable, writer_killed
 from edoras_tools.io.processors import run_soon
 from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.flushing import Flushing
@@ -44,10 +44,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from edoras_tools.io import DisplaySink
     from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.net.buffer import DatagramBuffer
-    from edoras_tools.io.processes import Desk
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.faults.fault import Fault
 

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.model import NO_MSG_ID
+from edoras_tools.model import NO_MSG_ID, Columns, Link, PacketBatch
 from edoras_tools.older import UTC
 from edoras_tools.pipelines.names import PacketKinds, packets_of
 from edoras_tools.units import SECOND
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from edoras_tools.decode.filters.filter import Where
     from edoras_tools.io import Choice
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Columns, Link, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
 
 _BEFORE_NS: Final = 3600 * SECOND

@@ -7,7 +7,7 @@ from copy import copy
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros.types.schema import complete_text, with_used
+from edoras_tools.ros.types.schema import Definition, complete_text, with_used
 from edoras_tools.structs.bound import Bound
 from edoras_tools.structs.messages import (
     HEADER_TYPE,
@@ -19,13 +19,10 @@ from edoras_tools.structs.messages import (
     parts,
     unique,
 )
-from edoras_tools.structs.shapes import SHIPPED
+from edoras_tools.structs.shapes import SHIPPED, Key, Struct, StructLayout
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-
-    from edoras_tools.ros.types.schema import Definition
-    from edoras_tools.structs.shapes import Key, Struct, StructLayout
 
 
 class Bindings:

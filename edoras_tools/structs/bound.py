@@ -9,7 +9,7 @@ import numpy as np
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.messages import HEADER_FIELDS, parts
-from edoras_tools.structs.shapes import SHIPPED
+from edoras_tools.structs.shapes import SHIPPED, Key, Member, Struct, StructLayout
 from edoras_tools.structs.transcode import HEAD, MOST_VALUES, Counter, StructPlan
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.structs.payloads import StructPayloads
-    from edoras_tools.structs.shapes import Key, Member, Struct, StructLayout
 
 
 class Encoded(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, Key, commanded, packets
+from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, Key, StructLayout, commanded, packets
 from edoras_tools.wire.arrays.order import changes, order_by
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from edoras_tools.structs.bound import Bound, Held
     from edoras_tools.structs.entries import LayoutEntryTable
     from edoras_tools.structs.payloads import StructPayloads
-    from edoras_tools.structs.shapes import StructLayout
 
 _NONE: Final = 3
 """Keys behind the last: an entry that is not in a dictionary, bytes that are none, and ``NO_MSG_ID``."""

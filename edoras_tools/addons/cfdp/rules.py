@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.cfdp.link import CFDP
-from edoras_tools.addons.cfdp.transactions import FileEvidence
+from edoras_tools.addons.cfdp.transactions import FileEvidence, Transaction
 from edoras_tools.addons.cfdp.wire import ConditionCode
 from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict, warning
 from edoras_tools.units import SECOND
@@ -14,7 +14,6 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.addons.cfdp.transactions import Transaction
     from edoras_tools.diagnosis.case import Case
 
 

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from edoras_tools.addons.cfdp import wire as cfdp
-from edoras_tools.addons.cfdp.wire import Directive
+from edoras_tools.addons.cfdp.wire import Directive, Pdus
 from edoras_tools.links.sending import LinkSending, SendingSession
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.addons.cfdp.wire import Pdus
     from edoras_tools.model import Columns, Link, PacketBatch
 
 _AGAIN_NS: Final = SECOND

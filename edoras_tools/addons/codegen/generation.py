@@ -19,7 +19,7 @@ from edoras_tools.addons.codegen.layout import LINE_WIDTH, banner, function, gua
 from edoras_tools.addons.codegen.names import c_type_name, comment, literal
 from edoras_tools.addons.codegen.plan import CLibrary, CMember, Message, plan_messages, utf16
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.mission import Mission
+from edoras_tools.mission import Mission, Route
 from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.ros.types.schema import full_name
 from edoras_tools.wire.envelope import EnvelopeFormat
@@ -27,7 +27,6 @@ from edoras_tools.wire.envelope import EnvelopeFormat
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from edoras_tools.mission import Route
     from edoras_tools.ros import TypeStore
     from edoras_tools.wire.msg_id import MsgIds
 

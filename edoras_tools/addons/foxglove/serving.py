@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from edoras_tools.addons.foxglove.server.origins import OriginCheck
-from edoras_tools.addons.foxglove.server.requests import Publisher
+from edoras_tools.addons.foxglove.server.requests import Player, Publisher
 from edoras_tools.addons.foxglove.server.server import HERE, ServerOptions
 from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, LinkMonitor, RecordedSink, ServedSink
 from edoras_tools.io.net.address import is_loopback
@@ -23,7 +23,6 @@ from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.render.severity import EXPLANATIONS, Level
 
 if TYPE_CHECKING:
-    from edoras_tools.addons.foxglove.server.requests import Player
     from edoras_tools.io import Source
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.selection import Selection

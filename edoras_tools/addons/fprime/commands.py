@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.addons.fprime import wire as fprime
 from edoras_tools.errors import ConfigError
-from edoras_tools.structs.shapes import BasicKind
+from edoras_tools.structs.shapes import BasicKind, Enumeration, Member, Struct, StructLayout
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
 from edoras_tools.wire.transfer_frames import TC_LENGTH_BIAS
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from edoras_tools.addons.fprime.table import EntryTable
-    from edoras_tools.structs.shapes import Enumeration, Member, Struct, StructLayout
 
 _SPACECRAFT: Final = 0x44
 _CHANNEL: Final = 1

@@ -11,7 +11,7 @@ from edoras_tools.addons.fprime.wire import VALUES_LAYER, PacketPlaces, PacketTy
 from edoras_tools.model import Finding, Layer, LayerField, RosMessage
 from edoras_tools.structs.messages import parts
 from edoras_tools.structs.payloads import StructPayloads
-from edoras_tools.structs.shapes import ENTRY_KEY
+from edoras_tools.structs.shapes import ENTRY_KEY, Struct, StructLayout
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from edoras_tools.addons.fprime.entry import BoundEntry, Entry
     from edoras_tools.links.reading import Reading
     from edoras_tools.structs import Structs
-    from edoras_tools.structs.shapes import Struct, StructLayout
 
 _ID_BYTES: Final = np.array([4, 4, 4, 0, 2])
 """Of an ID, by packet type; 0 where a dictionary describes nothing."""

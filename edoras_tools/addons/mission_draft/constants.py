@@ -21,7 +21,7 @@ from edoras_tools.diagnosis.accounting.pipes import measured_depth
 from edoras_tools.diagnosis.advice import told_limit
 from edoras_tools.diagnosis.constants import find_round
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.matching.streams import bursts, full_rounds
+from edoras_tools.diagnosis.matching.streams import Stream, bursts, full_rounds
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.words import listed, plural
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.matching.streams import Stream
 
 _NEAR: Final = 0.15
 _LEAST: Final = 3

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs.names import message_name
-from edoras_tools.decode.conversations import ConversationKind
+from edoras_tools.decode.conversations import ConversationKind, Flow
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.errors import CaptureError
 from edoras_tools.links import table
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.decode.conversations import Flow
     from edoras_tools.io import Source
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.text import Progress

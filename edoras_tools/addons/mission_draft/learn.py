@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from edoras_tools.addons.mission_draft.constants import clean_rates, joined_constants, shown_constants
 from edoras_tools.addons.mission_draft.draft import MissionDraft, each_draft, read_traffic
-from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.diagnosis.examination import Chapter, Diagnosis, Examination
 from edoras_tools.errors import CaptureError
 from edoras_tools.mission import loads
 from edoras_tools.pipelines.doctor.doctor import examine
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from edoras_tools.addons.mission_draft.draft import CapturedTraffic, OpenInput
     from edoras_tools.decode import Context
     from edoras_tools.diagnosis.evidence.table import Recorder
-    from edoras_tools.diagnosis.examination import Chapter, Diagnosis
     from edoras_tools.io import Source
     from edoras_tools.model import Columns, Link, PacketBatch
     from edoras_tools.pipelines.workbench import Settings, Workbench

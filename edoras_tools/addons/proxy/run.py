@@ -30,7 +30,7 @@ from edoras_tools.io.net.buffer import SLOTS, SPARE, make_buffer
 from edoras_tools.io.net.forward import Direction
 from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
 from edoras_tools.io.processors import Precedence
-from edoras_tools.pipelines.interrupt import on_interrupt, threads_take_turns, watched
+from edoras_tools.pipelines.interrupt import Keys, on_interrupt, threads_take_turns, watched
 from edoras_tools.units import MILLISECOND
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.addons.proxy.plan import ProxyPlan
-    from edoras_tools.pipelines.interrupt import Keys
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.render.terminal.text import Watcher
     from edoras_tools.sessions.faults.fault import Fault

@@ -13,14 +13,13 @@ from edoras_tools.addons.ros_args.names import PART, Remap, remapped_node, remap
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission.bridges import find_bridges, node_of
 from edoras_tools.mission.loading import read_file
-from edoras_tools.mission.parameters import name_matches, read_nodes
+from edoras_tools.mission.parameters import NodeParameters, name_matches, read_nodes
 from edoras_tools.mission.report import Mistakes
 from edoras_tools.mission.tree import yaml_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from edoras_tools.mission.parameters import NodeParameters
     from edoras_tools.pipelines.workbench import Settings
 
 _PARAMETER: Final = re.compile(rf"(?:({PART}):)?({PART}(?:[./]{PART})*):=(.+)", re.DOTALL)

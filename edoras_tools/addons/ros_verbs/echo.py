@@ -11,13 +11,12 @@ import msgspec
 import yaml
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros.types.schema import Shape
+from edoras_tools.ros.types.schema import MessageField, Shape
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.ros import TypeStore
-    from edoras_tools.ros.types.schema import MessageField
 
 USUAL_LENGTH: Final = 128
 _ELLIPSIS: Final = "..."

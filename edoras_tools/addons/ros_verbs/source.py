@@ -36,7 +36,7 @@ from edoras_tools.io.formats.mcap.messages import SelectedMessages
 from edoras_tools.io.formats.rosbag2.source import message_batch
 from edoras_tools.io.topics.recorded import QOS_METADATA
 from edoras_tools.mission.model import RecordedTopic
-from edoras_tools.model import SourceInfo, SourceStatistics
+from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.messages import message_bench
 from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.pacing import Lateness
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from edoras_tools.middleware.graph import Qos
-    from edoras_tools.model import PacketBatch
     from edoras_tools.pipelines.workbench import Settings, Workbench
 
 GRAPH_TOPIC: Final = "/edoras/graph"

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.wire.messages import guid_text
-from edoras_tools.addons.rtps.writers import SampleFollower
+from edoras_tools.addons.rtps.writers import SampleFollower, TopicWriter
 from edoras_tools.diagnosis.ledger import Row
 from edoras_tools.diagnosis.missing import Missing
 from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
 from edoras_tools.model import NO_MSG_ID
-
-if TYPE_CHECKING:
-    from edoras_tools.addons.rtps.writers import TopicWriter
 
 SAMPLE_HOP: Final = "DDS"
 _CAUSES: Final = {

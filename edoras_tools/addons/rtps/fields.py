@@ -11,12 +11,11 @@ from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.reader import NamedSubmessages, named_submessages
 from edoras_tools.addons.rtps.wire.messages import guid_text
 from edoras_tools.decode.filters.field import BYTES_COST, FilterField
-from edoras_tools.decode.filters.rows import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.decode.filters.rows import INDEX_DTYPE, ColumnRows, PacketRows, Series, ValueKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
     from edoras_tools.model import Decoded
 
 _DOCS: Final = {

@@ -34,7 +34,7 @@ from edoras_tools.addons.rtps.wire.headers import (
 )
 from edoras_tools.addons.rtps.wire.messages import SubmessageFields, read_samples
 from edoras_tools.io.frames.build import order_behind, packets_behind
-from edoras_tools.links.site import MOST_ENDPOINTS
+from edoras_tools.links.site import MOST_ENDPOINTS, Site
 from edoras_tools.model import Columns, PacketBatch
 from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.units import SECOND
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.site import Site
 
 MOST_FRAGMENT_BYTES: Final = 64 << 20
 MOST_WHOLE_BYTES: Final = 16 << 20

@@ -8,14 +8,13 @@ from edoras_tools.addons.rtps.evidence import SAMPLE_HOP, sample_verdict
 from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.wire.headers import PREFIX_BYTES
 from edoras_tools.addons.rtps.wire.messages import guid_text
-from edoras_tools.addons.rtps.writers import SampleFollower
+from edoras_tools.addons.rtps.writers import SampleFollower, TopicWriter
 from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.addons.rtps.writers import TopicWriter
     from edoras_tools.diagnosis.case import Case
 
 

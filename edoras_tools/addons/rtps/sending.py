@@ -23,7 +23,7 @@ from edoras_tools.io.net.transmit import SendStatistics
 from edoras_tools.links.sending import LinkSending, SendingSession
 from edoras_tools.middleware import MOST_DOMAIN, Qos
 from edoras_tools.middleware.opening import usual_domain
-from edoras_tools.model import Endpoint
+from edoras_tools.model import Columns, Endpoint, Link, PacketBatch
 from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.units import SECOND
 from edoras_tools.words import listed, plural
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.rtps.wire.parameters import Announcement
     from edoras_tools.links.site import Site
-    from edoras_tools.model import Columns, Link, PacketBatch
 
 _FIRST_PORT: Final = 7400
 _PORTS_OF_DOMAIN: Final = 250

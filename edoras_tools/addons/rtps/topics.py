@@ -9,7 +9,7 @@ import numpy as np
 from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.samples import known_samples
 from edoras_tools.io.topics.rows import APART, RECORD, Messages, whole_messages
-from edoras_tools.links.site import MOST_ENDPOINTS
+from edoras_tools.links.site import MOST_ENDPOINTS, Endpoints
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import PADDING, copy_rows
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import KnownSamples, TopicSpace
-    from edoras_tools.links.site import Endpoints
     from edoras_tools.model import Columns, PacketBatch
 
 MOST_SAMPLE_TOPICS: Final = 1 << 10

@@ -24,12 +24,12 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
-from edoras_tools.diagnosis.evidence.clocks.alignment import Side, align, align_ways
+from edoras_tools.diagnosis.evidence.clocks.alignment import Alignment, Side, align, align_ways
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.copies import find_echoes
 from edoras_tools.diagnosis.evidence.preparation import prepare
-from edoras_tools.diagnosis.evidence.relays import LONGEST_NS, pair_up
-from edoras_tools.diagnosis.evidence.table import Recorder
+from edoras_tools.diagnosis.evidence.relays import LONGEST_NS, Segment, pair_up
+from edoras_tools.diagnosis.evidence.table import Recorder, Rows
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Finding, Link
@@ -41,9 +41,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.evidence.clocks.alignment import Alignment
-    from edoras_tools.diagnosis.evidence.relays import Segment
-    from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.verdict import Choice
     from edoras_tools.mission import Mission
     from edoras_tools.wire.arrays.order import Integers, Mask, Places

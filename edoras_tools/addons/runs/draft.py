@@ -15,7 +15,7 @@ import json
 import re
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.runs.check import NOTABLE_FINDINGS
+from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, CheckReport, CheckResult
 from edoras_tools.addons.runs.expectations import LOSS_KEYS, TOPIC_BOUNDS, WHOLE_BOUNDS
 from edoras_tools.addons.runs.figures import Figures
 from edoras_tools.addons.runs.limits import RunLimit, field_filter, field_limit, loss_limits, topic_limits
@@ -35,7 +35,6 @@ from edoras_tools.words import listed
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from edoras_tools.addons.runs.check import CheckReport, CheckResult
     from edoras_tools.addons.runs.expectations import Expectations, Tolerance
     from edoras_tools.addons.runs.run import Run
 

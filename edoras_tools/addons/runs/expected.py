@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.addons.runs.run import Run
-from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.pipelines.workbench import Workbench, open_files
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.addons.runs.values import TopicValues
-    from edoras_tools.pipelines.workbench import Workbench
 
 _WINDOW_NS: Final = SECOND
 _PERCENT: Final = 10.0

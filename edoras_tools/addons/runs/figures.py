@@ -12,7 +12,7 @@ from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.ledger import CAPTURE, Row
 from edoras_tools.io.topics.rows import APART
 from edoras_tools.model import NO_MSG_ID, rate_hz
-from edoras_tools.pipelines.names import PATTERN_SIGNS
+from edoras_tools.pipelines.names import PATTERN_SIGNS, PacketKinds
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.links.doors import SampleStream
     from edoras_tools.pipelines.capture.ledger import Account, Ledger
-    from edoras_tools.pipelines.names import PacketKinds
 
 _Item = TypeVar("_Item")
 

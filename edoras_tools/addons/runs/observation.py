@@ -13,13 +13,13 @@ from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.names import Names
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT, split_topic
-from edoras_tools.errors import RouteError
+from edoras_tools.errors import EdorasError, RouteError
 from edoras_tools.mission.report import Mistakes
 from edoras_tools.pipelines.capture.info import Counting
 from edoras_tools.pipelines.doctor.doctor import Findings, Pace, examine
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.names import PacketKinds, find_packets
-from edoras_tools.pipelines.reading import reading
+from edoras_tools.pipelines.reading import ReadLoop, reading
 from edoras_tools.structs.shapes import Key
 from edoras_tools.wire import cfe
 
@@ -31,10 +31,8 @@ if TYPE_CHECKING:
     from edoras_tools.addons.runs.expectations import Expectations, FieldExpectation
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
-    from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
     from edoras_tools.mission import Mission
-    from edoras_tools.pipelines.reading import ReadLoop
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Progress

@@ -25,7 +25,7 @@ from msgspec.structs import replace
 from edoras_tools.addons.snapshot.triggers import RuleTrigger, Triggers
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.errors import os_errors
-from edoras_tools.io import Sink
+from edoras_tools.io import Sink, Source
 from edoras_tools.io.formats.watched import Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import path_beside
 from edoras_tools.model import Columns, Finding, PacketBatch, SourceStatistics
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.io import Source
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher

@@ -16,14 +16,13 @@ from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.io.formats.rosbag2.reader import METADATA
 from edoras_tools.io.formats.table import FILE_SUFFIXES
 from edoras_tools.pipelines.export.reading import NoTopicError, RecordingTables, TopicTable
-from edoras_tools.pipelines.export.sources import recording_names
+from edoras_tools.pipelines.export.sources import TopicSource, recording_names
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from edoras_tools.io.formats.columns import TableColumn
-    from edoras_tools.pipelines.export.sources import TopicSource
 
 _PACKED = ("", ".gz", ".zst")
 

@@ -25,7 +25,7 @@ from msgspec.structs import asdict
 from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import BUS, COUNTERS, Among
 from edoras_tools.diagnosis.advice import published_at, told_limit
-from edoras_tools.diagnosis.ledger import APPLICATION
+from edoras_tools.diagnosis.ledger import APPLICATION, LedgerEntry, LedgerWay
 from edoras_tools.model import rate_hz
 from edoras_tools.units import SECOND
 
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.ledger import LedgerEntry, LedgerWay
     from edoras_tools.diagnosis.matching.streams import Stream
 
 

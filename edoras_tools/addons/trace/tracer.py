@@ -22,7 +22,7 @@ from edoras_tools.addons.trace.rounds import Rounds, rounds_into, rounds_out
 from edoras_tools.diagnosis.accounting.losses import Among
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.ledger import APPLICATION, CAPTURE, ENDING_TEXTS, LedgerEntry, LedgerWay
-from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
+from edoras_tools.diagnosis.matching.crossing import Hop, Latency, latency_of
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.words import plural
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
 
 Witness = Literal["proven", "measured", "by model", "unknown"]

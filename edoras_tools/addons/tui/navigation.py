@@ -21,7 +21,7 @@ from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.errors import EdorasError
 from edoras_tools.io.formats.table import WRITTEN
-from edoras_tools.model import SourceInfo, SourceStatistics
+from edoras_tools.model import Decoded, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.record import Target, check_output, open_sink
 from edoras_tools.pipelines.recorder import PushedSource
 from edoras_tools.render.capture.packet_list import COLUMNS
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from edoras_tools.addons.tui.data.store import Part
-    from edoras_tools.model import Decoded
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.capture.tree import TreeRow
 

@@ -25,7 +25,7 @@ from edoras_tools.addons.zenoh.identity import (
     gid,
 )
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import TopicState
+from edoras_tools.middleware.graph import Qos, TopicState
 from edoras_tools.middleware.names import check_name, unknown_options
 from edoras_tools.ros.type_hash import type_hash
 from edoras_tools.ros.types.schema import full_name
@@ -33,7 +33,6 @@ from edoras_tools.ros.types.schema import full_name
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
 
-    from edoras_tools.middleware.graph import Qos
     from edoras_tools.ros import TypeStore
 
 

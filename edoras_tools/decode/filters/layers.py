@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, FilterField
-from edoras_tools.decode.filters.rows import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.decode.filters.rows import INDEX_DTYPE, ColumnRows, PacketRows, Series, ValueKind
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Decoded, Finding
 from edoras_tools.wire import ccsds, cfe, sbn
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.wire.arrays.order import Integers, Mask
     from edoras_tools.wire.layout import Layout, Slot
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 
     Places = tuple[Integers, Integers]
     """Which rows have a header, and where in the batch's data it starts."""
-    from edoras_tools.model import Decoded
 
 
 _DECODED: Final = {

@@ -25,7 +25,7 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs.arguments import SERVICES
 from edoras_tools.decode.filters.field import MESSAGE_COST, FilterField
-from edoras_tools.decode.filters.rows import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.decode.filters.rows import INDEX_DTYPE, ColumnRows, PacketRows, Series, ValueKind
 from edoras_tools.links.table import among
 from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
 from edoras_tools.ros.types import grammar, schema
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
     from edoras_tools.links.doors import KnownSamples
     from edoras_tools.model import Decoded
     from edoras_tools.ros.types.schema import Definition

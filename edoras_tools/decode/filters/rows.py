@@ -12,7 +12,7 @@ import numpy as np
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.model import NO_ROUTE, Columns, Decoded, PacketBatch
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 INDEX_DTYPE = np.dtype(np.int64)

@@ -10,7 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io import SourceDefaults
+from edoras_tools.io import Source, SourceDefaults
 from edoras_tools.model import HostCounters, PacketBatch, SourceInfo, SourceStatistics, concatenate
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.window import PADDING
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io import Source
     from edoras_tools.links.framing import Framing
     from edoras_tools.sessions.faults.fault import Fault
 

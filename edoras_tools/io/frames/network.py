@@ -11,13 +11,12 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.model import Finding
+from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.wire.arrays.window import read_at, word_sums
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.model import PacketBatch
 
 UDP = 17
 TCP = 6

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.decode.filters.rows import Series, ValueKind
+from edoras_tools.decode.filters.rows import PacketRows, Series, ValueKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from edoras_tools.decode.filters.field import FilterField
-    from edoras_tools.decode.filters.rows import PacketRows
 
     Column = tuple[str, Sequence[FilterField]]
     """A column's title, and its field; several fields if message types or endpoints share the name."""

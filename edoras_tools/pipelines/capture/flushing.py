@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from edoras_tools.io import Sink
-    from edoras_tools.model import PacketBatch
 
 
 OFFSETS: Final = ("packet_offset", "cdr_offset")

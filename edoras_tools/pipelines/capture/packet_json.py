@@ -24,8 +24,8 @@ from edoras_tools.decode.summary import Group, grouped_columns
 from edoras_tools.io.formats.text import json_value, value_texts
 from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.links.sbn import SBN
-from edoras_tools.model import NO_ROUTE, Finding
-from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.model import NO_ROUTE, Decoded, Finding, Link, RosMessage
+from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
 from edoras_tools.ros.types.schema import PLACEHOLDER
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.arrays.order import by_value, numbered
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.decode.summary import Column
-    from edoras_tools.model import Decoded, Link, RosMessage
-    from edoras_tools.ros.cdr.columns import MessageColumns
     from edoras_tools.ros.cdr.plan import CdrPlan
     from edoras_tools.wire.layout import Layout
 

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from edoras_tools.decode import Dissector
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.evidence.table import Recorder
-from edoras_tools.diagnosis.examination import Diagnosis, Examination
+from edoras_tools.diagnosis.examination import Chapter, Diagnosis, Examination
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.text import json_value
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.examination import Chapter, Diagnosis
     from edoras_tools.diagnosis.missing import Missing
     from edoras_tools.io import Source
     from edoras_tools.model import Columns, PacketBatch

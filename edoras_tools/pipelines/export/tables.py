@@ -11,7 +11,7 @@ from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.formats.columns import TableColumn
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.names import PATTERN_SIGNS, fits_topic
-from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.ros.cdr.columns import Ragged, TopicBlock
 from edoras_tools.words import did_you_mean, listed
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.pipelines.export.sources import TopicSource
-    from edoras_tools.ros.cdr.columns import TopicBlock
 
 ELEMENT: Final = "element"
 """The column with the index of an element, if every element of a list has a row."""

@@ -24,7 +24,7 @@ import numpy as np
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.processors import Precedence
 from edoras_tools.model import rate_hz
-from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.interrupt import Keys, on_interrupt
 from edoras_tools.sessions.outgoing import Changes, Outgoing
 from edoras_tools.sessions.pacing import Lateness, Timetable
 from edoras_tools.units import MILLISECOND, SECOND
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.net.wire import Wire
     from edoras_tools.links.sending import SendingSession
-    from edoras_tools.pipelines.interrupt import Keys
     from edoras_tools.pipelines.sending.responses import Responses
     from edoras_tools.pipelines.sending.wait_for import Condition
     from edoras_tools.render.terminal.text import Watcher

@@ -8,8 +8,8 @@ import numpy as np
 
 from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.io.net.address import ANY_ADDRESS, own_address
-from edoras_tools.model import NO_MSG_ID
-from edoras_tools.pipelines.sending.options import called
+from edoras_tools.model import NO_MSG_ID, Endpoint
+from edoras_tools.pipelines.sending.options import SendOptions, called
 from edoras_tools.sessions.sbn.connection import SbnConnection
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from edoras_tools.io.net.wire import Wire
     from edoras_tools.links.sending import SendingSession
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.sending.responses import Responses
     from edoras_tools.sessions.outgoing import Outgoing
 

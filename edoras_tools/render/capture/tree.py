@@ -21,8 +21,6 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.model import LayerField
-
 
 _MOST_ITEMS: Final = 64
 _MOST_BYTES: Final = 32

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
-from edoras_tools.io import SourceOver
+from edoras_tools.io import Source, SourceOver
 from edoras_tools.io.outputs import output_name
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import departures, link_text, msg_id_text, route_text
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
     from pathlib import Path
 
-    from edoras_tools.io import Source
     from edoras_tools.io.formats.watched import Keep
     from edoras_tools.model import PacketBatch
     from edoras_tools.render.terminal.progress import FileProgress

@@ -11,7 +11,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from edoras_tools.diagnosis.summary import summarize
+from edoras_tools.diagnosis.summary import Problem, summarize
 from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import link_text, msg_id_text, route_text
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.budget import Budget
     from edoras_tools.diagnosis.examination import Diagnosis
-    from edoras_tools.diagnosis.summary import Problem
 
 _STYLES: Final = {
     Severity.ERROR: Level.ERROR,

@@ -9,7 +9,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from edoras_tools.render import units
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.text import clean, clip_left
+from edoras_tools.render.terminal.text import ReadingRun, clean, clip_left
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Source
     from edoras_tools.model import SourceStatistics
-    from edoras_tools.render.terminal.text import ReadingRun
 
 _REFRESH_S: Final = 0.1
 _PATIENCE_S: Final = 0.3

@@ -20,8 +20,6 @@ from edoras_tools.ros.cdr.reader import ENCAPSULATION_BYTES, bytes_left, encapsu
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.ros.cdr.plan import CdrPlan
-
 
 _COUNTS: Final = struct.Struct("<I"), struct.Struct(">I")
 

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.addons.databases.documents import Node, SheetError
+from edoras_tools.addons.databases.documents import Node, Notes, SheetError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from edoras_tools.addons.databases.documents import Notes
 
 SYSTEM: Final = "SpaceSystem"
 _MOST_MEMBERS: Final = 8

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.addons.databases.documents import Node, SheetError
+from edoras_tools.addons.databases.documents import Node, Notes, SheetError
 from edoras_tools.addons.databases.placement import (
     MOST_VALUE_BITS,
     UNNAMED,
@@ -25,7 +25,6 @@ from edoras_tools.structs.shapes import BASIC, Basic, BasicKind, ByteOrder, Enum
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.addons.databases.documents import Notes
     from edoras_tools.addons.databases.xtce.names import Declarations, Declared
 
 _ROLE: Final = re.compile(r"(Parameter|Argument)Type$")

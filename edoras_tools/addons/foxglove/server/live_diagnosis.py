@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.case import Capture
-from edoras_tools.diagnosis.ledger import SEEN
-from edoras_tools.diagnosis.summary import summarize
+from edoras_tools.diagnosis.ledger import SEEN, Row
+from edoras_tools.diagnosis.summary import Problem, summarize
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.links.table import link_of_label
 from edoras_tools.pipelines.capture.flushing import ROW_BYTES, compact, join
@@ -30,9 +30,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.balance import WaySum
     from edoras_tools.diagnosis.examination import Diagnosis, Examination
-    from edoras_tools.diagnosis.ledger import Row
     from edoras_tools.diagnosis.missing import Missing
-    from edoras_tools.diagnosis.summary import Problem
     from edoras_tools.model import Columns, Link, PacketBatch, SourceStatistics
 
 _EVERY_S: Final = 1.0

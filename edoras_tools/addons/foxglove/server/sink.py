@@ -22,7 +22,7 @@ from edoras_tools.io.topics.recorded import RecordedStreams
 from edoras_tools.io.topics.rows import Messages, bodies_of, lay_out
 from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPIC, TRANSFORMS, Streams, Topic
 from edoras_tools.links import table
-from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, PacketBatch, SourceStatistics
+from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.units import SECOND
 from edoras_tools.wire.cdr import ENCAPSULATION
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode import Context
     from edoras_tools.mission import Mission
-    from edoras_tools.model import SourceInfo
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.faults.fault import Fault
 

@@ -17,13 +17,12 @@ from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.net.transmit import SendStatistics
 from edoras_tools.io.net.wire import Arrival
-from edoras_tools.model import Endpoint, PacketBatch, SourceInfo, SourceStatistics
+from edoras_tools.model import Endpoint, Link, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from edoras_tools.model import Link
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.sessions.outgoing import Outgoing
 

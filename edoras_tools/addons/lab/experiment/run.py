@@ -24,7 +24,7 @@ from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of, 
 from edoras_tools.addons.lab.emulator.source import SimulatedSource, SimulatedWire, WireSource
 from edoras_tools.addons.lab.experiment.plan import RATE, Cell, ExperimentPlan
 from edoras_tools.diagnosis.accounts import latency_ms
-from edoras_tools.errors import ConfigError, InterruptError
+from edoras_tools.errors import ConfigError, EdorasError, InterruptError
 from edoras_tools.intervals import mean_interval
 from edoras_tools.io.net.address import parse_endpoint
 from edoras_tools.io.outputs import write_bytes
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.diagnosis.examination import Diagnosis
-    from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.sending.loop import SendReport

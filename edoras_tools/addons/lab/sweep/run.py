@@ -17,7 +17,7 @@ from edoras_tools.addons.lab.sweep.line import COMMAND_NS, Line, reset_filters
 from edoras_tools.addons.lab.sweep.observer import Observer
 from edoras_tools.cfs import software_bus
 from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT_BRIDGE_BUFFER
-from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig
+from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.transmit import Listener, Transmitter
 from edoras_tools.io.net.wire import UdpWire, Wire, precise_timing
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from edoras_tools.addons.lab.sweep.plan import SweepPlan
-    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.mission import Mission
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.pipelines.workbench import Workbench

@@ -9,14 +9,13 @@ from edoras_tools.render.capture import packet
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.terminal import output_console
+from edoras_tools.render.terminal.terminal import Terminal, output_console
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
     from edoras_tools.model import Decoded
-    from edoras_tools.render.terminal.terminal import Terminal
 
 
 class Guide:

@@ -8,27 +8,23 @@ from typing import TYPE_CHECKING
 
 from typer import Exit
 
-from edoras_tools.addons.runs.against import against_bag, against_capture, bridge_counts, diff
+from edoras_tools.addons.runs.against import BagComparison, against_bag, against_capture, bridge_counts, diff
 from edoras_tools.addons.runs.views import comparison_table
 from edoras_tools.cli.doctor import print_diagnosis
 from edoras_tools.cli.endings import LOST, tell
-from edoras_tools.cli.inputs import open_input
+from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_json, print_view
-from edoras_tools.diagnosis.balance import chains
+from edoras_tools.diagnosis.balance import Chain, chains
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.pipelines.doctor.doctor import Pace, examine
-from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.render.doctor.balance import chain_table
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from edoras_tools.addons.runs.against import BagComparison
     from edoras_tools.cli import options
-    from edoras_tools.cli.inputs import InputOptions
-    from edoras_tools.diagnosis.balance import Chain
     from edoras_tools.pipelines.doctor.scope import Scope
-    from edoras_tools.pipelines.workbench import Settings
 
 
 def against(

@@ -9,7 +9,7 @@ import numpy as np
 from edoras_tools.decode.filters.filter import fields
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.links import table
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns
 from edoras_tools.pipelines.plot_lines import RateCounts, bar_seconds
 from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
 from edoras_tools.wire.arrays.order import by_value
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.tui.data.store import Part
     from edoras_tools.decode.context import Context
-    from edoras_tools.model import Columns
 
 _MOST_LINES: Final = 6
 """As many as a terminal has colours for."""

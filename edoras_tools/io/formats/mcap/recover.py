@@ -49,7 +49,7 @@ from edoras_tools.io.formats.mcap.recovery.records import FileBytes
 from edoras_tools.io.formats.mcap.recovery.report import FilePart, LostStretch, Recovery
 from edoras_tools.io.formats.mcap.recovery.scan import Piece, Scan
 from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary, summaries
-from edoras_tools.io.formats.mcap.recovery.walk import walk
+from edoras_tools.io.formats.mcap.recovery.walk import Walked, walk
 from edoras_tools.io.formats.mcap.result import read_again
 from edoras_tools.io.formats.mcap.unpack import Proof
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
@@ -59,7 +59,6 @@ from edoras_tools.io.topics.rows import MAGIC
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping, Sequence
 
-    from edoras_tools.io.formats.mcap.recovery.walk import Walked
 
 _COPY_BYTES = 1 << 20
 

@@ -15,20 +15,18 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError, NoDatagramsError
-from edoras_tools.io import SourceDefaults
+from edoras_tools.io import Source, SourceDefaults
 from edoras_tools.io.formats.merge import MergedSource
 from edoras_tools.io.formats.rosbag2.reader import METADATA, files_of, open_topic_file, unpacked
-from edoras_tools.model import RECORDED, PacketBatch, SourceInfo, SourceStatistics
+from edoras_tools.model import RECORDED, HostCounters, PacketBatch, SourceInfo, SourceStatistics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from edoras_tools.io import Source
     from edoras_tools.io.formats.mcap.messages import SelectedMessages
     from edoras_tools.io.formats.stream import SettledFile
     from edoras_tools.mission.model import RecordedTopic
-    from edoras_tools.model import HostCounters
 
 
 class FolderSource(MergedSource):

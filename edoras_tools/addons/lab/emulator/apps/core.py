@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.lab.emulator.cfs import EMULATOR_VERSION
-from edoras_tools.addons.lab.emulator.core_apps import CORE
+from edoras_tools.addons.lab.emulator.cfs import EMULATOR_VERSION, Cfs
+from edoras_tools.addons.lab.emulator.core_apps import CORE, CoreApp
 from edoras_tools.addons.lab.emulator.messages import command_length, whole_packet
 from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
 from edoras_tools.cfs import (
@@ -27,8 +27,6 @@ from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from edoras_tools.addons.lab.emulator.cfs import Cfs
-    from edoras_tools.addons.lab.emulator.core_apps import CoreApp
     from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.addons.lab.emulator.services.software_bus import Pipe
 

@@ -12,7 +12,7 @@ from edoras_tools.cfs import sbn as facts
 from edoras_tools.cfs import table_services
 from edoras_tools.cfs.profile import SbnPeerConfig
 from edoras_tools.cfs.queues import NO_LIMIT
-from edoras_tools.model import Endpoint
+from edoras_tools.model import Endpoint, Peer
 from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe import function_code_of, length_of
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from edoras_tools.addons.lab.emulator.cfs import Cfs
     from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.cfs.event_services import EventText
-    from edoras_tools.model import Peer
 
 
 class SbnApp:

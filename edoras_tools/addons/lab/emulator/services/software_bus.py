@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from edoras_tools.addons.lab.emulator.account import Fifo
+from edoras_tools.addons.lab.emulator.account import ArrivalAccount, Fifo
 from edoras_tools.addons.lab.emulator.services.events import Event
 from edoras_tools.cfs.queues import QueueEnd
 from edoras_tools.cfs.software_bus import (
@@ -27,7 +27,6 @@ from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.cfe import length_of, msg_id_of
 
 if TYPE_CHECKING:
-    from edoras_tools.addons.lab.emulator.account import ArrivalAccount
     from edoras_tools.cfs.profile import SimProfile
 
 
