@@ -15,11 +15,9 @@ import numpy as np
 from edoras_tools.io.formats.merge import SEAM_NS
 from edoras_tools.links.table import among
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, by_value
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from edoras_tools.io import Source
     from edoras_tools.model import Columns, PacketBatch
 
@@ -38,7 +36,7 @@ class RunCounter:
         self._source, self._clock = source, source.part
         self._section = self._last_ns = self._part = self._restarts = 0
         self._seam = False
-        self._boots: dict[int, NDArray[np.int64]] = {}
+        self._boots: dict[int, Integers] = {}
 
     def add(self, batch: PacketBatch, columns: Columns) -> int:
         """Take the source's last batch; return the number of its run, or of its clock, from 0."""
@@ -64,7 +62,7 @@ class RunCounter:
         return [_NOTE.format(self._restarts + 1)] if self._restarts else []
 
 
-def _boots(batch: PacketBatch, columns: Columns) -> dict[int, NDArray[np.int64]]:
+def _boots(batch: PacketBatch, columns: Columns) -> dict[int, Integers]:
     """Return capture time minus mission time, to the second, of what has a time, by who sent it."""
     sent = among(columns.link, lambda link: link.from_cfs and link.packets)
     rows = np.flatnonzero(sent & (columns.mission_time_ns > 0))

@@ -23,14 +23,12 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, Endpoint, Link, Pac
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.ros.fitting import types_that_fit
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Places, by_value
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat, detect
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
 
     from edoras_tools.io import Source
     from edoras_tools.pipelines.workbench import Settings, Workbench
@@ -130,7 +128,7 @@ class _Traffic(msgspec.Struct):
         for key, members in by_value(keys | columns.processor_id[loose].astype(np.int64)):
             self._add_stream(batch, columns, key, loose[members])
 
-    def _add_stream(self, batch: PacketBatch, columns: Columns, key: int, members: NDArray[np.intp]) -> None:
+    def _add_stream(self, batch: PacketBatch, columns: Columns, key: int, members: Places) -> None:
         link, msg_id, processor_id = table.link(key >> 32 & 0xFF), key >> 40, key & 0xFFFFFFFF
         if message_name(self.msg_ids.standard(msg_id)):
             if link.peers and not self.msg_ids.is_command(msg_id):
@@ -143,7 +141,7 @@ class _Traffic(msgspec.Struct):
         for row in {*spread[:_OF_A_BATCH].tolist(), *members[first[:_OF_A_BATCH]].tolist()}:
             stream.look(_payload(batch, columns, row))
 
-    def _add_ways(self, batch: PacketBatch, columns: Columns, rows: NDArray[np.intp]) -> None:
+    def _add_ways(self, batch: PacketBatch, columns: Columns, rows: Places) -> None:
         names = ("source_address", "source_port", "destination_address", "destination_port")
         parts = [getattr(batch, name)[rows].astype(np.int64) for name in names]
         parts += [columns.link[rows].astype(np.int64), columns.processor_id[rows].astype(np.int64)]

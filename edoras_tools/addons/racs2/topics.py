@@ -23,14 +23,12 @@ from edoras_tools.errors import FieldError
 from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, whole_messages
 from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Places, by_value
 from edoras_tools.wire.arrays.window import copy_rows, gather
 from edoras_tools.wire.cdr import ENCAPSULATION
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from numpy.typing import NDArray
 
     from edoras_tools.links.doors import TopicSpace
 
@@ -85,7 +83,7 @@ class _Target(NamedTuple):
     topic: str
     values: str
     msg_id: int
-    rows: NDArray[np.intp]
+    rows: Places
 
 
 class BridgeTopics:

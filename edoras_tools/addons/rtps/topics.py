@@ -11,12 +11,10 @@ from edoras_tools.addons.rtps.samples import known_samples
 from edoras_tools.io.topics.rows import APART, RECORD, Messages, whole_messages
 from edoras_tools.links.site import MOST_ENDPOINTS, Endpoints
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, by_value
 from edoras_tools.wire.arrays.window import PADDING, copy_rows
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from edoras_tools.links.doors import KnownSamples, TopicSpace
     from edoras_tools.model import Columns, PacketBatch
 
@@ -70,7 +68,7 @@ class SampleMessages:
             self._names[key] = name
         return self._names.get(key, "")
 
-    def _new(self, item: KnownSamples) -> NDArray[np.bool_]:
+    def _new(self, item: KnownSamples) -> Mask:
         """Tell which samples did not come before."""
         new = np.ones(len(item.row), bool)
         for writer, at in by_value(item.writer):
@@ -92,7 +90,7 @@ class SampleMessages:
         if not len(whole) or not name:
             return None
         size = (item.length - trailing)[whole].astype(np.int32)
-        start: NDArray[np.int64] = np.cumsum(size, dtype=np.int64) - size
+        start: Integers = np.cumsum(size, dtype=np.int64) - size
         data = np.zeros(int(size.sum()) + PADDING, np.uint8)
         copy_rows(data, start, batch.data, item.offset[whole], size)
         row, number = item.row[whole], self._space.place(name, item.type, _METADATA)

@@ -19,13 +19,11 @@ from edoras_tools.mission.report import printable
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, Link, PacketBatch, rate_hz
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import by_value, changes, distinct_rows, order_by
+from edoras_tools.wire.arrays.order import Integers, by_value, changes, distinct_rows, order_by
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
 
     from edoras_tools.links.doors import Follower
     from edoras_tools.links.site import Site
@@ -432,8 +430,8 @@ class Ledger:
         accounts: list[Account],
         batch: PacketBatch,
         columns: Columns,
-        order: NDArray[np.int64],
-        starts: NDArray[np.int64],
+        order: Integers,
+        starts: Integers,
     ) -> None:
         """Add times, sizes and findings; account ``i`` has the rows ``order[starts[i]:starts[i + 1]]``."""
         times, lengths, findings = batch.time_ns[order], batch.length[order], columns.findings[order]
@@ -535,7 +533,7 @@ class Ledger:
         }
 
 
-def _squares(times_apart: NDArray[np.int64], starts: NDArray[np.int64]) -> list[int]:
+def _squares(times_apart: Integers, starts: Integers) -> list[int]:
     """Return the sum of the squares of each stretch of intervals, exactly: each in two halves."""
     large = np.flatnonzero((times_apart >= _LARGE_NS) | (times_apart <= -_LARGE_NS))
     small = times_apart
