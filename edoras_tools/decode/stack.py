@@ -34,7 +34,6 @@ from edoras_tools.model import (
 from edoras_tools.structs.shapes import OWN_LAYERS
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION, ROUNDED
-from edoras_tools.wire.cfe import length_of
 from edoras_tools.wire.envelope import DEFAULT, detect
 
 if TYPE_CHECKING:
@@ -107,7 +106,7 @@ class _Dissection(Reading):
         """Go through the layers, outermost first."""
         room = self.link.receive_buffer
         # cFS takes what the header says: what is cut behind that is no loss.
-        if room and len(self.data) > room and not (self.link.to_cfs and length_of(self.data) <= room):
+        if room and len(self.data) > room and not (self.link.to_cfs and cfe.length_of(self.data) <= room):
             self.findings |= self.link.over_receive_buffer
         start = protocol(self.link).dissect(self, self.context)
         if start is not None:
@@ -141,7 +140,7 @@ class _Dissection(Reading):
                 ),
             ),
         )
-        total = length_of(packet)
+        total = cfe.length_of(packet)
         command = msg_ids.is_command(msg_id)
         if total != length:
             self.findings |= Finding.LENGTH_MISMATCH

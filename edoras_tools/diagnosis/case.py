@@ -82,7 +82,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
-    from edoras_tools.diagnosis.accounting.ingest import Ingest
     from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
     from edoras_tools.diagnosis.verdict import Advice, Verdict
@@ -477,7 +476,7 @@ class Case:
                     times.setdefault((item.source, msg_id), []).append(item.time_ns)
         return times
 
-    def ingests_at(self, endpoint: int) -> list[Ingest]:
+    def ingests_at(self, endpoint: int) -> list[ingest.Ingest]:
         """Return the account of the CI at an endpoint, if it is counted."""
         return [item for item in self.ingests if item.endpoint == endpoint]
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.doors import Addition
     from edoras_tools.links.framing import Framing
     from edoras_tools.wire.arrays.order import Mask
 
@@ -47,7 +46,7 @@ def links() -> tuple[LinkProtocol, ...]:
     return tuple(by_label.values())
 
 
-def _checked(item: Addition, link: Any, by_label: dict[str, LinkProtocol]) -> LinkProtocol:
+def _checked(item: doors.Addition, link: Any, by_label: dict[str, LinkProtocol]) -> LinkProtocol:
     """Return an installed link, checked against the rules of the table.
 
     Raises:

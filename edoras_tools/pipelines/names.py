@@ -16,7 +16,6 @@ from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT, split_topic
 from edoras_tools.errors import RouteError
 from edoras_tools.io.topics.rows import APART
 from edoras_tools.links import table
-from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, Columns, PacketBatch
 from edoras_tools.structs.shapes import Key
 from edoras_tools.words import did_you_mean, listed
@@ -117,7 +116,7 @@ class PacketKinds(msgspec.Struct, frozen=True):
         mask |= np.isin(columns.msg_id, [key.msg_id for key in self.keys if key.function_code is None])
         for key in self.keys:
             if key.port is not None:
-                at_port = among(columns.link, lambda link: link.last_hop)
+                at_port = table.among(columns.link, lambda link: link.last_hop)
                 at_port &= batch.destination_port == key.port
                 mask |= at_port & ((batch.length == key.function_code) | (key.function_code is None))
             elif key.function_code is not None:

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.ros.cdr.columns import MessageColumns
-    from edoras_tools.ros.cdr.reader import ValueSpan
 
 USUAL_DISTRO: Final = "jazzy"
 """The distribution where none is named: that of EDORAS's own images."""
@@ -114,7 +113,7 @@ class TypeStore:
         name, plan = self.plan(type_name)
         return reader.decode(name, plan, bytes(cdr))
 
-    def spans(self, type_name: str, cdr: bytes) -> list[ValueSpan]:
+    def spans(self, type_name: str, cdr: bytes) -> list[reader.ValueSpan]:
         """Return every leaf of a message as (dotted path, value, start, end).
 
         Offsets count from the start of ``cdr``. An array of primitives is one leaf; its count belongs to it.

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
     from edoras_tools.links.doors import KnownSamples
     from edoras_tools.model import Decoded
-    from edoras_tools.ros.types.schema import Definition
     from edoras_tools.wire.arrays.order import Integers, Mask
 
     Owned = tuple[Integers, MessageColumns]
@@ -77,7 +76,7 @@ class MessageFieldFinder:
         self._context = context
         self._routes: dict[str, list[int]] = {}
         self._first: Collection[str] = ()
-        self._definitions: dict[str, Definition] = dict(context.structs.definitions)
+        self._definitions: dict[str, schema.Definition] = dict(context.structs.definitions)
         self._own = frozenset(self._definitions)
         self._structs: dict[str, list[Bound]] = {}
         services: dict[str, list[Bound]] = {}
@@ -196,7 +195,7 @@ class MessageFieldFinder:
     def _steps(self, name: str, path: Sequence[tuple[str, int | None]]) -> list[_Step]:
         """Return the steps of a path inside a type; empty if there is no such field."""
         steps: list[_Step] = []
-        definition: Definition | None = self._definitions[schema.full_name(name)]
+        definition: schema.Definition | None = self._definitions[schema.full_name(name)]
         for part, index in path:
             fields = definition.fields if definition else ()
             item = next((item for item in fields if item.name == part), None)

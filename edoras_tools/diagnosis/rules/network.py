@@ -8,7 +8,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs import sbn as facts
-from edoras_tools.cfs.sbn import NAME
 from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE, UNSEEN, Connection, PeerChange, PeerSilence
 from edoras_tools.diagnosis.evidence.table import Rows, peer_of
 from edoras_tools.diagnosis.ledger import DAMAGED
@@ -289,9 +288,9 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
         stops = [
             f"{item.app} was stopped: {item.witness}"
             for item in case.outages
-            if item.app == NAME and item.start_ns - SECOND < when < item.ended_ns + SECOND
+            if item.app == facts.NAME and item.start_ns - SECOND < when < item.ended_ns + SECOND
         ]
-        restart = case.inject("es-restart-app", NAME)
+        restart = case.inject("es-restart-app", facts.NAME)
         look = f"look at the events of SBN around that time; to restart it: {restart}"
         yield verdict(
             Severity.WARNING if back else Severity.ERROR,
@@ -301,7 +300,7 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
             *stops,
             place=("sbn", f"SBN peer {peer}"),
             span=(when, case.end_ns),
-            remedy=revival(case, NAME) if stops else look,
+            remedy=revival(case, facts.NAME) if stops else look,
         )
 
 

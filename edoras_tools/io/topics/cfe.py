@@ -12,7 +12,6 @@ from edoras_tools.errors import WireError
 from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, no_messages, whole_messages
 from edoras_tools.links import table
 from edoras_tools.links.resets import RESETS
-from edoras_tools.links.table import among
 from edoras_tools.sessions.faults.fault import Fault
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, cfe_file
@@ -257,7 +256,7 @@ def _telemetry(
         return rows, np.zeros(0, payload)
     link, header = columns.link[rows], columns.header_length[rows].astype(np.int64)
     rows = rows[
-        among(link, lambda item: item.from_cfs and item.packets)
+        table.among(link, lambda item: item.from_cfs and item.packets)
         & (header > 0)
         & (columns.packet_length[rows] >= header + payload.itemsize)
     ]

@@ -14,7 +14,6 @@ import numpy as np
 from edoras_tools.cfs.names import command_name
 from edoras_tools.decode.stack import Dissector
 from edoras_tools.links import table
-from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Endpoint, Finding, Link, Peer
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.render.capture.sequence import SequenceMessage
@@ -41,7 +40,7 @@ class Statistics:
     def add(self, rows: ColumnRows) -> None:
         """Add the packets of a batch."""
         self.ledger.add(rows.batch.take(rows.selection), rows.columns.take(rows.selection))
-        network = among(rows.column("link"), lambda link: link.peers).nonzero()[0]
+        network = table.among(rows.column("link"), lambda link: link.peers).nonzero()[0]
         if len(network):
             self._conversation.add(rows.take(network))
 
@@ -199,8 +198,8 @@ class Conversation:
 def _alike(rows: ColumnRows) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Number the packets by everything that names their stream; return one row of each, and the numbers."""
     link = rows.column("link")
-    to_cfs = among(link, lambda item: item.only_to_cfs)
-    from_cfs = among(link, lambda item: item.only_from_cfs)
+    to_cfs = table.among(link, lambda item: item.only_to_cfs)
+    from_cfs = table.among(link, lambda item: item.only_from_cfs)
     keys: list[NDArray[Any]] = [
         link,
         rows.column("sbn_msg_type"),

@@ -14,7 +14,6 @@ import numpy as np
 from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.links import table
-from edoras_tools.links.table import LinkStates
 from edoras_tools.mission.report import printable
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, Link, PacketBatch, rate_hz
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
@@ -234,7 +233,7 @@ class Ledger:
     ) -> None:
         self.mission = mission
         self._structs = structs
-        self.followers: LinkStates[Follower] = LinkStates(
+        self.followers: table.LinkStates[Follower] = table.LinkStates(
             lambda link: None if site is None else link.follow(site)
         )
         self._counted: dict[Link, int] = {}

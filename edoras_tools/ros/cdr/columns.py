@@ -15,9 +15,7 @@ from edoras_tools.ros.cdr.plan import CdrPlan, Leaf, PrimitiveRun, Repeat, Text
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.ros.cdr.bulk import Cursor, Position
-
-    Piece = Callable[[], tuple[NDArray[np.int64], Position, NDArray[Any]]]
+    Piece = Callable[[], tuple[NDArray[np.int64], bulk.Position, NDArray[Any]]]
     """Gathers a part of a column: different rows, how many values each has, and the values."""
 
 
@@ -153,21 +151,21 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
     def __len__(self) -> int:
         return len(self._pieces)
 
-    def run(self, prefix: str, run: PrimitiveRun, cursor: Cursor) -> None:
+    def run(self, prefix: str, run: PrimitiveRun, cursor: bulk.Cursor) -> None:
         """Take a run that starts at the cursor's position."""
         source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
 
-        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], Position, NDArray[Any]]:
+        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], bulk.Position, NDArray[Any]]:
             return rows, leaf.count or 1, _read(source, leaf, start, swap)
 
         for leaf in run.leaves:
             self._add(bulk.joined(prefix, leaf.name), partial(gather, leaf))
 
-    def block(self, prefix: str, run: PrimitiveRun, cursor: Cursor, count: Position) -> None:
+    def block(self, prefix: str, run: PrimitiveRun, cursor: bulk.Cursor, count: bulk.Position) -> None:
         """Take runs that follow each other from the cursor's position."""
         source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
 
-        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], Position, NDArray[Any]]:
+        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], bulk.Position, NDArray[Any]]:
             if isinstance(count, int) and leaf.count is None and leaf.size == run.size:
                 return rows, count, source.numbers(start, leaf.code, count, swap)
             each = np.broadcast_to(np.asarray(count), len(rows))
@@ -179,7 +177,7 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
         for leaf in run.leaves:
             self._add(bulk.joined(prefix, leaf.name), partial(gather, leaf))
 
-    def text(self, name: str, text: Text, cursor: Cursor, length: Position) -> None:
+    def text(self, name: str, text: Text, cursor: bulk.Cursor, length: bulk.Position) -> None:
         """Take a string whose characters start at the cursor's position."""
         source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
         self._add(

@@ -6,7 +6,7 @@ An envelope whose length exceeds the packet is refused; one whose length is shor
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import msgspec
 
@@ -15,9 +15,6 @@ from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.wire import ccsds, cfe, envelope
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION
 
-if TYPE_CHECKING:
-    from edoras_tools.wire.envelope import EnvelopeFormat
-
 _PRIMARY: Final = struct.Struct(">HHH")
 _WORDS: Final = {8: "Q", 4: "I", 2: "H", 1: "B"}
 _UNSEGMENTED: Final = ccsds.UNSEGMENTED << 14
@@ -25,7 +22,7 @@ _PADDING: Final = 3
 """RTPS pads a message to four bytes."""
 
 
-def _lengths(form: EnvelopeFormat) -> struct.Struct:
+def _lengths(form: envelope.EnvelopeFormat) -> struct.Struct:
     """Return the struct format of the two lengths of an envelope."""
     return struct.Struct(("<" if form.byte_order == "little" else ">") + 2 * _WORDS[form.width])
 
@@ -93,7 +90,7 @@ class Envelope:
     """
 
     def __init__(
-        self, form: EnvelopeFormat | None, cdr_bytes: int | None = None, type_name: str = ""
+        self, form: envelope.EnvelopeFormat | None, cdr_bytes: int | None = None, type_name: str = ""
     ) -> None:
         self._form = form
         self._written = form or envelope.DEFAULT
