@@ -81,7 +81,6 @@ if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence
 
     from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.decode import Context
     from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
     from edoras_tools.diagnosis.verdict import Advice, Verdict
@@ -215,7 +214,7 @@ class Case:
         self._errors = recorder.errors
         self.samples = recorder.samples
         self.passed_states = list(recorder.states.passed())
-        self.context: Context = recorder.context
+        self.context = recorder.context
         msg_ids = recorder.context.msg_ids
         limits = {msg_ids.of_known(item): limit for item, limit in profile.to_limits.items()}
         stated = {msg_ids.of_known(item) if isinstance(item, int) else item for item in profile.stated}

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
     from edoras_tools.decode.conversations import Conversations, Flow, Unnamed
-    from edoras_tools.links.doors import LinkEvidence
     from edoras_tools.sessions.faults.fault import Fault
 
 CHAPTER: Final = 1_000_000
@@ -355,7 +354,7 @@ class Examination:
         self.context = context
         self.profile = profile or context.mission.software.profile
         self._recorder = Recorder(context)
-        self._evidence: LinkStates[LinkEvidence] = LinkStates(lambda link: link.evidence(context))
+        self._evidence = LinkStates(lambda link: link.evidence(context))
         self._before: list[Callable[[], Diagnosis]] = []
         self._scattered = False
         self._others: dict[int, Examination] = {}

@@ -228,7 +228,6 @@ class Pipes:
         reported, report = self._from_events(stream, kind, instance)
         evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them{_FIRST if first else ''}"]
         hop, sender = (reported.pipe, reported.sender) if reported else (APP, "")
-        confidence: Confidence = "high" if reported else "medium"
         if report is not None:
             if events := report.within(cut.start_ns - LEAD_NS, cut.end_ns + TAIL_NS):
                 evidence.insert(0, report.text(events))
@@ -237,9 +236,8 @@ class Pipes:
                 evidence.append(f"cFS stops this event after {STOPS_AFTER}; the counter goes on")
         else:
             evidence.append("no event names it: suppressed, filtered, or lost itself")
-        loss = Loss(
-            kind, hop, number, cut.start_ns, cut.end_ns, confidence, instance, stream.msg_id, stream, cut
-        )
+        sure: Confidence = "high" if reported else "medium"
+        loss = Loss(kind, hop, number, cut.start_ns, cut.end_ns, sure, instance, stream.msg_id, stream, cut)
         loss.of, loss.evidence, loss.sender, loss.among = cut.count, evidence, sender, Among(stream, among)
         self._same[key] = loss
         self.losses.append(loss)
