@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.doors import OwnTopics
     from edoras_tools.links.site import Endpoints
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceStatistics
@@ -305,7 +304,7 @@ class Streams:
         self.clock = MissionClock()
         self.endpoints: Endpoints | None = None
         self._latched = LatchedTopics(mission)
-        self._own_topics: table.LinkStates[OwnTopics] = table.LinkStates(lambda link: link.topics(self))
+        self._own_topics = table.LinkStates(lambda link: link.topics(self))
         self._statistics = LinkStatistics(mission, statistics, sequences, self.structs)
         self._others: dict[int, Streams] = {}
         """The topics of spacecraft behind the first."""

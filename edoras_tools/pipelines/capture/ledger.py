@@ -24,7 +24,6 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from edoras_tools.links.doors import Follower
     from edoras_tools.links.site import Site
     from edoras_tools.mission import Mission, Route
     from edoras_tools.ros import TypeStore
@@ -233,9 +232,7 @@ class Ledger:
     ) -> None:
         self.mission = mission
         self._structs = structs
-        self.followers: table.LinkStates[Follower] = table.LinkStates(
-            lambda link: None if site is None else link.follow(site)
-        )
+        self.followers = table.LinkStates(lambda link: None if site is None else link.follow(site))
         self._counted: dict[Link, int] = {}
         """How many of a follower's sequence counts belong to accounts."""
         self.accounts: dict[tuple[int, ...], Account] = {}

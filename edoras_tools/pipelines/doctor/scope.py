@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.protocol import LinkProtocol
-    from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
 
@@ -47,7 +46,7 @@ class Chosen:
 
     def __init__(self, selection: Selection, bench: Workbench) -> None:
         self._selection = selection.over(bench)
-        self._mission: Mission = bench.mission
+        self._mission = bench.mission
         self._endpoints = bench.columns.context.endpoints
         self._seen: set[tuple[int, str, int]] = set()
         self._sampling = [link for link in table.links() if link.samples]
