@@ -18,6 +18,7 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Fi
 from edoras_tools.ros.types.schema import full_name
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.structs.shapes import OWN_LAYERS
+from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.words import either, listed
 
 if TYPE_CHECKING:
@@ -66,23 +67,19 @@ class Names:
 
     def __init__(self, context: Context) -> None:
         self.context = context
-        self._packet: dict[str, list[FilterField]] = {}
+        self._packet = by_key(_packet_fields(context), lambda field: field.name)
         self._of_datagrams: frozenset[str] = frozenset()
         layers = list(layer_fields(context))
-        for field in _packet_fields(context):
-            self._packet.setdefault(field.name, []).append(field)
         if context.mission.recorded:  # messages without datagrams
             names = {*self._packet, *_ALIASES, *(field.name for field in layers)}
             self._packet = {name: self._packet[name] for name in _OF_MESSAGES}
             self._of_datagrams = frozenset(names - {*self._packet, "message"})
             layers = []
         self._layers = {field.name: field for field in layers}
-        self._short: dict[str, list[str]] = {}
         # The headers of F Prime have names of cFE's; they do not make those less clear.
         apart = {layout.name for link in context.links if link.dictionary for layout in link.layouts}
-        for name in self._layers:
-            if name.partition(".")[0] not in apart:
-                self._short.setdefault(name.rpartition(".")[2], []).append(name)
+        others = (name for name in self._layers if name.partition(".")[0] not in apart)
+        self._short = by_key(others, lambda name: name.rpartition(".")[2])
         self._messages = MessageFieldFinder(context)
         self._unread = [
             f"/{item.topic.removeprefix('/')} is {item.unread}"

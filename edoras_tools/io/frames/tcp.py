@@ -33,7 +33,7 @@ from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.tcp_segments import SegmentBytes, Segments, rebuilt
 from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, StreamState
 from edoras_tools.model import Finding, PacketBatch
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import by_key, numbered
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 
 if TYPE_CHECKING:
@@ -713,11 +713,8 @@ def _contents(
     parts: list[tuple[NDArray[Any], ...]] = [
         (np.empty(0, np.intp), np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, bool))
     ]
-    talks: dict[int, list[int]] = {}
-    for index, way in enumerate(ways):
-        if way.shared.state is not None:
-            talks.setdefault(id(way.shared), []).append(index)
-    for members in talks.values():
+    own = (index for index, way in enumerate(ways) if way.shared.state is not None)
+    for members in by_key(own, lambda index: id(ways[index].shared)).values():
         rows = np.flatnonzero(np.isin(column["direction"], members) & (findings & _PART == 0))
         talk = ways[members[0]].shared.state
         if not len(rows) or talk is None:
