@@ -47,8 +47,7 @@ def examine(
     """
     opened = open_file(Path(source)) if isinstance(source, (str, os.PathLike)) else source
     bench = Settings(configs=[Path(item) for item in config]).workbench(opened.info)
-    examination = Examination(bench.columns.context, profile)
-    findings = examine_source(opened, bench, examination=examination)
+    findings = examine_source(opened, bench, examination=Examination(bench.columns.context, profile))
     if findings.failure is not None:
         raise findings.failure
     return findings.diagnosis

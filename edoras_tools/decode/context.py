@@ -206,8 +206,7 @@ class Context:
         self.headers = self.options.headers or cfe.STANDARD
         self.msg_ids = self.options.msg_ids
         self.time = cfe.MissionTime.of_text(self.options.time or "")
-        big_endian = self.mission.software.big_endian
-        structs = structs or shipped_structs(self.msg_ids, big_endian=big_endian)
+        structs = structs or shipped_structs(self.msg_ids, big_endian=self.mission.software.big_endian)
         structs = structs.under(self.mission.prefix(FIRST_SPACECRAFT))
         self.structs = structs.unclaimed(route.msg_id for route in self.mission.routes)
         self.peers = Peers()

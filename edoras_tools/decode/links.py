@@ -52,8 +52,7 @@ class _Rows:
         self._batch, self._rows, self._context = batch, rows, context
         self._fields: dict[tuple[str, str, int], NDArray[Any]] = {}
         self._have = batch.length[rows]
-        cut = batch.original_length[rows] - batch.frame_length[rows]
-        self.length = self._have + np.maximum(cut, 0)
+        self.length = self._have + np.maximum(batch.original_length[rows] - batch.frame_length[rows], 0)
         self.destination_port = batch.destination_port[rows]
 
     @cached_property
@@ -86,8 +85,7 @@ class _Rows:
         slot = layout.by_name[name]
         offset = self._batch.offset[self._rows] + at + slot.start
         absent = self._have < at + slot.end
-        some = absent.any()
-        if some:
+        if some := absent.any():
             offset[absent] = 0
         window = gather(self._batch.data, offset, slot.end - slot.start)
         values = layout.column(name, window, -slot.start)

@@ -130,6 +130,15 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         return any(item.missing for item in self._answers)
 
     @cached_property
+    def sums(self) -> dict[tuple[int, str], tuple[int, int]]:
+        """Sender and kind to the numbers of datagrams checked and missing."""
+        sums: dict[tuple[int, str], tuple[int, int]] = {}
+        for item in self.evidence:
+            checked, missing = sums.get((item.sender, item.kind), (0, 0))
+            sums[item.sender, item.kind] = checked + item.checked, missing + item.missing
+        return sums
+
+    @cached_property
     def groups(self) -> list[tuple[int, int]]:
         """The numbers of datagrams checked and missing, in each group of evidence that bounds by itself.
 
@@ -137,19 +146,15 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         answers show that datagrams were missed, only what is checked alone bounds. And what was lost behind
         the tap hides as many from counts of CI: neither bounds where periods of that sender show more.
         """
-        sums: dict[tuple[int, str], tuple[int, int]] = {}
-        for item in self.evidence:
-            checked, missing = sums.get((item.sender, item.kind), (0, 0))
-            sums[item.sender, item.kind] = checked + item.checked, missing + item.missing
 
         def is_fair(sender: int, kind: str, checked: int, missing: int) -> bool:
             if not checked or (self.lacks_answered and kind not in _ALONE):
                 return False
-            others, more = sums.get((sender, "periods"), (0, 0))
+            others, more = self.sums.get((sender, "periods"), (0, 0))
             chance = hypergeometric_tail(missing, checked, others, missing + more)
             return kind not in _HIDING or chance >= _CHANCE
 
-        return sorted({group for key, group in sums.items() if is_fair(*key, *group)})
+        return sorted({group for key, group in self.sums.items() if is_fair(*key, *group)})
 
     @cached_property
     def _best(self) -> tuple[int, int]:
@@ -246,21 +251,17 @@ def assess_quality(
 
 
 def check_identifications(rows: Rows, hosts: NDArray[np.int32]) -> Iterator[Evidence]:
-    """Yield for each sender how many identifications lie between two captured ones, and lack.
+    """Yield for each sender and receiver how many identifications lie between two captured ones, and lack.
 
     Args:
         hosts: endpoint to the number of its address.
     """
     own = np.flatnonzero((rows.identification != 0) & ~rows.streamed)
     _, pair = numbered(hosts.take(rows.source[own]), hosts.take(rows.destination[own]))
-    totals: dict[int, tuple[int, int]] = {}
     for _, members in by_value(pair):
         mine = own[members]
-        checked, missing = _between(rows.time_ns[mine], rows.identification[mine])
-        sender = int(hosts[rows.source[mine[0]]])
-        before = totals.get(sender, (0, 0))
-        totals[sender] = before[0] + checked, before[1] + missing
-    yield from (Evidence("identifications", sender, *counts) for sender, counts in totals.items())
+        counts = _between(rows.time_ns[mine], rows.identification[mine])
+        yield Evidence("identifications", int(hosts[rows.source[mine[0]]]), *counts)
 
 
 def _between(time_ns: Integers, identification: NDArray[np.uint16]) -> tuple[int, int]:
@@ -371,13 +372,12 @@ def check_sequence_counts(
     tracks: Mapping[int, Track],
     holes: Sequence[tuple[int, int]] = (),
 ) -> Iterator[Evidence]:
-    """Yield for each sender how many messages it counted while its bus lost none, and how many lack.
+    """Yield for each stream how many messages were counted while the bus lost none, and how many lack.
 
     Args:
         tracks: instance to the counters of its software bus.
         holes: from when to when nothing was captured, ns.
     """
-    totals: dict[int, tuple[int, int]] = {}
     for stream in streams:
         track = tracks.get(stream.instance)
         if not (stream.counted and stream.link.from_cfs and track and len(track.times) > 1):
@@ -394,9 +394,7 @@ def check_sequence_counts(
         start_ns, end_ns = when - _ROUNDS_NS, when + _ROUNDS_NS
         usable = _quiet(track, start_ns, end_ns) & ~overlapping(start_ns, end_ns, holes)
         sender = int(instances.hosts[rows.source[own[0]]])
-        before = totals.get(sender, (0, 0))
-        totals[sender] = before[0] + int(usable.sum()), before[1] + int((usable & absent).sum())
-    yield from (Evidence("sequence_counts", sender, *counts) for sender, counts in totals.items())
+        yield Evidence("sequence_counts", sender, int(usable.sum()), int((usable & absent).sum()))
 
 
 def check_periods(

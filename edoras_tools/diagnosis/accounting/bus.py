@@ -285,8 +285,7 @@ class Telemetry:
         """Claim counts of what is missing from a span of a stream whose way out was open."""
         counts, key = self._counts[part.owner], len(self.parts)
         low, high = gaps.low_ns, gaps.high_ns
-        inside = (low > counts.times[0]) & (high <= counts.times[-1])
-        part.outside = int(gaps.number[~inside].sum())
+        part.outside = int(gaps.number[(low <= counts.times[0]) | (high > counts.times[-1])].sum())
         part.watched = 2 * part.outside <= part.missing
         kinds = (*part.kinds, *(kind for kind in COUNTERS if kind not in part.kinds))
         rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, id(part.stream)
@@ -300,8 +299,7 @@ class Telemetry:
         rest: dict[int, int] = {}
         for stream in self._case.streams:
             faults = self._case.done_to(stream)
-            number = rest.get(id(faults), len(faults.dropped))
-            rest[id(faults)] = number - self.ended(stream, "proxied")
+            rest[id(faults)] = rest.get(id(faults), len(faults.dropped)) - self.ended(stream, "proxied")
         for stream in self._case.streams:
             if more := rest.pop(id(self._case.done_to(stream)), 0):
                 self.ends[id(stream)]["proxied"] += more

@@ -615,8 +615,7 @@ class Stops:
                 fate.claim(rows)
                 number = fate.counted_in_stop[place]
                 # The capture may have missed so many in a row that came out, but none that 0x803 counted.
-                most = self._case.quality.longest_run if fate.seen else 0
-                most = min(most, max(0, len(rows) - number) // 2)
+                most = min(self._case.quality.longest_run * fate.seen, max(0, len(rows) - number) // 2)
                 inner = rows[most : len(rows) - most]
                 fate.ends["missed"] += len(rows) - len(inner)
                 if not len(inner):

@@ -479,8 +479,7 @@ class Commands:
             room = np.maximum(np.concatenate(([0], np.diff(passed) - 1, [0])), 0)
             # Of those in one place the first may be it, as far as there is room, that gave way to none.
             order = np.lexsort((open_, fate.newer[open_], behind))
-            nth = np.arange(len(behind)) - np.searchsorted(behind, behind)
-            first = order[nth < room[behind]]
+            first = order[np.arange(len(behind)) - np.searchsorted(behind, behind) < room[behind]]
             fate.passed[open_[first]] = True
             if self._case.unsteady_ns:  # or another one, sent a little before or later
                 others = open_[~(fate.passed | fate.newer)[open_]]
@@ -623,8 +622,7 @@ class Commands:
         for part in self.telemetry.parts:
             stream = part.stream
             if part.kinds and id(stream) in out and part.span.last == len(stream) - 1 and len(times):
-                onward = queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe
-                next_ = onward(profile)
+                next_ = (queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe)(profile)
                 passed = int(np.ptp(times) // next_.round_ns) * next_.limit(stream.msg_id)
                 lost.append(len(times) - passed)
         return min(fate.waiting, max([0, *lost]))

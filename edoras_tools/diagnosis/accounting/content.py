@@ -246,10 +246,10 @@ def _believed(case: Case, number: int, of: int, chance: float) -> bool:
     """Tell whether so many are more than the capture may have missed where by chance something is left."""
     if number < _LEAST:
         return False
-    beside = [item for item in case.quality.evidence if item.kind != "inputs"]
+    beside = [item for (_, kind), item in case.quality.sums.items() if kind != "inputs"]
     missed = max(
         (1 - binomial_tail(number - 1, of, share))
-        * min((binomial_tail(item.missing, item.checked, share) for item in beside), default=1.0)
+        * min((binomial_tail(missing, checked, share) for checked, missing in beside), default=1.0)
         for share in _SHARES
     )
     alike = min(1.0, max(_OFTEN * chance, _SELDOM)) ** number

@@ -374,8 +374,7 @@ def who_doubled(
         if vote >= 0:  # what the capture lacks is counted, too
             vote = min(vote, int(own.sum())) + _by_answers(rows, mine, own, answers)
         vote *= not 0 < vote <= max(2, own.sum() // 2)  # what a few say may be chance
-        at_once = int(copies.at_once[mine[own]].sum())
-        votes[receiver] = 2 * vote - at_once if vote else 0
+        votes[receiver] = 2 * vote - int(copies.at_once[mine[own]].sum()) if vote else 0
     whole = sum(votes.values())
     for receiver, members in by_value(np.where(copies.duplicate, rows.destination, -1)):
         if receiver >= 0 and (vote := votes.get(receiver, 0) or whole):

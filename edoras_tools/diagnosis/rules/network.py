@@ -260,8 +260,7 @@ def sbn_disconnected(case: Case) -> Iterator[Verdict]:
         for at, change in enumerate(connection.changes):
             if change.state != "disconnected" or change.why == SAID_GOODBYE:
                 continue
-            later = connection.changes[at + 1 :]
-            back = next((item for item in later if item.state == "connected"), None)
+            back = next((item for item in connection.changes[at + 1 :] if item.state == "connected"), None)
             sequel = f"connected again at {case.at(back.time_ns)}" if back else "not back in this capture"
             yield note(
                 f"SBN peer {connection.peer} disconnected from {connection.observer} at "

@@ -235,8 +235,7 @@ def _explained(case: Case, silence: Silence) -> bool:
     system = case.system(stream) if stream.is_command else case.instances.system(case.owner(stream))
     name = case.network.identity_of.get
     way = Way(stream.msg_id, stream.link, system, stream.is_command, name(stream.receiver, ""))
-    reasons = reasons_for(case.timeline, way, start_ns, end_ns, case.at)
-    spans = [item.span for item in reasons]
+    spans = [item.span for item in reasons_for(case.timeline, way, start_ns, end_ns, case.at)]
     if stream.link.peers and stream.is_command:
         sender = StateOwner("peer", name(stream.sender, ""))
         for state in ("silent", "timed_out", "disconnected"):
