@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec.structs import replace
 
 from edoras_tools.cfs import executive_services, queues, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.claims import FAR_NS, Claim, Rank, claimed_alike, settle
@@ -199,16 +198,17 @@ class Telemetry:
 
         What a bus counted before SBN, which is not here, may be what lacks behind: that is told once.
         """
-        parts = ((claim, self.parts[claim.key]) for claim in self.claims)
-        both = ((claim, own.stream.instance) for claim, own in parts if claim.open and self._handed_on(own))
-        unseen = [replace(claim, number=claim.open, instances=(at,), taken={}) for claim, at in both]
-        settle(self._counts, unseen, FAR_NS)
+        missing = [claim for claim in self.claims if claim.rank in (Rank.PRESSED, Rank.MISSING)]
+        handed_on = [claim for claim in missing if self._handed_on(self.parts[claim.key])]
+        for claim in handed_on:
+            claim.instances = (*claim.instances, self.parts[claim.key].stream.instance)
+        settle(self._counts, missing if handed_on else (), FAR_NS)
         for claim in self.claims:
-            totals = self.parts[claim.key].taken
-            for (_, kind), number in claim.by_kind().items():
-                totals[kind] += number
+            part = self.parts[claim.key]
+            for (at, kind), number in claim.by_kind().items():
+                part.taken[kind] += number * (at == part.owner)
             if claim.rank == Rank.POSSIBLE:  # behind the last message that came, where no gap shows it
-                self.parts[claim.key].missing += sum(claim.taken.values())
+                part.missing += sum(claim.taken.values())
         for part in self.parts:
             if part.closed:
                 self._tell_closed(part)

@@ -188,12 +188,13 @@ def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int 
 def _tables(
     counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0
 ) -> dict[tuple[int, PipeKind], _Table]:
-    """Return who may take the counts of each counter that has some left."""
+    """Return who may take the counts of each counter that has some left, or whose claims may go elsewhere."""
+    several = {at for claim in claims if len(claim.instances) > 1 for at in claim.instances}
     return {
         (instance, kind): _Table(instance, kind, own, claims, slack_ns)
         for instance, own in counts.items()
         for kind in COUNTERS
-        if own.left[kind].any()
+        if own.left[kind].any() or instance in several
     }
 
 
