@@ -347,7 +347,8 @@ class _Counted:
             high = sent[part] - count[part]
             emptied_ns, busy = self._emptied(part)
             emptied_ns -= under_way_ns + unsteady_ns
-            low = np.where(emptied_ns <= 0, -_MODULUS, self._sent_until(emptied_ns) - count[part])
+            low = self._sent_until(emptied_ns) - count[part]
+            low[emptied_ns < self._case.start_ns] = -_MODULUS  # what was sent by then is not here
             if first and self._reset(own[first - 1], own[first]):
                 # It ran on, and set its count to 0: it read no more until then than it can.
                 begin: tuple[Cause, int] = ("socket" if crowded else "network", idle_ns)
@@ -359,7 +360,7 @@ class _Counted:
                 begin, lost, before = self._restarted(account, last, first, lost, before)
             else:
                 begin = self._first_count()
-                if busy[1:2].any():
+                if busy[1:2].any() or (np.diff(count[part][:2]) > sent[part][1:2]).any():
                     low[0] = -_MODULUS  # how much it had read before the first sample, nothing tells
                     idle = np.flatnonzero(np.diff(count[part]) < most)
                     behind = int(self._seen[idle[0] + 1 if len(idle) else -1])
