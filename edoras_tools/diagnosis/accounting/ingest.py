@@ -198,7 +198,9 @@ def ingests(case: Case) -> list[Ingest]:
             if account.lost_on_network or (account.lost and account.not_captured):
                 late = counter.account(_UNDER_WAY_NS)
                 # What a slow network explains is no loss, and no copy: rule 8.
-                if not late.lost_on_network or late.not_captured < account.not_captured:
+                came_late = min(account.not_captured, account.lost_on_network)
+                is_less = late.lost_on_network - late.not_captured <= account.lost_on_network - came_late
+                if is_less and (not late.lost_on_network or late.not_captured < account.not_captured):
                     even = late if counter.stood or counter.has_output else counter.of_steady_delay(account)
                     is_so = even.lost_on_network and not even.not_captured
                     account = even if is_so else replace(late, unsure=account.unsure)
