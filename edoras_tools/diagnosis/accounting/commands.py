@@ -601,7 +601,7 @@ class Commands:
                 self._rest(fate)
                 self._share(fate, own, rest)
                 lost = (loss for loss in self.losses if loss.stream is fate.stream)
-                to_end = fate.spans[-1] in [loss.span for loss in lost if loss.kind in COUNTERS]
+                to_end = fate.stream.spans[-1] in [loss.span for loss in lost if loss.kind in COUNTERS]
                 together = ((shared[at].end_ns, counts[shared[at].instance].times[-1]) for at in own)
                 to_end |= any(end_ns >= last_ns for end_ns, last_ns in together)
                 fate.ends["uncertain"] = self._lost_last(fate, to_end=to_end)

@@ -159,13 +159,13 @@ class Fate:
     Attributes:
         stream: the stream.
         hops: where its messages come out; none where that cannot be seen.
-        spans: its messages in time.
         arrived: bool (rows,), it came out.
         newer: bool (rows,), it did not, and a newer one that may have been taken together with it did.
         open: bool (rows,), nothing has told yet what became of it.
         waits: bool (rows,), it may yet come out.
         blind: bool (rows,), it has no values by which it could be seen to come out.
         unseen: bool (rows,), it may have come out while the capturing interface was away.
+        leaving_ns: i64 (rows,), from when and until when it would have come out.
         ends: messages by how they ended.
         refused: rule to messages that came to nothing by what they are.
         unfollowed: bool (rows,), it was sent when nothing here could show any more what became of it.
@@ -182,13 +182,13 @@ class Fate:
 
     stream: Stream
     hops: list[Hop]
-    spans: list[Span]
     arrived: Mask
     newer: Mask
     open: Mask
     waits: Mask
     blind: Mask
     unseen: Mask
+    leaving_ns: tuple[Integers, Integers]
     ends: Counter[End] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
     counted_in_stop: Counter[int] = field(default_factory=Counter)
@@ -270,10 +270,29 @@ def follow(case: Case, stream: Stream) -> Fate:
     since_ns = max(case.end_ns - delay - WAITS_NS, last_ns - 2 * WAITS_NS)
     waits = open_ & (times > since_ns) & ~case.unreachable.closed[stream.rows] & bool(hops)
     # What may have come out while the capturing interface was away did so unseen.
-    unseen = case.is_away(times, times + delay + WAITS_NS) & open_ & bool(hops)
+    leaving_ns = _leaving(hops, times, delay)
+    unseen = case.is_away(*leaving_ns) & open_ & bool(hops)
     waits |= unseen
     blind, newer = ~followed & ~arrived & bool(hops), _newer(case, hops, open_, times)
-    return Fate(stream, hops, stream.spans, arrived, newer, open_ & ~waits, waits, blind, unseen)
+    return Fate(stream, hops, arrived, newer, open_ & ~waits, waits, blind, unseen, leaving_ns)
+
+
+def _leaving(hops: Sequence[Hop], times: Integers, delay: int) -> tuple[Integers, Integers]:
+    """Return from when and until when each message would have come out: between those around it that did.
+
+    Args:
+        times: when each was sent.
+        delay: so long it takes at the end, about.
+    """
+    none = np.iinfo(np.int64).max
+    out_ns = np.full(len(times) + 1, none)
+    for hop in hops:
+        out_ns[hop.in_rows] = hop.out.time_ns[hop.out_rows]
+    came = np.flatnonzero(out_ns < none)
+    place = np.searchsorted(came, np.arange(len(times)))
+    before, behind = np.append(times[:1], out_ns[came])[place], out_ns[np.append(came, len(times))[place]]
+    behind = np.where(behind < none, behind, times + delay + WAITS_NS)
+    return np.minimum(np.maximum(before, times), behind), np.maximum(before, behind)
 
 
 def _longest(delays_ns: Integers) -> int:

@@ -133,7 +133,7 @@ class Pipes:
             return
         kinds += [kind for kind in COUNTERS if kind not in kinds]
         low_ns, high_ns = self._times(fate)
-        which = np.searchsorted([item.first for item in fate.spans], np.arange(len(stream)), "right") - 1
+        which = np.searchsorted([item.first for item in stream.spans], np.arange(len(stream)), "right") - 1
         counts, is_named = [self._counts[instance] for instance in group], has_events or self._bursts(fate)
         for place, mask in enumerate(_standing(fate)):
             if place == _BLIND and not has_events:
@@ -177,7 +177,7 @@ class Pipes:
             if own.standing == _INTO_STOP:  # that it was stopped is why; ``closed`` tells of them
                 own.fate.counted_in_stop[int(own.fate.stop[own.rows[0]])] += sum(claim.taken.values())
                 continue
-            cut = own.fate.spans[own.span]
+            cut = own.fate.stream.spans[own.span]
             rows = np.arange(cut.first, cut.last + 1)
             among = rows[_standing(own.fate)[own.standing][rows]] if claim.taken else rows
             for (instance, kind), number in claim.by_kind().items():
