@@ -22,7 +22,7 @@ FIRST = {
     "n11_jointstate_sizes": "44 messages were lost: 32 of 76 0x0828, 12 of 12 0x182a.",
     "n8_time_jumps": "No loss found, but 1 warning:",
     "q07_uplink_dup_loss_reorder_ground": "281 datagrams were not examined. "
-    "In the rest: 37 messages were lost: 0x1827.",
+    "In the rest: 37 messages were lost: 0x1827 and an unknown MsgId.",
 }
 
 

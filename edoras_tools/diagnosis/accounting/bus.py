@@ -440,8 +440,9 @@ class Telemetry:
         """Claim counts of what was lost behind the last message that came: no gap shows it."""
         part, case = self.parts[key], self._case
         stream = part.stream
-        if not part.kinds or not self._ends(part):
-            return
+        into = among(case.rows.link, lambda link: link.to_cfs)
+        if not part.kinds or not self._ends(part) or not into.any():
+            return  # commands that are not here may be counted as well
         most = self._most_behind(part)
         for hop in case.hops:
             if hop.out is stream and hop.matched > _MOSTLY * len(stream):

@@ -562,7 +562,8 @@ class Leftover:
         """Return what may be counted: what events name, else what is sent faster than a pipe takes."""
         case, candidates = self._case, []
         for reported, report in case.reported_losses.items():
-            if (reported.instance, reported.kind) != (instance, kind):
+            # Of what is not here, others than those that events name may be lost as well.
+            if not self._fates or (reported.instance, reported.kind) != (instance, kind):
                 continue
             out = self._seen_behind(reported)
             # What leaves by a pipe and is seen behind it has gaps, which are counted there; what is lost
