@@ -170,7 +170,8 @@ def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list
         for at, (place, (came_by, went_by)) in sorted(_ways_in(ways_in, ways_out, crossing.follows).items()):
             into, out = ways_in.streams[place], ways_out.streams[at]
             came, went = ways_in.of(place, came_by), ways_out.of(at, went_by)
-            early_ns = max(_EARLY_NS, crossing.unsteady_ns)
+            is_packet = out.counted and came_by in dict(_OF_PACKETS)  # whatever two capture clocks say
+            early_ns = max(_EARLY_NS, crossing.unsteady_ns, SECOND * is_packet)
             hops.append(_match(into, out, came, went, early_ns))
             for also, item in enumerate(
                 ways_in.streams if hops[-1].rewritten and not out.link.last_hop else ()
