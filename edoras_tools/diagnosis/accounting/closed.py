@@ -84,7 +84,10 @@ def closed_at(case: Case, stream: Stream, at: Places) -> Mask:
         # Telemetry Output that speaks from another port started anew, and forgot whom it sends to.
         out |= rows.source[stream.rows[at]] != rows.source[stream.rows[behind]]
         added_ns = _commanded_ns(case, stream, telemetry_output.ADD_PACKET)
-        for when in _commanded_ns(case, stream, *telemetry_output.STOPS):
+        stops_ns = _commanded_ns(case, stream, *telemetry_output.STOPS)
+        for when in added_ns[:1][added_ns[:1] < stops_ns.min(initial=NEVER)]:
+            out |= (starts < when) & (when < ends)  # it may have been taken off before the capture began
+        for when in stops_ns:
             # Where it is added again, what comes behind the one gap that ends there was lost otherwise.
             again_ns = added_ns[added_ns > when].min(initial=NEVER)
             inside = (starts - _STOPS_NS < when) & (when < ends)
