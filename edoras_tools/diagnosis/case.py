@@ -321,7 +321,7 @@ class Case:
         counts = ((item.endpoint, item.taken + item.not_captured, item.not_captured) for item in own)
         more = [Evidence("ci_counts", *item) for item in counts]
         if 2 * self.prepared.copies > len(self.rows) and not self.prepared.perhaps_astray.any():
-            more.append(Evidence("copies", NOBODY, len(self.rows), 0))
+            more.append(Evidence("copies", NOBODY, self.prepared.copies, 0))
         return replace(quality, evidence=(*quality.evidence, *more))
 
     @cached_property

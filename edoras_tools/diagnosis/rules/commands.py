@@ -240,7 +240,7 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
         remedy=f"send commands of {cfe.COMMAND_HEADER_BYTES} to {CI_BUFFER} bytes with their length, and a "
         "MsgId and function code that an application has",
         confidence="high" if events or not kind.event else "medium",
-        by_type=kind.finding is Finding.CDR_INVALID,
+        by_type=kind.finding is Finding.CDR_INVALID or kind is _SHORT,
     )
 
 
