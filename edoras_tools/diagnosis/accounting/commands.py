@@ -232,14 +232,16 @@ class Commands:
     def _is_lost_between(self) -> bool:
         """Whether neither of two places that a file has both of can have missed what one of them lacks.
 
-        CI's counts say that some were lost, and just as many as one place lacks of what went to it: both have
-        the rest.
+        CI's counts say that some were lost by a time, and just as many as one place lacks of what went to it
+        until then: both have the rest.
         """
         alone, rows = self._case.prepared.perhaps_astray, self._case.rows
         up = rows.on(lambda link: link.only_to_cfs)
+        last_ns = rows.time_ns[alone & up].max(initial=0)
+        ends = [loss.end_ns for own in self._case.ingests for loss in own.losses if loss.end_ns >= last_ns]
         down = alone[rows.on(lambda link: link.only_from_cfs)]
         lost = sum(account.lost_on_network for account in self._case.ingests)
-        is_so = lost > 0 and int(alone[up].sum()) == lost == int(alone.sum() - down.sum())
+        is_so = bool(ends) and int(alone[up].sum()) == lost == int(alone.sum() - down.sum())
         return is_so and (1 - down.sum() / max(1, len(down))) ** int((up & ~alone).sum()) < 1 - CONFIDENCE
 
     def _down(self, fate: Fate) -> None:
