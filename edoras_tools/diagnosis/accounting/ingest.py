@@ -186,7 +186,7 @@ def ingests(case: Case) -> list[Ingest]:
     to_ci = np.flatnonzero(came)
     samples = _samples(case)
     every = distinct(rows.destination[to_ci]).tolist()
-    places = {system: _endpoint(case, every, own, alone=len(samples) == 1) for system, own in samples.items()}
+    places = {system: _endpoint(case, every, own) for system, own in samples.items()}
     uses = Counter(places.values())
     accounts = []
     for system, own in samples.items():
@@ -258,15 +258,14 @@ def _samples(case: Case) -> dict[int, list[_Sample]]:
     }
 
 
-def _endpoint(case: Case, places: Sequence[int], own: Sequence[_Sample], *, alone: bool) -> int | None:
+def _endpoint(case: Case, places: Sequence[int], own: Sequence[_Sample]) -> int | None:
     """Return where a cFS's CI listens: the only place, or that of its address and number.
 
     Args:
         places: where datagrams to any CI went.
         own: its counts.
-        alone: no other cFS counts.
     """
-    if len(places) == 1 and alone:
+    if len(places) == len(set(case.instances.systems)) == 1:
         return places[0]
     items = case.instances.items
     host, address = items[own[0].instance].host, case.endpoints[own[0].source].address
