@@ -644,7 +644,7 @@ class Commands:
         more = min(unaccounted, ends["passed_on"]) if fate.newer.any() else 0
         ends["superseded"] += more
         # Where times are wrong, what is late may be taken for another; so may what has another value.
-        strange = fate.open & (~fate.edge if self._case.unsteady_ns else fate.strange)
+        strange = fate.open & (~fate.edge if self._case.unsteady_ns else fate.strange | fate.unseen)
         ends["missed"] += (not_seen := min(int(strange.sum()), unaccounted - more))
         ends["unaccounted"] += unaccounted - more - not_seen
 

@@ -835,12 +835,12 @@ class BeforeCi:
         """
         # Of what an application keeps the newest of, others than lost ones did not come out.
         all_out = [fate for fate in self._to(account) if fate.seen and not fate.keeps_newest]
-        size, quality, blind = sum(len(fate.stream) for fate in all_out), self._case.quality, self._case.blind
+        size, quality = sum(len(fate.stream) for fate in all_out), self._case.quality
         # Where a few are known to be missed, no share is excluded: what did not come out here are few.
         shows = any(item.missing for item in quality.evidence if item.kind != "periods")
         for before in account.losses if size and self._case.loss_counts else ():
             may = self._open(all_out, before, before.since_ns)
-            number = sum(int((own & ~overlapping(*fate.leaving_ns, blind)).sum()) for fate, own in may)
+            number = sum(int((own & ~fate.unseen).sum()) for fate, own in may)
             missed = quality.may_have_missed(size) if shows else self._case.may_lack(size, number)
             text = "so many did not come out, and its counts leave room for them"
             self._spread(may, before, min(max(0, number - missed), before.more), [text])

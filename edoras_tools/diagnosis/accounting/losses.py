@@ -17,6 +17,7 @@ import numpy as np
 from edoras_tools.cfs import command_ingest, executive_services, sbn
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.loss_reports import PipeKind
+from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import MILLISECOND, SECOND
 
@@ -164,8 +165,7 @@ class Fate:
         open: bool (rows,), nothing has told yet what became of it.
         waits: bool (rows,), it may yet come out.
         blind: bool (rows,), it has no values by which it could be seen to come out.
-        unseen: bool (rows,), it may have come out while the capturing interface was away.
-        leaving_ns: i64 (rows,), from when and until when it would have come out.
+        unseen: bool (rows,), it may have come out while nothing was captured.
         ends: messages by how they ended.
         refused: rule to messages that came to nothing by what they are.
         unfollowed: bool (rows,), it was sent when nothing here could show any more what became of it.
@@ -188,7 +188,6 @@ class Fate:
     waits: Mask
     blind: Mask
     unseen: Mask
-    leaving_ns: tuple[Integers, Integers]
     ends: Counter[End] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
     counted_in_stop: Counter[int] = field(default_factory=Counter)
@@ -269,12 +268,12 @@ def follow(case: Case, stream: Stream) -> Fate:
     last_ns = times[arrived][-1] if arrived.any() else 0
     since_ns = max(case.end_ns - delay - WAITS_NS, last_ns - 2 * WAITS_NS)
     waits = open_ & (times > since_ns) & ~case.unreachable.closed[stream.rows] & bool(hops)
-    # What may have come out while the capturing interface was away did so unseen.
+    # What may have come out while nothing was captured did so unseen.
     leaving_ns = _leaving(hops, times, delay)
-    unseen = case.is_away(*leaving_ns) & open_ & bool(hops)
-    waits |= unseen
+    unseen = overlapping(*leaving_ns, case.blind) & open_ & bool(hops)
+    waits |= unseen & case.is_away(*leaving_ns)
     blind, newer = ~followed & ~arrived & bool(hops), _newer(case, hops, open_, times)
-    return Fate(stream, hops, arrived, newer, open_ & ~waits, waits, blind, unseen, leaving_ns)
+    return Fate(stream, hops, arrived, newer, open_ & ~waits, waits, blind, unseen)
 
 
 def _leaving(hops: Sequence[Hop], times: Integers, delay: int) -> tuple[Integers, Integers]:

@@ -96,7 +96,7 @@ def _standing(fate: Fate) -> tuple[Mask, ...]:
     """Return which messages lack, may have gone on, may yet come, nobody sees, were sent to nobody, end."""
     into_stop = fate.open & (fate.stop >= 0) & ~fate.unread
     others = fate.open & (fate.stop < 0)
-    sure = others & ~fate.newer & ~fate.passed & ~fate.edge & fate.seen
+    sure = others & ~fate.newer & ~fate.passed & ~fate.edge & ~fate.unseen & fate.seen
     return sure, others & ~sure & ~fate.edge, fate.waits, fate.blind, into_stop, others & fate.edge
 
 
