@@ -273,8 +273,14 @@ class Telemetry:
     def _not_handed_on(self, stream: Stream, hop: Hop) -> _Gaps:
         """Return what came in and did not go out: what was lost further up is that link's loss."""
         self._dropped(stream)
-        out, absent = stream.time_ns, np.flatnonzero(hop.absent)
-        due = hop.into.time_ns[absent]
+        whose = np.full(len(hop.into), -1)
+        for own in self._case.hops:
+            if own.into is hop.into and own.out.sender == stream.sender:
+                whose[own.in_rows] = own is hop
+        came, absent = np.flatnonzero(whose >= 0), np.flatnonzero(hop.known & (whose < 0))
+        # Where wrong times make several streams of one, what came out behind it tells of which it is missing.
+        absent = absent[whose[np.append(came, came[-1:])[np.searchsorted(came, absent)]] == 1]
+        out, due = stream.time_ns, hop.into.time_ns[absent]
         # What came just before the last that went out may have waited for the next round.
         inside = (due >= out[0]) & (due <= out[-1] - self._case.profile.sbn_wake_ns)
         absent, due = absent[inside], due[inside]
