@@ -561,7 +561,7 @@ def _missing_at(rows: Rows, streams: Sequence[Places], start_ns: int) -> tuple[i
     missing = number = packets = 0
     for own in streams:
         at = int(np.searchsorted(rows.time_ns[own], start_ns, "right"))
-        if 0 < at < len(own) and len(own) > 2 * _LEAST_ROWS:
+        if 0 < at < len(own) and len(own) > _LEAST_ROWS:
             number += 1
             missing += bool(rows.missing[own[at]] > 0)
             packets += int(rows.missing[own[at]])
