@@ -124,12 +124,15 @@ def _in_order(samples: Samples, some: Places, instances: Instances, rows: Rows) 
     order = np.argsort(made_ns, kind="stable")
     # Of one time there is one sample: what comes again is the same.
     order = order[np.diff(made_ns[order], prepend=made_ns[order[:1]] - 1) > 0]
-    # One whose count is not between those of its neighbours is of another cFS.
+    # One whose count is not between those of its neighbours is of another cFS; so is one that counts more
+    # than the next one, which the one before it does not.
     count = rows.sequence_count[samples["row"][some[order]]].astype(np.int64)
     mine, next_ = (count[1:-1] - count[:-2]) % MODULUS, (count[2:] - count[:-2]) % MODULUS
-    astray = (next_ < MODULUS // 2) & (mine > next_)
-    order = order[~np.concatenate(([False], astray, [False]))[: len(order)]]
-    return made_ns[order], np.array([samples[name][some[order]] for name in _WIDTHS])
+    values = np.array([samples[name][some[order]] for name in _WIDTHS], np.int64)
+    before, own, behind = values[:2, :-2], values[:2, 1:-1], values[:2, 2:]
+    astray = (next_ < MODULUS // 2) & (mine > next_) | ((before <= behind) & (behind < own)).any(axis=0)
+    fits = ~np.concatenate(([False], astray, [False]))[: len(order)]
+    return made_ns[order[fits]], values[:, fits]
 
 
 def _returns(values: Integers) -> bool:
