@@ -202,8 +202,7 @@ def group_verdicts(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
             verdict.reason if single else "",
         )
 
-    ordered = sorted(verdicts, key=order)
-    groups = [list(members) for _, members in groupby(ordered, key=order)]
+    groups = [list(members) for _, members in groupby(sorted(verdicts, key=order), key=order)]
     groups.sort(key=lambda members: (*order(members[0])[:4], -sum(item.lost or 0 for item in members)))
     return [sorted(members, key=lambda item: item.start_ns) for members in groups]
 

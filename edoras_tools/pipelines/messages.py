@@ -137,8 +137,7 @@ def message_bench(topics: Sequence[RecordedTopic], settings: Settings) -> Workbe
         for topic in topics
     )
     mission = Mission(routes=routes, recorded=recorded)
-    context = Context(mission, types, settings.options, Structs())
-    return Workbench(mission, types, ColumnDecoder(context))
+    return Workbench(mission, types, ColumnDecoder(Context(mission, types, settings.options, Structs())))
 
 
 def definition_of(topic: RecordedTopic) -> str:

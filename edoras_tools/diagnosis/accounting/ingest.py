@@ -148,13 +148,12 @@ class Ingest(msgspec.Struct):
     def spare(self, again_ns: Integers) -> None:
         """Leave open as many losses on the network as there are copies by then: the capture may make some.
 
+        And take back as many as CI counts more than is here: those may have come late.
+
         Args:
             again_ns: when copies were sent.
         """
         self.unsure += self._take_back(lambda end_ns: int((again_ns <= end_ns).sum()))
-
-    def take_back_late(self) -> None:
-        """Take back losses on the network as far as CI counts more than is here: those may have come late."""
         later = self._take_back(lambda _: self.not_captured)
         self.taken, self.not_captured = self.taken + later, self.not_captured - later
 
@@ -207,7 +206,6 @@ def ingests(case: Case) -> list[Ingest]:
                 elif counter.stood and (more := account.lost_on_network - late.lost_on_network) > 0:
                     account = replace(late, unsure=account.unsure + more)
             account.spare(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
-            account.take_back_late()
             accounts.append(account)
     return [*accounts, *_by_kernel(case, to_ci, {item.endpoint for item in accounts})]
 

@@ -256,8 +256,7 @@ def _spans(
         )
         spans.append(span)
         free = np.flatnonzero(events.unanswered[first:end]) + first
-        inside = free < last
-        marks.closed[row[free[inside & ~telling[free]]]] = True
+        marks.closed[row[free[(free < last) & ~telling[free]]]] = True
         marks.uncertain[row[free]] = True
         if span.step_ns and span.start_ns - times[before[-1]] <= _REGULAR * span.step_ns:
             late = np.arange(before[-1], first)

@@ -242,8 +242,7 @@ class _Ends:
         if kind != _COUNT:
             return owner, prints
         # A count says nothing but within one MsgId of one cFS.
-        origin = self.msg_id[owner] << 16 | self.instance[owner] << 48
-        return owner, prints + origin.astype(np.uint64)
+        return owner, prints + (self.msg_id[owner] << 16 | self.instance[owner] << 48).astype(np.uint64)
 
     def keys(self, owner: Places, values: Prints, *, into: bool) -> tuple[Places, Prints]:
         """Return what equal fingerprints are looked up by: whose, and which.

@@ -449,8 +449,7 @@ def privileged_commands(case: Case) -> Iterator[Verdict]:
 
 def _some(texts: Sequence[str]) -> str:
     """Return the first of some texts, and how many more there are."""
-    more = f" and {len(texts) - _MOST} more" if len(texts) > _MOST else ""
-    return ", ".join(texts[:_MOST]) + more
+    return ", ".join(texts[:_MOST]) + (f" and {len(texts) - _MOST} more" if len(texts) > _MOST else "")
 
 
 def checksum(case: Case) -> Iterator[Verdict]:

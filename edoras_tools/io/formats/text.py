@@ -104,8 +104,7 @@ class JsonLinesWriter:
         """Return some rows as text."""
         names = [dumps(column.name, ensure_ascii=False).replace("%", "%%") for column in columns]
         line = "{" + ", ".join(f"{name}: %s" for name in names) + "}\n"
-        rows = zip(*map(json_texts, columns), strict=True)
-        return TextRows("".join(map(line.__mod__, rows)).encode())
+        return TextRows("".join(map(line.__mod__, zip(*map(json_texts, columns), strict=True))).encode())
 
     def write(self, piece: TextRows) -> None:
         """Write some rows."""

@@ -269,8 +269,7 @@ class CaptureTopics(TopicSource):
         """Add the topics of DDS that the content announces, if it can be read twice."""
         for topic, kind in self._bench.columns.context.announced_topics().items():
             if self._bench.types.has(kind):
-                name = f"{APART}{topic}" if topic in self.topics else topic
-                self.topics.setdefault(name, kind)
+                self.topics.setdefault(f"{APART}{topic}" if topic in self.topics else topic, kind)
 
     def look(self) -> None:
         """Add the topics of RACS2, of DDS and of files that were transferred."""

@@ -252,8 +252,7 @@ def _walk_text(step: Text, cursor: Cursor, collector: Collector | None, prefix: 
     if narrow:
         last = length - 1  # where the length is 0, this is a byte of the length itself, and is not checked
         cursor.note(cursor.position + last, 1)
-        ends = cursor.bytes.data[cursor.start + last] == 0
-        length = cursor.keep(ends | np.equal(length, 0), length)
+        length = cursor.keep((cursor.bytes.data[cursor.start + last] == 0) | np.equal(length, 0), length)
     if collector is not None:
         collector.text(joined(prefix, step.name), step, cursor, length)
     cursor.position = cursor.position + length * step.width

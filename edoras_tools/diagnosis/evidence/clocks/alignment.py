@@ -135,8 +135,7 @@ def _related(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) 
         # It may have been a later datagram that was heard: how late an answer can be, nothing tells.
         yield ordered(pairs, _NEAR_NS, at_once_ns=_AT_ONCE_NS)
     for pairs in _values(cause.rows, effect.rows, about, back=back):
-        at_once = _AT_ONCE_NS if len(pairs[0]) >= _MANY else None
-        yield ordered(pairs, _THROUGH_NS, at_once_ns=at_once)
+        yield ordered(pairs, _THROUGH_NS, at_once_ns=_AT_ONCE_NS if len(pairs[0]) >= _MANY else None)
     for pairs, owner, maker in _packets(cause, effect, about, back=back):
         if owner == maker:
             yield ordered(pairs, _OUTPUT_NS, early_ns=_NETWORK_NS, each=True)
