@@ -320,8 +320,9 @@ class Case:
         own = [item for item in self.ingests if item.not_captured and cut]
         counts = ((item.endpoint, item.taken + item.not_captured, item.not_captured) for item in own)
         more = [Evidence("ci_counts", *item) for item in counts]
-        if 2 * self.prepared.copies > len(self.rows) and not self.prepared.perhaps_astray.any():
-            more.append(Evidence("copies", NOBODY, self.prepared.copies, 0))
+        once = len(self.rows) - (twice := self.prepared.copies)
+        if once < twice and not self.prepared.perhaps_astray.any():  # as of two that count the same
+            more.append(Evidence("copies", NOBODY, twice, once**2 // (4 * twice)))
         return replace(quality, evidence=(*quality.evidence, *more))
 
     @cached_property

@@ -66,6 +66,7 @@ _LATER_NS: Final = 500 * MILLISECOND
 _UNNUMBERED_NS: Final = 5 * MILLISECOND
 _STEADY: Final = 0.8
 _NEARLY_ALL: Final = 0.95
+_MOSTLY: Final = 0.5
 _LEAST_GROUPS: Final = 8
 _LEAST_BYTES: Final = 16
 _LEAST_PAIRS: Final = 20
@@ -152,17 +153,20 @@ def find_copies(
             pairs = order[at[np.argsort(place[order[at]])]]
             off_ns = time_ns - np.interp(place, place[pairs], time_ns[pairs].astype(np.float64))
             out.behind_ns[out.alone & (np.abs(off_ns - apart_ns) < np.abs(off_ns))] = apart_ns
+    bare, mostly = identification == 0, _NEARLY_ALL
+    if _of_most(conversation, np.flatnonzero(repeated & bare), np.flatnonzero(bare & ~repeated)):
+        mostly = _MOSTLY  # the capture doubles all that it does not miss
     own = np.flatnonzero(np.isin(conversation, distinct(conversation[repeated])))
     for _, rows in groups(conversation, own):
-        for has_id in (True, False):
+        steady = False
+        for has_id in (True, False):  # among others that have one, 0 is one, too
             mine = rows[(identification[rows] != 0) == has_id]
             twice = mine[repeated[mine]]
             if not len(twice):
                 continue
             sizes = group_size[mine[~repeated[mine]]]
-            steady = float((sizes > 1).mean()) >= _STEADY and len(sizes) >= _LEAST_GROUPS
-            if not has_id:
-                steady = len(sizes) >= _LEAST_GROUPS and float((sizes == 2).mean()) >= _NEARLY_ALL
+            share = float((sizes > 1).mean() if has_id else (sizes == 2).mean())
+            steady |= len(sizes) >= _LEAST_GROUPS and share >= (_STEADY if has_id else mostly)
             copied = np.ones(len(twice), bool) if steady else elsewhere[twice]
             out.copy[twice[copied]] = True
             if has_id:
