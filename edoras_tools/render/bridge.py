@@ -75,8 +75,7 @@ def losses(summary: Mapping[str, Any]) -> list[str]:
         name = item["name"]
         for route in item["routes"]:
             for reason, count in route["refused"].items():
-                number = plural(count, "message")
-                lines.append(f"{name}: {route['topic']}: {number} refused: {reason}")
+                lines.append(f"{name}: {route['topic']}: {plural(count, 'message')} refused: {reason}")
             for key, reason in _LOST.items():
                 if route[key]:
                     lines.append(f"{name}: {route['topic']}: {plural(route[key], 'message')} lost: {reason}")

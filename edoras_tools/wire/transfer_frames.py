@@ -162,16 +162,14 @@ class FrameFormat(msgspec.Struct, frozen=True):
     @property
     def data_start(self) -> int:
         """Bytes in front of the data, and of what a TM secondary header adds."""
-        error_control = HEADER_ERROR_CONTROL_BYTES * self.header_error_control
-        return self.layout.size + error_control + self.insert_zone
+        return self.layout.size + HEADER_ERROR_CONTROL_BYTES * self.header_error_control + self.insert_zone
 
     @property
     def smallest(self) -> int:
         """Bytes of a frame with headers and trailers, and one byte of data."""
         further = {"tm": 0, "aos": AOS_PACKETS.size, "tc": TC_SEGMENT.size}[self.kind]
         further *= self.kind == "aos" or self.segment_header
-        trailer = CRC16_BYTES * self.fecf + OCF_BYTES * self.ocf
-        return self.data_start + further + trailer + 1
+        return self.data_start + further + CRC16_BYTES * self.fecf + OCF_BYTES * self.ocf + 1
 
 
 def count_modulus(kind: str) -> int:

@@ -75,8 +75,7 @@ def fault_of(cdr: bytes) -> Fault:
     except struct.error as error:
         raise WireError(f"{FAULTS_TOPIC}: a message of {len(cdr)} bytes ends too early") from error
     kind, detail, rule = (part.rstrip(b"\0").decode(errors="replace") for part in parts[:3])
-    time_ns = seconds * SECOND + rest
-    return Fault(time_ns, kind, detail, parts[3], table.link(link), to_cfs, msg_id, rule)
+    return Fault(seconds * SECOND + rest, kind, detail, parts[3], table.link(link), to_cfs, msg_id, rule)
 
 
 def _payload(layout: Layout, **cut: int) -> np.dtype[np.void]:

@@ -188,8 +188,7 @@ def export(
                     target.check_alone(topic, tables)
                     none = source.empty(topic)  # it has the columns of all blocks
                     head = TableHead(topic, none.message.type, _description(source, topic))
-                    columns = form.columns(none, 0)
-                    tables[topic] = TableFile(target.place(topic), make, head, columns)
+                    tables[topic] = TableFile(target.place(topic), make, head, form.columns(none, 0))
                 writing.do(tables[topic].write, item, rows)
             writing.wait()
             source.check_found(tables, selection)

@@ -122,8 +122,7 @@ class SendReport(msgspec.Struct):
     @property
     def lost(self) -> int:
         """Datagrams and messages that were certainly lost: refused, never read by CI, or lost on the bus."""
-        unread = self.responses.ingest.missing if self.to_ci else 0
-        return self.send_errors + unread + self.responses.lost
+        return self.send_errors + self.responses.ingest.missing * self.to_ci + self.responses.lost
 
     def beyond(self, most: float | None) -> list[str]:
         """Return why the run is not as it should be, a line each.

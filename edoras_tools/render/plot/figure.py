@@ -199,8 +199,7 @@ class Figure(msgspec.Struct, frozen=True):
 
 def text_width(text: str, size: float) -> float:
     """Return how wide a text is at most in the usual sans-serif fonts, in the unit of ``size``."""
-    letters = (1.0 if sign in _WIDE else 0.42 if sign in _NARROW else 0.68 for sign in text)
-    return size * sum(letters)
+    return size * sum(1.0 if sign in _WIDE else 0.42 if sign in _NARROW else 0.68 for sign in text)
 
 
 def ticks(end: float, most: int = _MOST_TICKS) -> list[float]:
