@@ -577,6 +577,12 @@ HURT = [
     *((name, LATE) for name in ("frames_in_bursts", "processor_restarted", "stood_still", "each_sent_twice")),
     *((name, mutations.only_to(1235)) for name in ("added_again_lower", "limits_changed_in_overload")),
     ("two_cfs", mutations.part(0, 0.85)),
+    ("two_cfs", mutations.late(200_000_000, 2234)),
+    ("two_cfs", mutations.without_one(1234)),
+    ("sbn_restarted", mutations.doubled_later(1, 3000)),
+    *((name, mutations.without_middle(0.7, 0.8)) for name in ("nobody_subscribes", "ci_counters_reset")),
+    ("captured_amid_a_flood", mutations.without_middle(0.3, 0.4)),
+    ("ci_counters_reset", mutations.without_middle(0.5, 0.6)),
 ]
 
 

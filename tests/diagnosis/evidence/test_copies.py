@@ -19,13 +19,13 @@ from edoras_tools.units import MILLISECOND
 MS = 1_000_000
 
 
-def found(items):
-    """Return copies and duplicates of (ms, identification, tap, bytes) in one conversation."""
+def found(items, ways=1):
+    """Return copies and duplicates of (ms, identification, tap, bytes) in conversations, by their bytes."""
     when, identification, tap, prints = (np.array(column) for column in zip(*items, strict=True))
     out = find_copies(
         (when * MS).astype(np.int64),
         identification.astype(np.uint16),
-        np.zeros(len(items), np.int64),
+        prints.astype(np.int64) % ways,
         tap.astype(np.uint64),
         prints.astype(np.uint64),
     )
@@ -62,6 +62,16 @@ def test_without_identification_a_conversation_that_comes_in_twos_is_captured_tw
     items = [(at * 100 + step / 10, 0, 0, 7) for at in range(20) for step in (0, 1)]
     assert found(items) == (20, 0)
     assert found(items[:10]) == (0, 0)
+
+
+@pytest.mark.parametrize(("ways", "copies"), [(1, 0), (4, 72)])
+def test_without_identification_most_ways_in_twos_tell_also_where_some_are_missing(ways, copies):
+    items = [(at * 100 + step, 0, 0, at) for at in range(80) for step in (0, 1)]
+    assert found([item for at, item in enumerate(items) if at % 20], ways) == (copies, 0)
+
+
+def test_an_identification_of_0_among_others_is_one():
+    assert found([(at * 100 + step, at, 0, at) for at in range(10) for step in (0, 1)]) == (10, 0)
 
 
 def test_without_identification_two_places_tell():
