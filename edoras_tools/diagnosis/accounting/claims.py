@@ -246,11 +246,9 @@ def settle_known(
     Args:
         rivals: traffic that is not in the capture.
     """
-    for ranks, slack_ns in (
-        (range(Rank.NOT_TAKEN, Rank.OWN_PACKETS), _APART_NS),
-        (range(Rank.NOT_TAKEN, Rank.QUIET), 0),
-        (range(Rank.QUIET, Rank.MISSING), 0),
-    ):
+    missing = {Rank.NOT_TAKEN, Rank.PRESSED, Rank.ABSENT, Rank.CLOSED}
+    with_own, quiet = missing | {Rank.OWN_PACKETS}, {Rank.QUIET, Rank.INTO_STOP}
+    for ranks, slack_ns in ((missing, _APART_NS), (with_own, 0), (quiet, 0)):
         sure = [claim for claim in claims if claim.rank in ranks]
         settle(counts, sure)
         settle(counts, sure, slack_ns)
