@@ -199,7 +199,8 @@ def ingests(case: Case) -> list[Ingest]:
                 # What a slow network explains is no loss, and no copy: rule 8.
                 came_late = min(account.not_captured, account.lost_on_network)
                 is_less = late.lost_on_network - late.not_captured <= account.lost_on_network - came_late
-                if is_less and (not late.lost_on_network or late.not_captured < account.not_captured):
+                explains = late.lost_on_network == 0 < account.lost_on_network
+                if is_less and (explains or late.not_captured < account.not_captured):
                     even = late if counter.stood or counter.has_output else counter.of_steady_delay(account)
                     is_so = even.lost_on_network and not even.not_captured
                     account = even if is_so else replace(late, unsure=account.unsure)
@@ -346,8 +347,7 @@ class _Counted:
             high = sent[part] - count[part]
             emptied_ns, busy = self._emptied(part)
             emptied_ns -= under_way_ns + unsteady_ns
-            low = self._sent_until(emptied_ns) - count[part]
-            low[emptied_ns < self._case.start_ns] = -_MODULUS  # what was sent by then is not here
+            low = np.where(emptied_ns <= 0, -_MODULUS, self._sent_until(emptied_ns) - count[part])
             if first and self._reset(own[first - 1], own[first]):
                 # It ran on, and set its count to 0: it read no more until then than it can.
                 begin: tuple[Cause, int] = ("socket" if crowded else "network", idle_ns)
@@ -359,7 +359,7 @@ class _Counted:
                 begin, lost, before = self._restarted(account, last, first, lost, before)
             else:
                 begin = self._first_count()
-                if busy[1:2].any() or (np.diff(count[part][:2]) > sent[part][1:2]).any():
+                if busy[1:2].any() or ((sent[part][1:2] == 0) & (np.diff(count[part][:2]) > 0)).any():
                     low[0] = -_MODULUS  # how much it had read before the first sample, nothing tells
                     idle = np.flatnonzero(np.diff(count[part]) < most)
                     behind = int(self._seen[idle[0] + 1 if len(idle) else -1])
