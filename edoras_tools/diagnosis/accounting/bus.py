@@ -293,7 +293,7 @@ class Telemetry:
         low, high = gaps.low_ns, gaps.high_ns
         part.outside = int(gaps.number[(low <= counts.times[0]) | (high > counts.times[-1])].sum())
         part.watched = 2 * part.outside <= part.missing
-        kinds = (*part.kinds, *(kind for kind in COUNTERS if kind not in part.kinds))
+        kinds = (*part.kinds, *(kind for kind in [*COUNTERS][::-1] if kind not in part.kinds))
         rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, id(part.stream)
         for members in claimed_alike([counts], low, high):
             span, number = (int(low[members[0]]), int(high[members[0]])), int(gaps.number[members].sum())
@@ -421,13 +421,14 @@ class Telemetry:
         part.evidence += [text] if part.missing else []
         window = span.start_ns - LEAD_NS, span.end_ns + TAIL_NS
         kinds: list[tuple[bool, PipeKind]] = []
+        grown = {kind: self._grown(part, name) > 0 for kind, name in COUNTERS.items()}
         for kind in COUNTERS:
             events = self._naming(stream, kind)
             is_named = bool(events and events.within(*window))
-            if events:
-                part.evidence.append(events.text(events.count))
+            if events and is_named:
+                part.evidence.append(events.text(events.within(*window)))
             # Without its counter a full pipe proves nothing.
-            if is_named or (self._grown(part, COUNTERS[kind]) and pressed(case, stream, span, kind, gaps)):
+            if is_named or (grown[kind] and pressed(case, stream, span, kind, gaps, full=grown["overflow"])):
                 kinds.append((not is_named, kind))
         if not kinds and part.owner not in self._counts and stream.link.only_from_cfs and not via:
             period_ns = queues.telemetry_pipe(case.profile).round_ns
@@ -446,7 +447,7 @@ class Telemetry:
         """Claim counts of what was lost behind the last message that came: no gap shows it."""
         part, case = self.parts[key], self._case
         stream = part.stream
-        into = among(case.rows.link, lambda link: link.to_cfs)
+        into = case.rows.on(lambda link: link.to_cfs)
         if not part.kinds or not self._ends(part) or not into.any():
             return  # commands that are not here may be counted as well
         most = self._most_behind(part)
@@ -544,18 +545,12 @@ class Telemetry:
         """Yield why what is missing may not have been lost behind cFS."""
         case, stream = self._case, part.stream
         if case.peers_unseen:
-            yield (
-                "several cFS are here, and what they send each other over SBN is not in the capture: it may "
-                "have been lost there"
-            )
+            yield "what several cFS send each other over SBN is not in the capture: it may be lost there"
         if stream.link.peers and not case.network.crossing(stream.sender, stream.receiver):
             yield "too little that its peer sent is here to tell whether it was connected"
         if self._handed_on(part):
             whom = "a cFS" if stream.instance == NOBODY else case.label(stream.instance)
-            yield (
-                f"it came over SBN from {whom}, and that link is not in "
-                "the capture: its peer pipe may have lost some of these"
-            )
+            yield f"it came over SBN from {whom}, which is not in the capture: some may be lost at that pipe"
 
     def _never_whole(self, part: Part) -> int:
         """Return how many lost their later fragments on the way."""

@@ -177,21 +177,21 @@ def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int 
         claims: of all of them together.
         slack_ns: by so much the time of a claim may be wrong, on either side.
     """
-    tables = _tables(counts, claims, slack_ns)
-    for rank in sorted({claim.rank for claim in claims}):
-        for place in range(len(COUNTERS)):
+    for place in range(len(COUNTERS)):  # as much as can be is of the likelier kind
+        tables = _tables(counts, claims, slack_ns, place + 1)
+        for rank in sorted({claim.rank for claim in claims}):
             for table in tables.values():
                 table.serve([at for at in table.asking if table.prefers(at, rank, place)])
-    _improve(tables, claims)
+        _improve(tables, claims)
 
 
 def _tables(
-    counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0
+    counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0, kinds: int = len(COUNTERS)
 ) -> dict[tuple[int, PipeKind], _Table]:
     """Return who may take the counts of each counter that has some left, or whose claims may go elsewhere."""
     several = {at for claim in claims if len(claim.instances) > 1 for at in claim.instances}
     return {
-        (instance, kind): _Table(instance, kind, own, claims, slack_ns)
+        (instance, kind): _Table((instance, kind), own, claims, slack_ns, kinds)
         for instance, own in counts.items()
         for kind in COUNTERS
         if own.left[kind].any() or instance in several
@@ -267,7 +267,7 @@ def hand_on(
         givers: claims that have it.
         claims: those that are to have it.
     """
-    table = _Table(instance, kind, counts, claims, 0)
+    table = _Table((instance, kind), counts, claims, 0, len(COUNTERS))
     for place, number in (item for each in givers for item in each.taken.items()):
         rest = number
         for at in sorted(table.within(place[2]), key=lambda at: claims[at].rank):
@@ -324,6 +324,7 @@ def settle_possible(
     """
     # What a gap shows is lost, and what may follow a stream's last message is not: that gets what is left.
     behind = {claim.flow for claim in claims if claim.rank == Rank.POSSIBLE}
+    rivals = [*filter(lambda rival: rival.flow not in behind, rivals)]
     gaps = [item for item in claims if item.rank in (Rank.PRESSED, Rank.MISSING) and item.flow in behind]
     settle(counts, gaps, _APART_NS)
     tables = _tables(counts, claims).values()
@@ -362,12 +363,12 @@ class _Table:
     """
 
     def __init__(
-        self, instance: int, kind: PipeKind, own: Counts, claims: Sequence[Claim], slack_ns: int
+        self, of: tuple[int, PipeKind], own: Counts, claims: Sequence[Claim], slack_ns: int, kinds: int
     ) -> None:
-        self.instance, self.kind, self.left, self._claims = instance, kind, own.left[kind], claims
-        self.asking = [
-            at for at, claim in enumerate(claims) if instance in claim.instances and kind in claim.kinds
-        ]
+        self.instance, self.kind = of
+        self.left, self._claims = own.left[self.kind], claims
+        asking = (at for at, claim in enumerate(claims) if self.kind in claim.kinds[:kinds])
+        self.asking = [at for at in asking if self.instance in claims[at].instances]
         low = np.array([claims[at].low_ns for at in self.asking], np.int64)
         high = np.array([claims[at].high_ns for at in self.asking], np.int64)
         self._first = np.maximum(own.seconds(low - slack_ns), 0)
@@ -398,20 +399,23 @@ class _Table:
             takers: claims that may take them.
             span: when the second begins and ends, ns.
         """
-        unseen = {rival.flow for rival in self._unseen(rivals, span)}
+        unseen = {rival.flow for rival in self._unseen(second, rivals, span)}
         flows = frozenset(self._claims[at].flow for at in takers) | unseen
         is_all = not unseen and int(self.left[second]) >= sum(self._claims[at].open for at in takers)
         return frozenset() if is_all or len(flows) == 1 else flows
 
-    def _unseen(self, rivals: Sequence[Rival], span: Sequence[int]) -> list[Rival]:
+    def _unseen(self, second: int, rivals: Sequence[Rival], span: Sequence[int]) -> list[Rival]:
         own = [rival for rival in rivals if (rival.instance, rival.kind) == (self.instance, self.kind)]
+        doubted = (claim for claim in map(self._claims.__getitem__, self.within(second)) if claim.doubted)
+        at = self.instance, self.kind, span[0], span[1]
+        own += [Rival(item.flow, *at, item.doubted) for item in doubted]
         return [rival for rival in own if rival.start_ns <= span[1] and span[0] <= rival.end_ns]
 
     def give_surplus(
         self, second: int, takers: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]
     ) -> None:
         """Give each traffic the counts of a second that all others together cannot have; see ``sharers``."""
-        unseen = sum(rival.most for rival in self._unseen(rivals, span))
+        unseen = sum(rival.most for rival in self._unseen(second, rivals, span))
         open_ = Counter[int]()
         for at in takers:
             open_[self._claims[at].flow] += self._claims[at].open

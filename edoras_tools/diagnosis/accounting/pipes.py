@@ -250,7 +250,7 @@ class Pipes:
         return next((own for own in about if not (stream.is_command and own[0].at_output)), (None, None))
 
 
-def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Integers) -> bool:
+def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Integers, *, full: bool) -> bool:
     """Tell whether so much came that a pipe can have lost what is missing from a span of a stream.
 
     Where a MsgId's limit or a whole pipe is full, what did get in comes out in one burst, and the loss lies
@@ -259,6 +259,7 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
     Args:
         kind: over the MsgId's limit, or out of a full pipe.
         missing: (rows of the stream,), what is missing behind each.
+        full: whether the whole pipe was, which then shows not how many of one MsgId may wait.
     """
     if case.unsteady_ns:
         return True  # times that are wrong show no full rounds
@@ -274,10 +275,10 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
             sent &= case.rows.destination == stream.receiver
         times = case.rows.time_ns[sent]
         # Some of what fills the pipe may not be here: half of it tells.
-        full = _full(times, period, min(queue.depth // 2, measured_depth(times, period)))
-        return _beside(full, own[at] - period, own[at + 1] + period, missing[at])
+        most_ns = _full(times, period, min(queue.depth // 2, measured_depth(times, period)))
+        return _beside(most_ns, own[at] - period, own[at + 1] + period, missing[at])
     rounds, clean = case.rounds(stream, span), limit
-    if rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
+    if not full and rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
         clean, limit = rounds.most, max(limit, rounds.most)
     # Others may share the MsgId: the round that was full need not have brought one of this stream's.
     if _beside(_full(case.times(stream), period, limit), own[at], own[at + 1], missing[at]):
@@ -477,7 +478,31 @@ class Leftover:
             most = ceil((end_ns - outage.start_ns) / SECOND) - self._case.profile.app_msg_limit
             own = [at for at in self._counts if self._case.instances.systems[at] == outage.system]
             out += [Rival(id(outage), at, "limit", outage.start_ns, end_ns, most) for at in own if most > 0]
-        return out
+        # Where a stream ends, what none of its gaps shows may be another's.
+        ends_ns = np.sort([item.time_ns[-1] for item in self._case.streams if item.counted])
+        for at in self._counts:
+            for each in self._candidates(at, "limit"):
+                fate = self._fates.get(id(each.stream))
+                for place, span in enumerate(each.spans if fate is not None and not fate.seen else ()):
+                    times = span.start_ns - LEAD_NS, span.end_ns + each.counted_ns
+                    open_ = int(fate.open[span.first : span.last + 1].sum()) if fate else 0
+                    most = min(each.most(range(place, place + 1)), open_)
+                    if most and np.ptp(np.searchsorted(ends_ns, (times[0] - DRAINS_NS, times[1]))):
+                        out.append(Rival(id(each.stream), at, "limit", *times, most))
+        return [*out, *self._behind_full()]
+
+    def _behind_full(self) -> Iterator[Rival]:
+        """Yield the streams that end with a full round: no gap shows what was lost behind it."""
+        case, same = self._case, Counter((item.sender, item.msg_id) for item in self._case.streams)
+        for stream in (item for item in case.streams if item.counted and not item.link.only_to_cfs):
+            at, last_ns = case.owner(stream), int(stream.time_ns[-1])
+            pipe = queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe
+            changes = case.timeline.of(StateOwner("entry", "", stream.msg_id), case.instances.system(at))
+            limits = [item.value for item in changes if isinstance(item.value, int) and item.value]
+            limit = [pipe(case.profile).limit(stream.msg_id), *limits][-1]
+            alone = at in self._counts and same[stream.sender, stream.msg_id] == 1
+            if alone and len(_full(stream.time_ns[-limit:], case.profile.to_wake_ns, limit)):
+                yield Rival(id(stream), at, "limit", last_ns, last_ns + LATE_NS)
 
     def _ticked(self) -> Iterator[tuple[Outage, int]]:
         """Yield the times in which one that gets something once a second did not run, and when each ended."""
