@@ -273,8 +273,8 @@ def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
     hop = (" or ".join(sorted(hops - {APP} or hops)) or rows[0].hop).replace(APP, "the application's pipe")
     if cause == "limit" and own:
         return f"at {hop}"
-    if rows[0].hop.startswith(RELAY_HOP):
-        return f"at {rows[0].hop}"
+    if hop.startswith(RELAY_HOP):
+        return f"at {hop}"
     if cause in {"limit", "overflow"}:
         return f"{cause_text(cause)}, {hop}"
     text = cause_text(cause).replace("the application", hop)
@@ -357,7 +357,7 @@ def _copies(result: Diagnosis, proven: int) -> str:
     number = f"{least:,} to {most:,}" if least < most else f"{most:,}"
     if not most and proven:
         return " They are copies: every message arrived."
-    return f" Some are copies: {number} messages never arrived." if least < proven else ""
+    return f" Some are copies: {number} message{'s' * (most != 1)} never arrived." if least < proven else ""
 
 
 def _counts(problems: Iterable[Problem], kind: str = "") -> list[str]:

@@ -336,7 +336,8 @@ class Commands:
         """Tell lost what went into a relay and did not come out of it: its other side is in the capture."""
         own = (fate.stream for fate in reversed(fates))
         streams = {(item.link.code, item.msg_id, item.receiver): item for item in own}
-        for item in self._case.prepared.passed:
+        is_command = self._case.context.msg_ids.is_command  # of telemetry sequence counts tell
+        for item in (item for item in self._case.prepared.passed if is_command(item.msg_id)):
             stream = streams.get((item.link, item.msg_id, item.receiver))
             if stream is not None:
                 self.relayed[id(stream)] = item

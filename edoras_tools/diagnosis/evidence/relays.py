@@ -357,8 +357,7 @@ class RelayedWay(NamedTuple):
         return float(np.median((rows.time_ns[self.behind] - rows.time_ns[self.before[self.made_of]])[valid]))
 
     def losses(self, rows: Rows) -> Iterator[LostInRelay]:
-        """Yield what the relay did to each MsgId that has no sequence count to show it."""
-        commands = self.before[rows.function_code[self.before] >= 0]
+        """Yield what the relay did to each MsgId."""
         lost, doubled = np.delete(self.before, self.segment.into), np.delete(self.behind, self.segment.out)
         # What is there twice in front of it came out once.
         every = np.concatenate((self.before[self.segment.into], lost))
@@ -366,7 +365,7 @@ class RelayedWay(NamedTuple):
         once = numbered(rows.bytes_print[every], number, np.where(number, 0, every))[0]
         lost = lost[np.isin(lost, every[once])]
         receiver, link = int(rows.destination[self.behind[0]]), int(rows.link[self.before[0]])
-        for msg_id, own in by_value(rows.msg_id[commands]):
+        for msg_id, own in by_value(rows.msg_id[self.before]):
             lost_ns = rows.time_ns[lost[rows.msg_id[lost] == msg_id]]
             more = int((rows.msg_id[doubled] == msg_id).sum())
             passed = self.segment.take(rows.msg_id[self.before[self.segment.into]] == msg_id)

@@ -14,6 +14,7 @@ from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_P
 from edoras_tools.diagnosis.accounting.losses import BUS, Fate, Loss
 from edoras_tools.diagnosis.advice import loss_verdict, lost_at
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
+from edoras_tools.diagnosis.ledger import CAUSES
 from edoras_tools.diagnosis.rules.about import stream_subject
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, habit, note, verdict, warning
 from edoras_tools.links.ci import CI
@@ -38,29 +39,17 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
 
     Say what is not accounted for, and what had nowhere to go.
     """
-    reasons = {
-        "away": (
-            "the peer that they go to was away",
-            "restart the peer; it is connected again with its first SUB or PROTO",
-        ),
-        "unsubscribed": (
-            "the peer that they go to had not subscribed to them",
-            "let the peer subscribe to that MsgId again: compare what it is configured to receive",
-        ),
-        "disabled": (
-            "Telemetry Output was not to send them",
-            f"enable Telemetry Output as soon as it runs: {case.inject(ENABLE_OUTPUT)}",
-        ),
-        "route": (
-            "a command had disabled their route on the software bus",
-            "enable it: 0x1803, function code 4, with the MsgId and the pipe of that command",
-        ),
+    remedies = {
+        "away": "restart the peer; it is connected again with its first SUB or PROTO",
+        "unsubscribed": "let the peer subscribe to that MsgId again: compare what it is told to receive",
+        "disabled": f"enable Telemetry Output as soon as it runs: {case.inject(ENABLE_OUTPUT)}",
+        "route": "enable it: 0x1803, function code 4, with the MsgId and the pipe of that command",
     }
     for loss in case.losses:
-        if loss.kind in reasons:
-            why, remedy = reasons[loss.kind]
+        if loss.kind in remedies:
+            text = f"{lost_at(case, loss)}: {CAUSES[loss.kind].listed}"
             link = loss.stream.link.label if loss.stream else None
-            yield loss_verdict(case, loss, f"{lost_at(case, loss)}: {why}", link=link, remedy=remedy)
+            yield loss_verdict(case, loss, text, link=link, remedy=remedies[loss.kind])
     for fate in case.commands.fates.values():
         if fate.ends["unaccounted"] or fate.ends["beyond"]:
             yield _lost_crossing(case, fate) if fate.seen else _unfollowed(case, fate)
@@ -103,8 +92,7 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
         span=(int(missing[0]), int(missing[-1])),
         remedy="let Telemetry Output send 0x884, CI's counts: they tell whether the uplink lost these"
         if uncounted
-        else "look at the application's own counters and console; a capture on the cFS host, from before "
-        "the traffic, shows which of them arrive there",
+        else "look at the application's counters and console; capture on cFS's host, from before the traffic",
         confidence="medium" if visible else "low",
     )
 
@@ -147,14 +135,28 @@ def lost_after_cfs(case: Case) -> Iterator[Verdict]:
         assert loss.stream is not None
         together = loss.stream.is_housekeeping or loss.kind == "fragments"
         key = (loss.stream.sender, loss.stream.link, loss.kind) if together else (id(loss),)
-        groups.setdefault(key, []).append(loss)
+        groups.setdefault((*key, _relay_of(case, loss)), []).append(loss)
     for members in groups.values():
         yield _lost_after(case, members)
+
+
+def _relay_of(case: Case, loss: Loss) -> str:
+    """Return the relay that took what is missing, and did not send it on; empty where none did."""
+    assert loss.stream is not None
+    place = loss.stream.link.code, loss.msg_id, loss.stream.receiver
+    for item in case.prepared.passed:
+        lost_ns = item.lost_ns[
+            (item.lost_ns > loss.start_ns - SECOND) & (item.lost_ns < loss.end_ns + SECOND)
+        ]
+        if (item.link, item.msg_id, item.receiver) == place and len(lost_ns) >= loss.lost:
+            return item.hop
+    return ""
 
 
 def _lost_after(case: Case, members: list[Loss]) -> Verdict:
     first = members[0]
     assert first.stream is not None
+    relay = _relay_of(case, first)
     lost, of = (sum(getattr(loss, name) or 0 for loss in members) for name in ("lost", "of"))
     names = list(dict.fromkeys(case.name(loss.msg_id) for loss in members))
     one, evidence = len(names) == 1, list(first.evidence)
@@ -165,6 +167,8 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
     if first.kind == "fragments":
         where = "never became whole: a firewall or a router drops their later fragments"
         remedy = "let fragments through on the way, or raise its MTU above the longest of these"
+    elif relay:
+        where, remedy = f"went into {relay} and did not come out of it", "look at its log and its queue"
     else:
         where = "are missing, and the bus lost none of them: they were lost behind cFS, or by the capture"
         remedy = (
@@ -178,7 +182,7 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
         *evidence,
         *case.drops_text(),
         msg_id=first.msg_id if one else None,
-        place=(first.stream.link.label, first.hop),
+        place=(first.stream.link.label, relay or first.hop),
         lost=lost,
         of=of,
         span=(min(loss.start_ns for loss in members), max(loss.end_ns for loss in members)),
@@ -219,8 +223,7 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
         msg_id=streams[0].msg_id if len(streams) == 1 else None,
         link=streams[0].link.label if len({stream.link for stream in streams}) == 1 else None,
         span=(int(min(own.time_ns[0] for own in streams)), int(max(own.time_ns[-1] for own in streams))),
-        remedy="these are lost if the kernel dropped none; pcapng keeps its count of drops, and so does: "
-        "edoras record",
+        remedy="these are lost if the kernel dropped none; pcapng has its count, and so has: edoras record",
         confidence="low",
     )
 
@@ -394,8 +397,7 @@ def port_closed(case: Case) -> Iterator[Verdict]:
             lost=number or None,
             of=number + uncertain.total(),
             span=(span.start_ns, span.last_ns),
-            remedy="start the program that listens there before what sends to it; if it ended, its own log "
-            "says why",
+            remedy="start the program that listens there before what sends to it; its own log may say more",
         )
     for flow, number, more in case.shut:
         yield error(
@@ -428,8 +430,7 @@ def unreachable(case: Case) -> Iterator[Verdict]:
             lost=len(rows),
             of=len(rows),
             span=case.span(item.stream.rows[rows]),
-            remedy="edoras sniff --link icmp shows what they say: no route to that host, a firewall, or "
-            "messages too large for the way",
+            remedy="edoras sniff --link icmp shows them: no route, a firewall, or too large messages",
         )
 
 
