@@ -102,7 +102,12 @@ class Fitting:
         rows = np.flatnonzero(command & (self._length >= headers.command_bytes))
         # What its app refuses is no message, though its bytes may look like an envelope: a name, for one.
         allowed = self.allowed(headers) & self._payload_fits(headers.command_bytes)
-        out[rows] = allowed[rows] | self._commands.fits(*self._command(rows, headers))  # with this length
+        alone = self._commands.fits(*self._command(rows, headers))  # by its length
+        if headers.extended:  # whose spare bytes are 0, as no-ops that only seem to be ones rarely have them
+            alone &= (self._head[rows, headers.start + cfe.COMMAND.size : headers.command_bytes] == 0).all(
+                axis=1
+            )
+        out[rows] = allowed[rows] | alone
         rows = np.flatnonzero(~command & (self._length >= headers.telemetry_bytes))
         out[rows] = self._telemetry_fits(rows, headers)
         return out
