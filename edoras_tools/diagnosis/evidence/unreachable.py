@@ -92,13 +92,13 @@ def count_shut(flow: Flow, sent_ns: Integers, errors_ns: list[int]) -> tuple[int
     Args:
         flow: to a port that nobody named.
         sent_ns: when its datagrams were captured, in order.
-        errors_ns: when each error about it came: about most of it, or all the time, as often as a host sends
-            any: what lies between two of these is lost (rule 3).
+        errors_ns: when each error about it came: about most of it, or most of the time. What lies between two
+            that came as often as a host sends any is lost (rule 3).
     """
     when = np.array([flow.first_ns, *sorted(errors_ns), flow.last_ns])
     steps, sent = np.diff(when), np.diff(np.searchsorted(sent_ns, when[1:-1], "right"))
     number = max(len(errors_ns), 1 + int(np.where(steps[1:-1] <= _PATIENCE_NS, sent, 1).sum()))
-    is_shut = int(steps.max()) <= _PATIENCE_NS or 2 * len(errors_ns) > flow.datagrams
+    is_shut = 2 * int(steps[1:-1].sum()) > int(steps.sum()) or 2 * len(errors_ns) > flow.datagrams
     return number, max(0, flow.datagrams - number) * is_shut
 
 
