@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from edoras_tools.diagnosis.verdict import About, Severity, Verdict, verdict
 from edoras_tools.links import table
-from edoras_tools.model import NO_MSG_ID
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from typing_extensions import Unpack
 
@@ -19,6 +22,8 @@ if TYPE_CHECKING:
 
 _FEW: Final = 20
 """So many of one kind are told one by one; more are told together."""
+_SINGLE: Final = 2
+"""Of more commands within a second none is what an operator did."""
 _OF_ONE: Final = {"are": "is", "have": "has", "do": "does", "carry": "carries"}
 
 
@@ -42,6 +47,18 @@ def one_by_one(members: list[int]) -> list[list[int]]:
 def packet(case: Case, row: int) -> str:
     """Return ``packet 12 at 3.4 s``."""
     return f"packet {case.rows.number[row]} at {case.at(int(case.rows.time_ns[row]))}"
+
+
+def sent_before(case: Case, time_ns: int) -> Iterator[str]:
+    """Yield the commands just before a time that are no topic: one of them may be its cause."""
+    for stream in case.streams:
+        operators = stream.link.only_to_cfs and stream.route == NO_ROUTE
+        if operators and not case.rows.cdr_length[stream.rows].any():
+            near = stream.rows[np.abs(stream.time_ns - time_ns) < SECOND]
+            if len(near) and len(near) <= _SINGLE:
+                code = int(case.rows.function_code[near[-1]])
+                when = case.at(int(case.rows.time_ns[near[-1]]))
+                yield f"a command on {case.name(stream.msg_id)}, function code {code}, was sent at {when}"
 
 
 def of_messages(

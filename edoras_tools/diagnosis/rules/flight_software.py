@@ -12,6 +12,7 @@ from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
 from edoras_tools.diagnosis.accounting.losses import LEAD_NS, Loss
 from edoras_tools.diagnosis.advice import LET_RUN
 from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
+from edoras_tools.diagnosis.rules.about import sent_before
 from edoras_tools.diagnosis.verdict import Severity, Verdict, note, verdict, warning
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
@@ -43,8 +44,7 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
             case,
             case.label(reset.instance),
             (reset.start_ns, reset.end_ns),
-            "its clock went on, as after a processor reset: most MsgIds count from lower on, and come from "
-            "another port of Telemetry Output",
+            "its clock went on, as after a processor reset: counts begin lower, and come from another port",
         )
     items, systems = case.instances.items, case.instances.systems
     order = sorted(range(len(items)), key=lambda index: items[index].first_ns)
@@ -136,18 +136,12 @@ def not_observable(case: Case) -> Iterator[Verdict]:
     cut = (rows.known_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID) & rows.has(Finding.CAPTURE_CUT)
     sent = int(((rows.link == CI) | ((rows.link == SBN) & (rows.function_code >= 0))).sum())
     if cut.any():
-        reason = (
-            "the capture cut 0x803 off before its counters: how many messages the software bus lost cannot "
-            "be shown"
-        )
+        reason = "the capture cut 0x803 before its counters: how many the software bus lost cannot be shown"
         remedy = "capture whole frames, without -s or with -s 0"
     elif not sent and not (rows.link == TO).any():
         return
     elif not sent:
-        reason = (
-            "the counters of the software bus (0x803) are not in the capture: loss inside cFS shows here "
-            "only where a sequence count has a gap"
-        )
+        reason = "0x803 is not in the capture: loss inside cFS shows only where a sequence count has a gap"
         remedy = "add 0x803 and 0x808 to Telemetry Output's table"
     elif not case.has_telemetry:
         into = f"what became of {plural(sent, 'message')} into cFS cannot be shown"
@@ -155,9 +149,7 @@ def not_observable(case: Case) -> Iterator[Verdict]:
         link = "Telemetry Output's link too (UDP port 1235 on the ground's host)"
         remedy = f"capture {link}: 0x803 counts, 0x808 names"
     else:
-        reason = (
-            "0x803 is not in the capture: this capture cannot show how many messages the software bus lost"
-        )
+        reason = "0x803 is not in the capture: how many messages the software bus lost cannot be shown"
         remedy = f"have Telemetry Output send it: {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}"
     yield note(reason, hop="capture", remedy=remedy)
 
@@ -200,8 +192,7 @@ def event_squelch(case: Case) -> Iterator[Verdict]:
         firsts.setdefault((record.sender, match["app"] if match else record.message), record)
     for (_, app), record in firsts.items():
         yield note(
-            f"events of {app} on cFS {record.sender} are squelched: it says more than Event Services lets "
-            "through",
+            f"events of {app} on cFS {record.sender} are squelched: Event Services does not let all through",
             f"packet {record.number}, {case.at(record.time_ns)}: {record}",
             hop="event services",
             span=(record.time_ns, record.time_ns),
@@ -270,6 +261,7 @@ def _error(case: Case, members: list[EventRecord]) -> Verdict:
         Severity.ERROR if grave else Severity.WARNING,
         f"cFS {first.sender} reports an error at {case.at(first.time_ns)}{again}: {first}",
         *(f"event {first.app} {first.event_id}: {text}" for text in texts[1 : _SHOWN + 1]),
+        *sent_before(case, first.time_ns),
         hop=first.app,
         span=(first.time_ns, last.time_ns),
         remedy=(_FAILED.get(first.event_id) if first.app == NAME else None)

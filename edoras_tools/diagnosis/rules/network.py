@@ -11,7 +11,7 @@ from edoras_tools.cfs import sbn as facts
 from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE, UNSEEN, Connection, PeerChange, PeerSilence
 from edoras_tools.diagnosis.evidence.table import Rows, peer_of
 from edoras_tools.diagnosis.ledger import DAMAGED
-from edoras_tools.diagnosis.rules.about import one_by_one, packet, subject
+from edoras_tools.diagnosis.rules.about import one_by_one, packet, sent_before, subject
 from edoras_tools.diagnosis.rules.pipes import revival
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, habit, note, verdict, warning
 from edoras_tools.links.sbn import SBN
@@ -159,8 +159,7 @@ def sbn_peer_restart(case: Case) -> Iterator[Verdict]:
                 lost=lost or None,
                 of=len(sent) or None,
                 span=(last_ns, back_ns),
-                remedy="send nothing while the peer starts again; its DISCONNECT before a planned stop makes "
-                "cFS hold back what is for it",
+                remedy="send nothing while the peer starts again: after a DISCONNECT cFS holds it back",
             )
 
 
@@ -184,14 +183,12 @@ def sbn_tcp_overwritten(case: Case) -> Iterator[Verdict]:
         yield warning(
             f"cFS {observer} hears {len(peers)} SBN peers over TCP, and {len(beside):,} of "
             f"{plural(len(app), 'message')} to it came within {case.profile.sbn_wake_ns // MILLISECOND} ms "
-            "of another peer's: of messages that one wake-up finds on several connections, SBN's TCP module "
-            "keeps the last and drops the others, without an event or a counter",
+            "of another peer's: of several in one wake-up SBN keeps the last, and says and counts nothing",
             f"peers: {', '.join(sorted(peers))}",
             place=("sbn", f"SBN of {observer}"),
             of=len(app),
             span=case.span(beside),
-            remedy="give each TCP peer a net of its own in sbn_conf_tbl (NetNum, and a port of this cFS for "
-            "it), or use UDP",
+            remedy="give each TCP peer a net of its own in sbn_conf_tbl (NetNum, port), or use UDP",
             confidence="medium",
         )
 
@@ -236,12 +233,9 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
         kinds = np.unique(rows.sbn_msg_type[own]).tolist()
         names = ", ".join(sbn.MSG_TYPE_NAMES.get(kind, hex(kind)) for kind in kinds)
         yield warning(
-            f"{who} sends to {case.endpoints[target]} and nothing comes back: the peers are not connected, "
-            "or the answers do not cross this capture point",
+            f"{who} sends to {case.endpoints[target]} and gets nothing back, or answers do not pass here",
             f"{plural(len(own), 'datagram')} ({names}) in {(last_ns - first_ns) / SECOND:.0f} s, no answer",
-            "stock SBN announces only to a peer whose spacecraft and processor both differ: "
-            "between equal spacecraft numbers the first SUB or PROTO of either side has to come "
-            "through",
+            "stock SBN announces only to another spacecraft number: else a SUB or PROTO has to come first",
             place=("sbn", "SBN"),
             span=(first_ns, last_ns),
             remedy="see that the peer runs, listens at that port, and is in cFS's SBN table with this "
@@ -296,7 +290,7 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
             f"{who} disconnected from its SBN peer {peer or 'there'} at {case.at(when)}"
             + ("" if back else ", and sent no application message to anybody after that"),
             f"packet {rows.number[row]}: DISCONNECT from {who}",
-            *stops,
+            *(stops or sent_before(case, when)),
             place=("sbn", f"SBN peer {peer}"),
             span=(when, case.end_ns),
             remedy=revival(case, facts.NAME) if stops else look,
@@ -317,8 +311,7 @@ def sbn_table(case: Case) -> Iterator[Verdict]:
     for peer, members in heard.items():
         if peer not in table:
             yield warning(
-                f"{peer} sends on SBN, and the table that was given does not name it: a cFS with this table "
-                "refuses what it sends",
+                f"{peer} sends on SBN, and is not in the table that was given: such a cFS refuses it",
                 f"{plural(len(members), 'datagram')} of it, from {case.endpoints[rows.source[members[0]]]}",
                 place=("sbn", "SBN"),
                 span=(int(rows.time_ns[members[0]]), case.end_ns),
@@ -328,8 +321,7 @@ def sbn_table(case: Case) -> Iterator[Verdict]:
     for peer, place in table.items():
         if peer not in heard:
             yield note(
-                f"{peer}, which the table that was given names at {place.address}:{place.port}, sends "
-                "nothing that was captured",
+                f"{peer}, in the table that was given at {place.address}:{place.port}, sends nothing here",
                 f"on SBN are {', '.join(map(str, heard))}",
                 place=("sbn", "SBN"),
                 remedy="see whether it runs; capture where its datagrams pass",
@@ -436,8 +428,7 @@ def _malformed(case: Case, members: list[int], kind: BadMessageKind) -> Verdict:
         hop="SBN",
         lost=len(members) if kind.refused else None,
         of=len(members),
-        remedy="write the 11-byte header: MsgSz of the payload alone, a known MsgType, ProcessorID, "
-        "SpacecraftID",
+        remedy="write the 11-byte header: MsgSz of the payload, a known MsgType, both IDs",
         confidence="high" if lines or not kind.events else "medium",
     )
 

@@ -11,9 +11,9 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reasons_for
 from edoras_tools.diagnosis.matching.streams import Span, Stream, steady_rate
+from edoras_tools.diagnosis.rules.about import sent_before
 from edoras_tools.diagnosis.rules.pipes import START_AGAIN, revival
 from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
-from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.words import listed
@@ -89,11 +89,13 @@ _TELLS_CAUSE: Final = frozenset(
 def note_silences(case: Case) -> None:
     """Note under each verdict what fell silent with what it tells of, once all rules were asked."""
     for members in _together([item for item in _every(case) if _explained(case, item)]):
-        start_ns, end_ns = members[0].start_ns, members[0].end_ns
+        first, start_ns = members[0], members[0].start_ns
+        # A cause comes before the next message would have.
+        next_ns = start_ns + (_SLACK_NS + int(SECOND / first.rate.hz) if first.rate else _NEAR_NS)
         causes = [
             (abs(item.start_ns - start_ns), place)
             for place, item in enumerate(case.verdicts)
-            if item.rule in _TELLS_CAUSE and item.start_ns < end_ns and item.end_ns > start_ns - _NEAR_NS
+            if item.rule in _TELLS_CAUSE and item.start_ns < next_ns and item.end_ns > start_ns - _NEAR_NS
         ]
         if causes:
             place = min(causes)[1]
@@ -125,8 +127,11 @@ def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
         before = [item for item in spans if item.first <= at]
         rate = _rate(stream, times, before, at)
         length = until_ns - start_ns if until_ns else int(steps[at])
-        if rate is None and not _surely_silent(stream, times[before[-1].first : at + 1], length):
+        own = times[before[-1].first : at + 1]
+        if rate is None and not _surely_silent(stream, own, length):
             continue
+        if rate is None and np.diff(own).max() < _ALIKE * np.diff(own).min():
+            rate = Rate(SECOND / float(np.diff(own).mean()), int(own[0]), int(own[-1]))
         if rate is not None and length * rate.hz < _WAIT_PERIODS * SECOND:
             continue
         if _alive(case, stream, start_ns, length):
@@ -270,7 +275,7 @@ def _hz(value: float, digits: int) -> str:
 def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> Verdict:
     first = members[0]
     fed = all(item.stream.link.peers and item.stream.is_command for item in members)
-    commands = list(_sent_before(case, first.start_ns))
+    commands = list(sent_before(case, first.start_ns))
     why = "; ".join(causes) or (_PUBLISHER if fed else next(iter(commands), "the capture cannot show why"))
     outages = [item for item in case.outages if any(line.startswith(item.app) for line in causes)]
     return verdict(
@@ -314,22 +319,7 @@ def _evidence(case: Case, members: Sequence[Silence]) -> Iterator[str]:
 def _remedy(case: Case, outages: Sequence[Outage], silence: Silence) -> str:
     """Return what helps: what helps the application, where one was stopped or started again."""
     if not outages:
-        return (
-            "look at the application's console and events; capture its SBN link or its input to see whether "
-            "it still gets what it needs"
-        )
+        return "look at the application's console and events; capture what goes into it, or its SBN link"
     last = outages[-1]
     runs = last.restarted or last.end_ns is not None
     return START_AGAIN if runs and not silence.until_ns else revival(case, last.app)
-
-
-def _sent_before(case: Case, start_ns: int) -> Iterator[str]:
-    """Yield the commands just before a time that are no topic: one of them may have ended it."""
-    for stream in case.streams:
-        operators = stream.link.only_to_cfs and stream.route == NO_ROUTE
-        if operators and not case.rows.cdr_length[stream.rows].any():
-            near = stream.rows[np.abs(stream.time_ns - start_ns) < _SLACK_NS]
-            if len(near) and len(near) <= _FEW:
-                code = int(case.rows.function_code[near[-1]])
-                when = case.at(int(case.rows.time_ns[near[-1]]))
-                yield f"a command on {case.name(stream.msg_id)}, function code {code}, was sent at {when}"
