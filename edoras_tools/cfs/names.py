@@ -189,7 +189,7 @@ PRIVILEGED: Final[dict[tuple[int, int], str]] = {
     **dict.fromkeys(((0x1806, code) for code in (9, 11, 13, 15, 23, 24)), _FILES),
     (0x1806, 21): "delete what was kept over a restart",
     **dict.fromkeys(((0x1801, code) for code in (17, 18)), _FILES),
-    **dict.fromkeys(((0x1801, code) for code in (3, 6, 8, 12)), "silence events"),
+    **dict.fromkeys(((0x1801, code) for code in (3, 4, 6, 8, 12)), "silence or shorten events"),
     **dict.fromkeys(((0x1803, code) for code in (3, 7, 8)), _FILES),
     (0x1803, 5): "stop messages to an application",
     **dict.fromkeys(((0x1804, code) for code in (2, 5)), "replace a table"),

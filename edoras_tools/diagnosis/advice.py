@@ -253,7 +253,8 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     now, fits = queue.with_limit(msg_id, limit), False
     if measured or loss.offered_hz > rate:
         fits = _explains(own.between(loss.start_ns, loss.end_ns).lost((now,), msg_id), loss.lost)
-    slower = _spread(case, own, queue, limit, slower, ("published", "TO" if output else "SBN"))
+    if loss.stream.counted:  # else what was lost is not among them
+        slower = _spread(case, own, queue, limit, slower, ("published", "TO" if output else "SBN"))
     slow = max(own.spaced(SECOND / _safe(rate), msg_id).lost((now,), msg_id)) if fits else None
     if not output:
         return Advice(why, slower, slow)
@@ -391,7 +392,12 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     slower = f"send at most {_safe(clean):g} Hz"
     if senders > 1:
         slower += f" in all, {_safe(clean / senders):g} Hz each of {plural(senders, 'sender')}"
-    slower = _spread(case, own, pipe, limit, slower, ("sent", "the application's task"))
+    at_once = arrivals.most(pipe.round_ns)
+    if at_once > socket.reads and own.most(pipe.round_ns) <= limit and not over_network:
+        reads = f"it reads {socket.reads} {every} (up to {at_once} were), and the rest comes late"
+        slower = f"spread all that is sent to CI: {reads}"
+    else:
+        slower = _spread(case, own, pipe, limit, slower, ("sent", "the application's task"))
     need = min(own.most(pipe.round_ns * _LATE) + 1, pipe.depth if over_network else socket.reads)
     higher = (*way[:-1], pipe.with_limit(stream.msg_id, need))
     if need > limit and not max(arrivals.lost(higher, stream.msg_id)):

@@ -75,14 +75,12 @@ def capture_drops(case: Case) -> Iterator[Verdict]:
     drops = case.capture.drops
     if drops:
         yield error(
-            f"the capture itself lost {drops:,} frames before they were written: what is missing below may "
-            "be among them",
+            f"the capture itself lost {drops:,} frames: what is missing below may be among them",
             "the capture's own drop counter",
             hop="capture",
             lost=drops,
             of=drops + len(case.rows),
-            remedy="capture on a faster or quieter host, with a filter on the links' ports, or to a faster "
-            "disk",
+            remedy="capture on a faster host or to a faster disk, with a filter on the links' ports",
         )
 
 
@@ -157,8 +155,7 @@ def captured_twice(case: Case) -> Iterator[Verdict]:
             f"{copies:,} datagrams were captured twice, and are counted once",
             "the same bytes with the same IP identification, or at another place, within ms",
             *(
-                f"{other} is another name of {name}: the same datagrams are there within ms, "
-                "and were only forwarded"
+                f"{other} is another name of {name}: the same datagrams are there, only forwarded"
                 for other, name in case.prepared.translated.items()
                 if other != name
             ),
@@ -237,12 +234,14 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
 
     Name every clock that was set; all times of this diagnosis are as if it had not been.
     """
+    torn = {jump.row for jump in case.jumps if jump.clock == "capture"}
     for jump in case.jumps:
         when = int(case.rows.time_ns[jump.row])
+        own = jump.clock == "capture"
         began = any(item.start_ns < when <= item.end_ns + SECOND for item in case.resets)
+        began |= jump.row in torn and not own  # it is the capture's that was set
         if began or (jump.clock == "cFS" and any(item.name for item in case.instances.items)):
             continue  # it started again
-        own = jump.clock == "capture"
         clock = f"the clock of cFS {jump.clock}".removesuffix(" cFS")  # one that no packet names
         whose = "the capture's own clock" if own else f"{clock}, and not the capture's,"
         yield warning(

@@ -330,16 +330,14 @@ def stranger_commands(case: Case) -> Iterator[Verdict]:
         names = sorted({case.name(int(rows.msg_id[row])) for row in kinds})
         allowed = {text for row in kinds if (text := _privilege(case, row))}
         yield security(
-            f"{plural(len(members), 'command')} to CI at {target} from {sender}, to which no telemetry of it "
-            "goes: CI obeys whoever reaches its port",
+            f"{plural(len(members), 'command')} to CI at {target} from {sender}, which gets no telemetry",
             f"{packet(case, members[0])} is the first",
             f"telemetry goes to {', '.join(sorted(addresses))}",
             f"MsgIds: {listed(names, 6)}",
             *(f"it could {text}" for text in sorted(allowed)),
             place=("ci", "CI_LAB_APP"),
             span=case.span(members),
-            remedy="if it is a second ground station, nothing; else let only the station reach CI's port "
-            "(a firewall, or authentication in front of CI)",
+            remedy="nothing for a second ground station; else let only the first reach CI's port",
             confidence="medium",
         )
 
@@ -362,8 +360,7 @@ def identity_from_two_addresses(case: Case) -> Iterator[Verdict]:
         counts = np.bincount(address).tolist()
         times = [case.at(when) for when in rows.time_ns[members[first]].tolist()]
         yield security(
-            f"SBN peer {peer_of(who)} speaks from {len(order)} addresses: {', '.join(order)}; cFS takes "
-            "whatever bears its identity",
+            f"SBN peer {peer_of(who)} has {len(order)} addresses, and cFS hears all: {', '.join(order)}",
             *(
                 f"{name}: {plural(count, 'datagram')}, the first at {when}"
                 for name, count, when in list(zip(order, counts, times, strict=True))[:_MOST]
@@ -398,8 +395,7 @@ def repeated_commands(case: Case) -> Iterator[Verdict]:
             f"MsgIds: {', '.join(sorted({case.name(int(rows.msg_id[item])) for item in members}))}",
             place=("ci", "CI_LAB_APP"),
             span=case.span(members),
-            remedy="the bridges' commands carry no count and no time, so that cFS obeys old ones again; let "
-            "only the station reach CI's port",
+            remedy="let only the station reach CI's port: commands carry no count and no time",
             confidence="medium",
         )
 

@@ -101,8 +101,7 @@ def _no_address(case: Case, item: CommandRecord) -> Verdict:
     near = case.said(item.time_ns, item.time_ns + 2 * SECOND, *telemetry_output.NAMES)
     events = [record for record in near if telemetry_output.ENABLED.phrase in record.message]
     return warning(
-        f"Telemetry Output was enabled for {item.address!r}, which is no address: where it sends then is up "
-        "to the flight host",
+        f"Telemetry Output was enabled for {item.address!r}, no address: where it sends is up to its host",
         f"{packet(case, item.row)}, {case.rows.length[item.row]} bytes",
         *(f"cFS said: {record}" for record in events[:1]),
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
@@ -155,7 +154,9 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
             if part.span.start_ns - _WAIT_NS <= when <= part.span.end_ns + SECOND
             and msg_id in {-1, part.stream.msg_id}
         )
-        facts = [f"sequence counts: {_published(missing)}"] if missing else []
+        were = "was" if missing == 1 else "were"
+        text = f"sequence counts: {plural(missing, 'message')} published meanwhile {were} not sent"
+        facts = [text] if missing else []
         if number:
             facts.append(
                 f"0x803 counts {number:,} of them lost at {telemetry_output.PIPE}, which nobody emptied: "
@@ -169,10 +170,6 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
     yield from _ended(case)
 
 
-def _published(missing: int) -> str:
-    return f"{plural(missing, 'message')} published meanwhile {'was' if missing == 1 else 'were'} not sent"
-
-
 def _commanded(case: Case, explain: Callable[..., tuple[int | None, list[str]]]) -> Iterator[Verdict]:
     """Name each command that stops telemetry."""
     rows = case.rows
@@ -181,6 +178,9 @@ def _commanded(case: Case, explain: Callable[..., tuple[int | None, list[str]]])
         lost, facts = explain(item.time_ns, item.entry)
         again = _added_again(case, item)
         sends = item.entry < 0 or any(item.entry == stream.msg_id for stream in case.streams)
+        entry = item.entry if item.entry >= 0 else _ended_at(case, item.time_ns)
+        advice = "add it again:" if item.entry >= 0 else "add what is wanted again, e.g."
+        advice += f" {case.inject('to-add', f'0x{entry:04x}')}"
         yield verdict(
             Severity.WARNING if facts or (sends and not again) else Severity.NOTE,
             f"Telemetry Output was told to stop sending {whose} at {case.at(item.time_ns)}{again}",
@@ -191,12 +191,16 @@ def _commanded(case: Case, explain: Callable[..., tuple[int | None, list[str]]])
             place=("to", telemetry_output.NAME),
             span=(item.time_ns, item.time_ns),
             lost=lost,
-            remedy="none: it was added again"
-            if again
-            else f"add it again: {case.inject('to-add', f'0x{item.entry:04x}')}"
-            if item.entry >= 0
-            else f"add what is wanted again, e.g. {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}",
+            remedy="none: it was added again" if again else advice,
         )
+
+
+def _ended_at(case: Case, when: int) -> int:
+    """Return a MsgId that Telemetry Output has not sent since; that of 0x803 where it sends all of them."""
+    last = {item.msg_id: int(item.time_ns[-1]) for item in case.streams if item.link is TO}
+    return next(
+        (msg_id for msg_id, time_ns in last.items() if time_ns < when + SECOND), case.of_known(0x0803)
+    )
 
 
 def _added_again(case: Case, item: CommandRecord) -> str:
@@ -299,7 +303,6 @@ def _ended(case: Case) -> Iterator[Verdict]:
     if removed or not commands or length < max(_ENDS_NS, _ENDS_ROUNDS * int(np.median(rounds))):
         return
     robot = int(((rows.link == ROBOT) & (rows.time_ns > last_ns + SECOND)).sum())
-    came = f"{plural(robot, 'datagram')} to the robot since then: the application ran, at least at times"
     stopped = [
         item
         for item in case.outages
@@ -310,8 +313,7 @@ def _ended(case: Case) -> Iterator[Verdict]:
     why = (
         f"it sends to {order.value}, for which it was enabled at {case.at(order.not_before_ns)}"
         if order
-        else f"{stopped[-1].app}, which asks for all housekeeping, was stopped at "
-        f"{case.at(stopped[-1].start_ns)}"
+        else f"{stopped[-1].app}, which asks for housekeeping, was stopped at {case.at(stopped[-1].start_ns)}"
         if stopped
         else "no counter and no event tells what became of them"
     )
@@ -319,13 +321,12 @@ def _ended(case: Case) -> Iterator[Verdict]:
         f"Telemetry Output sends nothing from {case.at(last_ns)} to the end, {length / SECOND:.1f} s, while "
         f"commands go on: {why}",
         f"{plural(commands, 'datagram')} to CI since then",
-        *([came] if robot else ()),
+        *([f"{plural(robot, 'datagram')} to the robot: its application ran at times"] if robot else ()),
         place=("to", telemetry_output.NAME),
         span=(last_ns, case.end_ns),
         remedy=f"start it again: {case.inject('es-start-app', stopped[-1].app)}"
         if stopped
-        else "see whether cFS and its Telemetry Output run; one that started again has forgotten that it "
-        f"was enabled: {case.inject(ENABLE_OUTPUT)}",
+        else f"see whether cFS and Telemetry Output run, and enable it: {case.inject(ENABLE_OUTPUT)}",
         confidence="medium",
     )
 
@@ -343,8 +344,7 @@ def to_taken_over(case: Case) -> Iterator[Verdict]:
             if before.address == after.address or old == new:
                 continue
             yield security(
-                f"{new} had all telemetry sent to {after.address}; {before.address}, for which {old} had "
-                "enabled it, gets none from then on",
+                f"{new} had all telemetry sent to {after.address}; {before.address} of {old} gets none",
                 packet(case, after.row),
                 f"before: {packet(case, before.row)}",
                 msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),

@@ -129,8 +129,7 @@ def app_pipe_overflow(case: Case) -> Iterator[Verdict]:
             loss,
             f"{lost_at(case, loss)}: the pipe was full",
             link=loss.stream.link.label if loss.stream else None,
-            remedy="send less of everything that this pipe takes, make it deeper (CFE_SB_CreatePipe), or "
-            "have its task run more often",
+            remedy="send less of all that this pipe takes, make it deeper, or have its task run more often",
         )
 
 
@@ -197,15 +196,21 @@ def _together(loss: Loss, other: Loss) -> bool:
     return loss.instance == other.instance and loss.start_ns <= other.end_ns and other.start_ns <= loss.end_ns
 
 
+def _by_name(case: Case, losses: Sequence[Loss]) -> Counter[str]:
+    """Return how many each MsgId lost."""
+    lost = Counter[str]()
+    for item in losses:
+        lost[case.name(item.msg_id)] += item.lost
+    return lost
+
+
 def _with_them(case: Case, others: Sequence[Loss]) -> Verdict:
     """Return the verdict on what did not fill the pipe and was lost at it."""
-    lost: Counter[int] = Counter()
-    for item in others:
-        lost[item.msg_id] += item.lost
+    lost = _by_name(case, others)
     return error(
         f"{plural(lost.total(), 'message')} of cFS itself lost at {telemetry_output.PIPE}, of "
         f"{plural(len(lost), 'MsgId')}: a pipe that is full takes nothing, whoever filled it",
-        ", ".join(f"{case.name(msg_id)} {number:,}" for msg_id, number in lost.items()),
+        ", ".join(f"{name} {number:,}" for name, number in lost.items()),
         place=("to", telemetry_output.PIPE),
         lost=lost.total(),
         span=(min(item.start_ns for item in others), max(item.end_ns for item in others)),
@@ -231,8 +236,8 @@ def _output_overflow(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
     )
     evidence = [*loss.evidence, *([text] if text else ())]
     if beside:
-        listed = ", ".join(f"{case.name(item.msg_id)} {item.lost:,}" for item in beside)
-        evidence.append(f"lost with it: {listed}")
+        parts = (f"{name} {number:,}" for name, number in _by_name(case, beside).items())
+        evidence.append(f"lost with it: {', '.join(parts)}")
     if any(item.msg_id == case.of_known(cfe.EVENT_MSG_ID) for item in beside):
         evidence.append("events are among the lost: that none names the pipe proves nothing")
     return loss_verdict(
@@ -278,8 +283,7 @@ def host_drops(case: Case) -> Iterator[Verdict]:
         of = f" of {sent:,}" if sent >= count else ""
         whose = f"{link.upper()}'s socket" if link else "the socket"
         yield error(
-            f"{plural(count, 'datagram')}{of} dropped in {whose} (UDP port {port}), which was full: "
-            "the kernel counted them",
+            f"{plural(count, 'datagram')}{of} dropped in {whose} (UDP port {port}), by the kernel's count",
             "/edoras/host: the kernel's counter of that socket",
             place=(link, f"socket of UDP port {port}"),
             lost=None if ingests else count,
@@ -357,8 +361,7 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
     for account in case.ingests:
         if account.unread > socket.reads:
             yield warning(
-                f"{plural(account.unread, 'datagram')} wait in CI's socket at its last count, or were "
-                f"dropped: {reads}",
+                f"{plural(account.unread, 'datagram')} wait in CI's socket, or were dropped: {reads}",
                 f"0x884: CI took {account.taken:,}",
                 f"a socket holds about {case.profile.socket_queue:,}, unless it was given more room",
                 place=("ci", CI_SOCKET),
@@ -403,8 +406,7 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
             f"up to {int(rows.length[members].max()):,} bytes; cFS {words}",
             noun="commands",
             hop="CI_LAB_APP",
-            remedy=f"send less than {limit} bytes a command, header included; or build CI with a larger "
-            "buffer",
+            remedy=f"send commands of at most {limit} bytes, or build CI with a larger buffer",
         )
 
 
@@ -442,7 +444,7 @@ def app_outage(case: Case) -> Iterator[Verdict]:
         until = "" if item.end_ns is None else f" and started again at {case.at(item.end_ns)}"
         event = f"restarted at {case.at(item.start_ns)}" if item.restarted else since + until
         yield warning(
-            f"{item.app} was {event}; no loss by it can be seen here",
+            f"{item.app} was {event}; what it lost, if anything, cannot be seen here",
             item.witness,
             hop=item.app,
             span=(start_ns, end_ns),
@@ -450,10 +452,7 @@ def app_outage(case: Case) -> Iterator[Verdict]:
         )
 
 
-START_AGAIN: Final = (
-    "start cFS again, not that application alone: its console says what failed, often a socket that is still "
-    "in use"
-)
+START_AGAIN: Final = "start cFS again, not that application alone: see its console, often a socket is in use"
 
 
 def revival(case: Case, app: str, *, restarts: bool = False) -> str:
