@@ -612,7 +612,7 @@ def test_a_remedy_names_a_ci_that_is_elsewhere(call, tmp_path):
     (tmp_path / "moved.pcap").write_bytes(moved)
     done = call("doctor", tmp_path / "moved.pcap", "--json")
     (remedy,) = {item["remedy"] for item in done.json()["verdicts"] if item["rule"] == "to_stopped"}
-    assert remedy.endswith("edoras inject to-add 0x0803 --target 10.5.0.3:1234")
+    assert remedy.endswith("edoras inject to-add 0x0800 --target 10.5.0.3:1234")
 
 
 def test_a_page_of_the_doctor_is_the_report(call, captures, missions, tmp_path):

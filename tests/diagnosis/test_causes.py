@@ -164,7 +164,7 @@ def test_a_stopped_scheduler_takes_no_command_of_a_rover(lab):
     found = stopped_scheduler(lab, "rover")
     assert (found.lost, found.unaccounted, found.uncertain) == (0, 0, 0)
     (verdict,) = told(found, "to_stopped")
-    assert verdict.reason.endswith("SCH_LAB_APP, which asks for all housekeeping, was stopped at 14.8 s")
+    assert verdict.reason.endswith("SCH_LAB_APP, which asks for housekeeping, was stopped at 14.8 s")
 
 
 @pytest.mark.each(2)

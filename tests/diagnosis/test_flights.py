@@ -101,6 +101,11 @@ FLIGHTS = {
     "delayed_link_that_loses": (8, {"network": 8}),
     "padded_commands": (25, {"limit": 25}),
     "stood_still_ground_side": (42, {"limit": 42}),
+    "refused_route_commands": (50, {"limit": 48, "bad_command": 2}),
+    "peer_wants_nothing": (0, {}),
+    "cut_at_96_bytes": (46, {"limit": 46}),
+    "burst_at_the_end": (49, {"limit": 49}),
+    "robot_ends_unseen": (0, {}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -190,7 +195,12 @@ def test_what_nothing_counts_is_a_narrow_range(name, lost):
 
 @pytest.mark.parametrize(
     ("name", "lost"),
-    [("bursts_of_loss", 187), ("enabled_behind_a_flood", 115), ("second_beside_the_first", 57)],
+    [
+        ("bursts_of_loss", 187),
+        ("enabled_behind_a_flood", 115),
+        ("second_beside_the_first", 57),
+        ("errors_seconds_apart", 54),
+    ],
 )
 def test_what_witnesses_leave_to_several_places_is_a_range(name, lost):
     """A gap may be a loss on the network, and its count a command's; CI's first count came late."""
@@ -808,3 +818,52 @@ def test_what_went_to_an_address_that_never_speaks_may_be_lost():
     found = examined("sent_to_another_address")
     assert (found.lost + found.unaccounted, found.uncertain) == (0, 48)
     assert "nothing comes from 10.5.0.33, as it does from 10.5.0.3" in first_screen(found)
+
+
+def test_a_count_that_may_be_of_one_the_capture_missed_is_of_no_other():
+    """What follows the last of 0x82d and two commands that the capture may have missed share two counts."""
+    lost = {row.msg_id: row.all_lost for row in examined("cut_at_96_bytes").balance if row.all_lost}
+    assert lost == {0x82D: 32, 0x1827: 12, None: 2}
+
+
+def test_what_follows_the_full_round_that_a_stream_ends_with_may_be_lost_there():
+    (row,) = (row for row in examined("burst_at_the_end").balance if row.among)
+    assert (row.all_lost, {msg_id for _, msg_id, _ in row.among}) == (11, {0x82D, 0x1827, 0x1828})
+
+
+def test_what_sixteen_bytes_say_is_no_other_header():
+    found = examined("refused_route_commands")
+    assert {item.msg_id for item in found.verdicts if item.rule == "bad_command"} == {0x1803}
+
+
+def test_what_an_application_sends_on_for_nobody_was_taken_by_it():
+    found = examined("peer_wants_nothing")
+    assert not any(item.rule == "no_subscriber" for item in found.verdicts)
+    assert "64 more messages without a subscriber" in first_screen(found)
+
+
+def test_a_topic_of_few_messages_that_came_evenly_and_stopped_is_warned_of():
+    assert "0x0827 stopped at 9.9 s and did not come back (1 Hz before)" in first_screen(
+        examined("robot_ends_unseen")
+    )
+
+
+@pytest.mark.parametrize("name", ["relay_downlink", "fast_relay_downlink"])
+def test_what_a_relay_took_and_did_not_send_on_is_lost_there(name):
+    text = first_screen(examined(name))
+    assert "at relay 127.0.0.8:1235" in text
+    assert "capture on the cFS host" not in text
+
+
+def test_of_a_full_pipe_only_what_comes_too_often_is_over_its_limit():
+    """Housekeeping at 1 Hz cannot be: cFS's own events name 0x827 alone over a limit."""
+    found = truth.examined(ROOT / "tests/captures/c3_mqueue10.pcap.zst")
+    rows = [row for row in found.balance if row.hop == "TO_LAB_TLM_PIPE"]
+    assert {row.msg_id: row.lost["limit"] for row in rows if "limit" in row.lost} == {0x827: 111}
+    assert sum(row.lost.get("overflow", 0) for row in rows) == 67
+
+
+def test_who_sends_what_ci_cannot_read_at_once_is_told_so_and_no_application_is_blamed():
+    text = first_screen(examined("refused_and_over_limits"))
+    assert "spread all that is sent to CI: it reads 11 every 500 ms (up to 43 were)" in text
+    assert "see what keeps" not in text
