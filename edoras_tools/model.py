@@ -547,7 +547,7 @@ class Decoded(msgspec.Struct, frozen=True):
 
 
 class CutDatagram(msgspec.Struct, frozen=True):
-    """A datagram that never became whole: its first fragment came, and later ones did not.
+    """A datagram that never became whole: its first fragment came, and no later one.
 
     Attributes:
         time_ns: capture time, ns since 1970-01-01 UTC.

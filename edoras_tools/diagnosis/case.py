@@ -91,6 +91,8 @@ if TYPE_CHECKING:
 
 _MOST: Final = 0.5
 _SLACK_NS: Final = 50 * MILLISECOND
+_FRAGMENT_BYTES: Final = 1480
+"""What a fragment holds on Ethernet."""
 _CLEAN_NS: Final = 10 * SECOND
 _HIGHER: Final = 1.1
 _TIME: Final = attrgetter("time_ns")
@@ -110,7 +112,7 @@ class Capture(msgspec.Struct, frozen=True):
         host: what the kernel of the recording host counted, oldest first.
         evidence: what links saw in it themselves.
         unwrappers: what took packets out of what carried them, and what its counts say.
-        lacking: datagrams of which the first fragment is in it, and later ones are not.
+        lacking: datagrams of which the first fragment is in it, and no later one.
         shared: datagrams that were left out, for another capture read with this one has them.
         astray: time (ns) and fingerprint of each that never came to the place of another capture on its way,
             and whether that is sure.
@@ -329,6 +331,11 @@ class Case:
     def confidence(self) -> float:
         """The confidence for one of many streams: that one lacks more than by itself is no wonder."""
         return 1 - (1 - CONFIDENCE) / len(self.streams)
+
+    def frames(self, stream: Stream) -> int:
+        """Return how many frames the longest datagram of a stream came in; 1 if none came in fragments."""
+        pieces = stream.rows[self.rows.has(Finding.FRAGMENT, stream.rows)]
+        return max(1, -(-int(self.rows.length[pieces].max(initial=0)) // _FRAGMENT_BYTES))
 
     def may_lack(self, size: int, number: int) -> int:
         """Return how many of so many that a stream of a size lacks the capture may have missed."""

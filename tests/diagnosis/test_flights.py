@@ -228,6 +228,17 @@ def test_what_waited_behind_a_backlog_from_before_the_capture_is_not_late(tmp_pa
     assert not [item for item in found.verdicts if item.rule == "old_values"]
 
 
+@pytest.mark.parametrize("share", [0.05, 0.1])
+def test_a_capture_that_misses_frames_misses_more_of_what_comes_in_many(tmp_path, share):
+    """Each of these 80 messages came in 14 fragments."""
+    items = mutations.frames(FOLDER / "padded_commands.pcap.zst")
+    found = truth.examined(
+        mutations.write(tmp_path / "flight.pcap", mutations.removed(share)(items, random.Random(1)))
+    )
+    assert found.lost + found.unaccounted <= FLIGHTS["padded_commands"][0]
+    assert "fragments" not in [kind for row in found.balance for kind in row.lost]
+
+
 def test_frames_that_the_capture_lost_in_bursts_are_no_loss():
     found = examined("frames_in_bursts")
     assert found.uncertain > 0

@@ -704,7 +704,7 @@ def hold_back(case: Case, claims: Sequence[Claim]) -> None:
 
 def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
     """Return how many the capture may have missed of some numbers that are missing from a stream."""
-    of = len(stream) + int(stream.missing.sum())
+    of = case.frames(stream) * (len(stream) + int(stream.missing.sum()))  # a datagram lacks at least one
     most = case.quality.may_have_missed(of, case.confidence) if numbers else 0
     return shares(min(sum(numbers), most), numbers, numbers)
 

@@ -288,9 +288,11 @@ class Recorder:
         source, destination = self._ends(batch)
         sequences = self._sequences.follow(batch, columns)
         self._told.append(sequences)
+        in_fragments = np.where(batch.length > batch.frame_length, np.uint32(Finding.FRAGMENT), np.uint32(0))
         self._parts.append(
             Rows.of(
                 (batch, columns, sequences),
+                findings=columns.findings | in_fragments,
                 source=source,
                 destination=destination,
                 known_id=cfe.known_ids(columns.msg_id, columns.headers),

@@ -125,7 +125,7 @@ class Fragment(msgspec.Struct, frozen=True):
 
 
 class Beginning(msgspec.Struct, frozen=True):
-    """The first fragment of a datagram that never became whole.
+    """The first fragment of a datagram of which no other came.
 
     Attributes:
         time_ns: capture time of the first of its fragments.
@@ -148,7 +148,7 @@ class Reassembler:
 
     Attributes:
         abandoned: datagrams dropped after a timeout or at the memory limit.
-        lacking: the beginnings of these, where their first fragment came; at most 16,384.
+        lacking: the beginnings of these, where their first fragment alone came; at most 16,384.
     """
 
     def __init__(self, *, timeout_ns: int = 30_000_000_000, limit: int = 16 << 20) -> None:
@@ -170,8 +170,9 @@ class Reassembler:
 
     def _beginning(self, key: tuple[int, int, bytes, bytes]) -> Beginning | None:
         partial = self._partials[key]
-        head = next((data for start, data in partial.pieces if start == 0), b"")
-        return Beginning(partial.time_ns, key[2], key[3], head[:QUOTED_BYTES]) if head else None
+        (start, head), *later = partial.pieces or [(0, b"")]
+        alone = head and not start and not later
+        return Beginning(partial.time_ns, key[2], key[3], head[:QUOTED_BYTES]) if alone else None
 
     def add(self, fragment: Fragment) -> tuple[bytes | None, tuple[int, int]]:
         """Add a fragment.

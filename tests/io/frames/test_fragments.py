@@ -46,13 +46,15 @@ def test_ports_are_known_from_the_first_fragment_on():
 def test_the_beginning_of_what_never_became_whole_is_kept():
     first, *_ = pieces_of(b"\x12\x34\x56\x78" + bytes(200), 104)
     *_, last = pieces_of(bytes(200), 104, key=(4, 8, *KEY[2:]))
+    more = pieces_of(bytes(300), 104, key=(4, 6, *KEY[2:]))
     reassembler = Reassembler(timeout_ns=SECOND)
     assert reassembler.add(first)[0] is None
     assert reassembler.add(last)[0] is None  # nobody knows of what it was
+    assert [reassembler.add(piece)[0] for piece in more[:2]] == [None, None]  # later ones come through
     assert [item.head for item in reassembler.beginnings()] == [first.data[:QUOTED_BYTES]]
     for piece in pieces_of(bytes(200), 104, key=(4, 9, *KEY[2:]), time_ns=3 * SECOND):
         reassembler.add(piece)
-    assert (reassembler.pending, reassembler.abandoned) == (0, 2)
+    assert (reassembler.pending, reassembler.abandoned) == (0, 3)
     assert [(item.time_ns, item.source, item.destination) for item in reassembler.beginnings()] == [
         (0, KEY[2], KEY[3])
     ]
