@@ -630,6 +630,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     lost = "0x803" if owner in case.tracks else "not counted: no 0x803 is here"
     way.hop(case.pipe_of(stream), {"in": by, "lost": lost})
     way.lose(losses, _AT_PIPE)
+    way.end("shared", telemetry.ended(stream, "shared"))
     way.end("not_captured", max(0, telemetry.ended(stream, "closed") - _told_before(case, stream)))
     silenced = [(number, among) for of, number, among in telemetry.silenced if of is stream and number]
     if silenced:

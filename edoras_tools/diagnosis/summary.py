@@ -378,22 +378,36 @@ def _lost(result: Diagnosis, proven: int) -> str:
         noun = "datagrams"
     if proven == 1:
         noun, were = noun.removesuffix("s"), "was"
-    routes, of = {row.key for row in rows}, sent_of(result, rows)
+    shared = sum(row.proven for row in rows if row.among)
+    routes, of = {row.key for row in rows if not row.among}, sent_of(result, rows)
     has_name = (rows[0].topic, rows[0].msg_id) != ("", None)
-    if len(routes) == 1 and rows[0].link and of > 1 and has_name:
+    if len(routes) == 1 and not shared and rows[0].link and of > 1 and has_name:
         whole = "" if _HARM.isdisjoint(chain.from_iterable(row.lost for row in rows)) else " whole"
         name = _name(result, rows[0])
         if proven == of:
             return f"None of the {of:,} {name} {noun} arrived{whole}."
         return f"{_share(proven, of, noun)} never arrived{whole}: {proven:,} of {of:,} {name} {were} lost."
+    parts = _parts(result, proven, len(routes), shared)
+    return f"{proven:,} {noun} {were} lost: {', '.join(parts) or _names(result, rows)}."
+
+
+def _parts(result: Diagnosis, proven: int, routes: int, shared: int) -> list[str]:
+    """Return how many of which were lost: the most by name, the rest together; none where none has a name.
+
+    Args:
+        routes: the number of those that lost some.
+        shared: the number lost that are of one of several.
+    """
     lines = sorted((item for item in result.headlines if item.missing), key=lambda item: -item.missing)
-    if len(lines) < len(routes) or len(lines) > _NAMES + 1:
+    if len(lines) < routes or len(lines) > _NAMES + 1:
         del lines[_NAMES:]
     parts = [f"{item.missing:,} of {item.sent:,} {item.name}" for item in lines]
-    if lines and (other := len(routes) - len(lines)):
-        rest = proven - sum(item.missing for item in lines)
+    if lines and (other := routes - len(lines)):
+        rest = proven - shared - sum(item.missing for item in lines)
         parts.append(f"{rest:,} with {plural(other, 'other MsgId')}")
-    return f"{proven:,} {noun} {were} lost: {', '.join(parts) or _names(result, rows)}."
+    if lines and shared:
+        parts.append(f"{shared:,} of one of several MsgIds")
+    return parts
 
 
 def _share(part: int, of: int, noun: str) -> str:

@@ -85,6 +85,7 @@ class Part(msgspec.Struct):
         missing: how many.
         kinds: as what they may have been counted.
         taken: kind to how many were.
+        shared: how many may be among what counters have of several together.
         watched: whether the counters were seen most of the time.
         outside: how many may be missing before the first count or behind the last.
         closed: whether the way out was closed: nobody would have sent them.
@@ -101,6 +102,7 @@ class Part(msgspec.Struct):
     missing: int = 0
     kinds: tuple[PipeKind, ...] = ()
     taken: Counter[PipeKind] = msgspec.field(default_factory=Counter)
+    shared: int = 0
     watched: bool = False
     outside: int = 0
     closed: bool = False
@@ -110,14 +112,14 @@ class Part(msgspec.Struct):
     evidence: list[str] = msgspec.field(default_factory=list)
 
 
-GapEnd = Literal["closed", "proxied", "damaged", "untold", "away", "uncertain", "astray"]
+GapEnd = Literal["closed", "proxied", "damaged", "untold", "away", "uncertain", "astray", "shared"]
 """How counts end that are missing and in no loss.
 
 Those that were published while the way out was ``closed``, and are in no counter; that a proxy dropped on
 purpose; ``damaged``: they came with a wrong checksum; ``untold``: cut frames do not tell whose they are, or
 nothing tells whether Telemetry Output was to send them; that are missing while the capturing interface was
 ``away``; ``uncertain``: the capture itself may have missed them; ``astray``: they are here, and the next
-capture on their way may have missed them."""
+capture on their way may have missed them; ``shared``: they may be among what counters have of several."""
 
 
 class _Gaps(NamedTuple):
@@ -209,6 +211,8 @@ class Telemetry:
                 part.taken[kind] += number * (at == part.owner)
             if claim.rank == Rank.POSSIBLE:  # behind the last message that came, where no gap shows it
                 part.missing += sum(claim.taken.values())
+            else:
+                part.shared += claim.reserved
         for part in self.parts:
             if part.closed:
                 self._tell_closed(part)
@@ -485,7 +489,8 @@ class Telemetry:
 
     def _tell(self, part: Part) -> None:
         """Make losses of what is missing from a span."""
-        rest = part.missing - part.taken.total()
+        rest = part.missing - part.taken.total() - part.shared
+        self.ends[id(part.stream)]["shared"] += part.shared
         likeliest = max(part.taken, key=lambda kind: part.taken[kind], default=None)
         more = max(0, min(rest, part.outside)) if part.kinds and likeliest is not None else 0
         if likeliest is not None:  # where no count was seen, a pipe that was full before and after was full

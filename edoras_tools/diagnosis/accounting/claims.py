@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, LEAD_NS, TAIL_NS
 from edoras_tools.diagnosis.evidence.loss_reports import PipeKind, Track
@@ -20,7 +21,7 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 
 class Rank(IntEnum):
@@ -237,6 +238,12 @@ class Shared(msgspec.Struct):
     start_ns: int
     end_ns: int
 
+    def add(self, number: int, flows: Iterable[int], span: tuple[int, int]) -> None:
+        """Add counts that some traffic shares, of a second."""
+        self.number += number
+        self.flows |= frozenset(flows)
+        self.start_ns, self.end_ns = min(self.start_ns, span[0]), max(self.end_ns, span[1])
+
 
 def settle_known(
     counts: Mapping[int, Counts], claims: Sequence[Claim], rivals: Sequence[Rival]
@@ -352,6 +359,60 @@ def settle_possible(
         others = [claim for claim in claims if claim.rank != Rank.MISSING]
         _improve(_tables(counts, others), others, alone=True)
     return list(shared.values())
+
+
+def share_open(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Shared]:
+    """Take from each traffic what messages of others may have been counted as, which no count explains.
+
+    Where all others have what they can, the rest of a counter's growth is its own.
+
+    Args:
+        claims: of all; what several of those that surely are missing share is no longer open.
+
+    Returns:
+        what several share.
+    """
+    claims = [claim for claim in claims if claim.rank in (Rank.PRESSED, Rank.ABSENT)]
+    open_ = {claim.flow for claim in claims if claim.open}
+    flows = dict.fromkeys(claim.flow for claim in claims if claim.taken and open_ - {claim.flow})
+    trials = [(flow, *_others(counts, claims, flow)) for flow in flows]
+    shared: dict[tuple[int, PipeKind], Shared] = {}
+    for flow, places, takers in trials:
+        for item in (item for item in claims if item.flow == flow):
+            for place in [place for place in item.taken if place in places]:
+                number = min(item.taken[place], places[place])
+                places[place] -= number
+                item.give(place, -number)
+                item.reserved += number
+                span = counts[place[0]].span([place[2]])
+                row = shared.setdefault(place[:2], Shared(*place[:2], frozenset(), 0, *span))
+                row.add(number, {flow, *(taker.flow for taker, _ in takers)}, span)
+        for item, number in takers:
+            item.reserved += min(number, item.open)
+    return list(shared.values())
+
+
+def _others(
+    counts: Mapping[int, Counts], claims: Sequence[Claim], flow: int
+) -> tuple[Counter[Place], list[tuple[Claim, int]]]:
+    """Return which counts of a traffic others may have, and which claims are so much less open then."""
+    rest = {
+        at: replace(item, left={kind: number.copy() for kind, number in item.left.items()})
+        for at, item in counts.items()
+    }
+    others, places = [item for item in claims if item.flow != flow], Counter[Place]()
+    for item in claims:
+        if item.flow == flow:
+            places.update({place: number for place, number in item.taken.items() if place[2] != BEFORE})
+    for (at, kind, second), number in places.items():
+        rest[at].left[kind][second] += number
+        places[at, kind, second] = int(rest[at].left[kind][second])
+    copies = [replace(item, taken=dict(item.taken)) for item in others]
+    _improve(_tables(rest, copies), copies)
+    for at, kind, second in places:
+        places[at, kind, second] -= int(rest[at].left[kind][second])
+    takers = zip(others, copies, strict=True)
+    return +places, [(item, item.open - copy.open) for item, copy in takers if item.open > copy.open]
 
 
 class _Table:

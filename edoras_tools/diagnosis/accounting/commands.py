@@ -28,6 +28,7 @@ from edoras_tools.diagnosis.accounting.claims import (
     settle_first,
     settle_known,
     settle_rest,
+    share_open,
     shares,
 )
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, UDP_PORT, Stops, silenced_at
@@ -125,6 +126,8 @@ class Commands:
         leftover = Leftover(case, self.fates, pipes)
         leftover.take_named()
         shared = settle_known(counts, claims, leftover.rivals())
+        if case.quality.lacks_answered:  # what no count explains it may have missed: which it is is open
+            shared += share_open(counts, claims)
         open_ = Counter[int]()
         for claim in claims:
             open_[claim.flow] += claim.open
