@@ -735,27 +735,22 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
         losses: of what went in.
     """
     _leave_quiet(case, telemetry)
-    streamed, quality = case.rows.streamed, case.quality
+    streamed = case.rows.streamed
     gaps: dict[int, list[tuple[Loss, int]]] = {}
     for loss in telemetry.losses:
         number = loss.lost if loss.kind in _UNEXPLAINED else loss.uncounted
         if number and loss.stream is not None and not streamed[loss.stream.rows[0]]:
             gaps.setdefault(id(loss.stream), []).append((loss, number))
-    unseen = [fate for fate in fates if fate.seen and fate.ends["unaccounted"]]
     missing = sum(number for own in gaps.values() for _, number in own)
-    streams = {id(fate.stream) for fate in unseen}
-    sent = sum(len(item) for item in case.streams if item.counted or id(item) in streams) + missing
-    missing += sum(fate.ends["unaccounted"] for fate in unseen)
-    if not missing or quality.excludes(missing / sent):
-        return
+    sent = sum(len(item) for item in case.streams if item.counted) + missing
     spare = _mistaken(case, [*telemetry.losses, *losses])
-    for stream in case.streams:
+    for stream in case.streams if missing and not case.quality.excludes(missing / sent) else ():
         own = gaps.get(id(stream), [])
         for (loss, number), share in zip(own, _missed(case, stream, [many for _, many in own]), strict=True):
             _take_back(telemetry, loss, min(number, share + spare))
             spare -= min(spare, number - share)
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
-    for fate in unseen:
+    for fate in (fate for fate in fates if fate.seen and fate.ends["unaccounted"]):
         absent = fate.ends["unaccounted"]
         missed = case.may_lack(len(fate.stream), absent)
         more = min(spare, absent - missed)
