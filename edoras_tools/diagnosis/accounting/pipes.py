@@ -424,6 +424,9 @@ class Leftover:
                     rest[away] = 0
                 if rest.any() or counts.first.get(kind, 0):
                     self._leftover(instance, counts, kind)
+                old = self._old(instance)
+                counts.older += int(rest[old].sum())
+                rest[old] = 0
 
     def _absent(self) -> Iterator[tuple[ReportedLoss, LossEvents, PipeKind]]:
         """Yield what events name at a pipe and the capture lacks, as a scheduler's wake-ups."""
@@ -532,10 +535,7 @@ class Leftover:
     def tell(self) -> None:
         """Make losses of what nothing explains."""
         for instance, counts in self._counts.items():
-            old = self._old(instance)
             for kind, rest in counts.left.items():
-                counts.older += int(rest[old].sum())
-                rest[old] = 0
                 if number := int(rest.sum()):
                     span = counts.span(np.flatnonzero(rest))
                     text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
