@@ -428,7 +428,8 @@ def _malformed(case: Case, members: list[int], kind: BadMessageKind) -> Verdict:
         hop="SBN",
         lost=len(members) if kind.refused else None,
         of=len(members),
-        remedy="write the 11-byte header: MsgSz of the payload, a known MsgType, both IDs",
+        remedy="write the 11-byte header: MsgSz of the payload alone, a known MsgType, ProcessorID, "
+        "SpacecraftID",
         confidence="high" if lines or not kind.events else "medium",
     )
 
