@@ -329,7 +329,7 @@ def test_what_came_over_the_network_while_cfs_was_down_is_lost_there():
     assert (row.msg_id, row.came, row.lost) == (0x1829, 250, {"down": 43})
     (crossing,) = found(diagnosis, "crossing_loss")
     assert (crossing.lost, crossing.cause) == (53, "disabled")
-    assert crossing.reason.endswith("Telemetry Output was not to send it")
+    assert crossing.reason.endswith("while Telemetry Output was not to send them")
 
 
 def test_commands_without_values_are_those_that_the_counter_has():

@@ -8,10 +8,12 @@ import pytest
 import truth
 from places import ROOT
 
+from edoras_tools.diagnosis.rules.about import sent_before
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.units import SECOND
 from tests.support.balance import wrong_rows
 
 FOLDER = ROOT / "tests/captures/flights"
@@ -226,6 +228,26 @@ def test_what_waited_behind_a_backlog_from_before_the_capture_is_not_late(tmp_pa
     items = mutations.part(from_, 1)(mutations.frames(FOLDER / f"{name}.pcap.zst"), random.Random(0))
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
     assert not [item for item in found.verdicts if item.rule == "old_values"]
+
+
+def test_a_stream_that_changes_its_rate_twice_at_once_has_no_empty_part(tmp_path):
+    """Two bursts without what SBN brings: one of the rates would have no message."""
+    items = mutations.frames(FOLDER / "bursts_of_two_robots.pcap.zst")
+    items = [item for item in items if not mutations.is_to(item.data, 2234, 2235, 2236, 2237)]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert found.lost + found.unaccounted == 50
+    assert all(span.last >= span.first for stream in found.case.streams for span in stream.spans)
+
+
+def test_a_command_is_named_before_what_it_causes_and_not_behind():
+    case = examined("added_too_short").case
+    (stream,) = [item for item in case.streams if item.msg_id == 0x1880]
+    sent_ns = int(stream.time_ns[-1])
+    half_ns = SECOND // 2
+    times = (sent_ns + half_ns, 1), (sent_ns - half_ns, 1), (sent_ns - half_ns, SECOND)
+    named = [list(sent_before(case, *when)) for when in times]
+    assert [len(lines) for lines in named] == [1, 0, 1]
+    assert "0x1880" in named[0][0]
 
 
 @pytest.mark.parametrize("share", [0.05, 0.1])

@@ -208,7 +208,8 @@ class Telemetry:
         for claim in self.claims:
             part = self.parts[claim.key]
             for (at, kind), number in claim.by_kind().items():
-                part.taken[kind] += number * (at == part.owner)
+                if at == part.owner:
+                    part.taken[kind] += number
             if claim.rank == Rank.POSSIBLE:  # behind the last message that came, where no gap shows it
                 part.missing += sum(claim.taken.values())
             else:
@@ -555,7 +556,7 @@ class Telemetry:
             yield "too little that its peer sent is here to tell whether it was connected"
         if self._handed_on(part):
             whom = "a cFS" if stream.instance == NOBODY else case.label(stream.instance)
-            yield f"it came over SBN from {whom}, which is not in the capture: some may be lost at that pipe"
+            yield f"it came from {whom} over SBN, which is not captured: some may be lost at that pipe"
 
     def _never_whole(self, part: Part) -> int:
         """Return how many lost their later fragments on the way."""

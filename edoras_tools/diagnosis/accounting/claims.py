@@ -170,8 +170,8 @@ def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int 
     """Give claims what was counted, rank after rank, and then as much as can be given at all.
 
     A count goes to the open claims whose time holds it, to each by how much of it is open. What is left then
-    is given by moving others' counts (augmenting paths, as of a bipartite graph): no other choice
-    explains more.
+    is given by moving others' counts (augmenting paths, as of a bipartite graph). The likelier kind of
+    each is given first, as far as it goes; those that it has taken are not moved for the other kind.
 
     Args:
         counts: the counters of each instance; what is given is taken out of them.
@@ -190,7 +190,9 @@ def _tables(
     counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0, kinds: int = len(COUNTERS)
 ) -> dict[tuple[int, PipeKind], _Table]:
     """Return who may take the counts of each counter that has some left, or whose claims may go elsewhere."""
-    several = {at for claim in claims if len(claim.instances) > 1 for at in claim.instances}
+    several: set[int] = set()
+    if len(counts) > 1:
+        several.update(at for claim in claims if len(claim.instances) > 1 for at in claim.instances)
     return {
         (instance, kind): _Table((instance, kind), own, claims, slack_ns, kinds)
         for instance, own in counts.items()
@@ -408,7 +410,13 @@ def _others(
         rest[at].left[kind][second] += number
         places[at, kind, second] = int(rest[at].left[kind][second])
     copies = [replace(item, taken=dict(item.taken)) for item in others]
-    _improve(_tables(rest, copies), copies)
+    # Those with nothing left, too: counts may be moved through them.
+    tables = {
+        (at, kind): _Table((at, kind), own, copies, 0, len(COUNTERS))
+        for at, own in rest.items()
+        for kind in COUNTERS
+    }
+    _improve(tables, copies)
     for at, kind, second in places:
         places[at, kind, second] -= int(rest[at].left[kind][second])
     takers = zip(others, copies, strict=True)
@@ -519,12 +527,15 @@ def _improve(
         alone: only where one traffic alone can have lost more.
     """
     dead: set[int] = set()
+    if not any(claim.open for claim in claims):
+        return
     for (instance, kind), table in tables.items():
         for second in np.flatnonzero(table.left).tolist():
             place = instance, kind, second
             if alone:
                 ways = _ways_from(tables, claims, place, set())
-                if len({claims[at].flow for at, _, _ in ways if claims[at].open}) != 1:
+                may = (claims[at] for _, _, fresh in ways for at in fresh)
+                if len({claim.flow for claim in may if claim.open or claim.doubted}) != 1:
                     continue
             while table.left[second] and (path := _path(tables, claims, place, dead)):
                 _shift(table, claims, path)
@@ -552,24 +563,26 @@ def _path(
         dead: claims that lead nowhere; added to where there is no path.
     """
     from_: dict[int, tuple[Place, int | None]] = {}
-    for at, place, giver in _ways_from(tables, claims, start, dead):
-        from_[at] = place, giver
-        if claims[at].open:
-            path, before = [(place, at)], giver
-            while before is not None:
-                path.append((from_[before][0], before))
-                before = from_[before][1]
-            return path[::-1]
+    for place, giver, fresh in _ways_from(tables, claims, start, dead):
+        for at in fresh:
+            from_[at] = place, giver
+            if claims[at].open:
+                path, before = [(place, at)], giver
+                while before is not None:
+                    path.append((from_[before][0], before))
+                    before = from_[before][1]
+                return path[::-1]
     dead.update(from_)
     return None
 
 
 def _ways_from(
     tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], start: Place, dead: set[int]
-) -> Iterator[tuple[int, Place, int | None]]:
-    """Yield the claims that some counts can go to, by moving those of others: each with what it would get.
+) -> Iterator[tuple[Place, int | None, list[int]]]:
+    """Yield where some counts can go to, by moving those of others.
 
-    And who has that; None where nobody does.
+    Each is a place, the claim that has its counts, None where nobody does, and the claims that may get them,
+    each once.
 
     Args:
         dead: claims that are passed over.
@@ -580,11 +593,13 @@ def _ways_from(
         place, giver = todo.pop()
         if place not in places:
             places.add(place)
-            for at in tables[place[0], place[1]].within(place[2]):
-                if at not in reached and at not in dead:
-                    reached.add(at)
-                    yield at, place, giver
-                    todo += [(other, at) for other in claims[at].taken if (other[0], other[1]) in tables]
+            within = tables[place[0], place[1]].within(place[2])
+            fresh = [at for at in within if at not in reached and at not in dead]
+            reached.update(fresh)
+            yield place, giver, fresh
+            todo += [
+                (other, at) for at in fresh for other in claims[at].taken if (other[0], other[1]) in tables
+            ]
 
 
 def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[int]:

@@ -114,7 +114,7 @@ class Stream(msgspec.Struct, eq=False, dict=True):
         bounds = [0, *(np.flatnonzero(self.pauses) + 1).tolist(), len(self)]
         for first, end in pairwise(bounds):
             cuts = _changes(self.time_ns[first:end], (self.missing + ~self.repeats)[first:end])
-            edges = [first, *(first + cut for cut in cuts), end]
+            edges = sorted({first, *(first + cut for cut in cuts), end})
             out += [self._span(low, high - 1) for low, high in pairwise(edges)]
         return out
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from edoras_tools.diagnosis.verdict import About, Severity, Verdict, verdict
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
@@ -49,12 +47,17 @@ def packet(case: Case, row: int) -> str:
     return f"packet {case.rows.number[row]} at {case.at(int(case.rows.time_ns[row]))}"
 
 
-def sent_before(case: Case, time_ns: int) -> Iterator[str]:
-    """Yield the commands just before a time that are no topic: one of them may be its cause."""
+def sent_before(case: Case, time_ns: int, after_ns: int = 1) -> Iterator[str]:
+    """Yield the commands just before a time that are no topic: one of them may be its cause.
+
+    Args:
+        after_ns: so much later it may have been sent as well.
+    """
     for stream in case.streams:
         operators = stream.link.only_to_cfs and stream.route == NO_ROUTE
         if operators and not case.rows.cdr_length[stream.rows].any():
-            near = stream.rows[np.abs(stream.time_ns - time_ns) < SECOND]
+            near = stream.rows[(stream.time_ns > time_ns - SECOND) & (stream.time_ns < time_ns + after_ns)]
+            near = near[case.rows.function_code[near] >= 0]
             if len(near) and len(near) <= _SINGLE:
                 code = int(case.rows.function_code[near[-1]])
                 when = case.at(int(case.rows.time_ns[near[-1]]))

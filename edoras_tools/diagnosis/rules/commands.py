@@ -337,7 +337,8 @@ def stranger_commands(case: Case) -> Iterator[Verdict]:
             *(f"it could {text}" for text in sorted(allowed)),
             place=("ci", "CI_LAB_APP"),
             span=case.span(members),
-            remedy="nothing for a second ground station; else let only the first reach CI's port",
+            remedy="if it is a second ground station, nothing; else let only the station reach CI's port "
+            "(a firewall, or authentication in front of CI)",
             confidence="medium",
         )
 

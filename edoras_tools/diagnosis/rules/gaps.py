@@ -47,7 +47,7 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
     }
     for loss in case.losses:
         if loss.kind in remedies:
-            text = f"{lost_at(case, loss)}: {CAUSES[loss.kind].listed}"
+            text = f"{lost_at(case, loss)} {CAUSES[loss.kind].text}"
             link = loss.stream.link.label if loss.stream else None
             yield loss_verdict(case, loss, text, link=link, remedy=remedies[loss.kind])
     for fate in case.commands.fates.values():

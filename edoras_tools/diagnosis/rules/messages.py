@@ -136,7 +136,8 @@ def flight_bridge_length(case: Case) -> Iterator[Verdict]:
             Severity.ERROR,
             case,
             members,
-            "have a length that the public flight bridge drops: it keeps 8 bits of it, and needs 11",
+            "have a length that the public flight bridge drops: it keeps it in 8 bits, and below 11 is no "
+            "header",
             f"datagrams of {sizes} bytes to {case.endpoints[towards]}",
             hop="flight bridge",
             of=int((whole & (rows.msg_id == msg_id) & (rows.destination == towards)).sum()),

@@ -159,7 +159,8 @@ def sbn_peer_restart(case: Case) -> Iterator[Verdict]:
                 lost=lost or None,
                 of=len(sent) or None,
                 span=(last_ns, back_ns),
-                remedy="send nothing while the peer starts again: after a DISCONNECT cFS holds it back",
+                remedy="send nothing while the peer starts again; its DISCONNECT before a planned stop makes "
+                "cFS hold back what is for it",
             )
 
 
@@ -235,7 +236,8 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
         yield warning(
             f"{who} sends to {case.endpoints[target]} and gets nothing back, or answers do not pass here",
             f"{plural(len(own), 'datagram')} ({names}) in {(last_ns - first_ns) / SECOND:.0f} s, no answer",
-            "stock SBN announces only to another spacecraft number: else a SUB or PROTO has to come first",
+            "stock SBN announces only to a peer whose spacecraft and processor both differ: else a SUB or "
+            "PROTO of either side has to come through",
             place=("sbn", "SBN"),
             span=(first_ns, last_ns),
             remedy="see that the peer runs, listens at that port, and is in cFS's SBN table with this "

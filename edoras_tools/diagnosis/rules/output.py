@@ -199,7 +199,8 @@ def _ended_at(case: Case, when: int) -> int:
     """Return a MsgId that Telemetry Output has not sent since; that of 0x803 where it sends all of them."""
     last = {item.msg_id: int(item.time_ns[-1]) for item in case.streams if item.link is TO}
     return next(
-        (msg_id for msg_id, time_ns in last.items() if time_ns < when + SECOND), case.of_known(0x0803)
+        (msg_id for msg_id, time_ns in last.items() if when - 2 * SECOND < time_ns < when + SECOND),
+        case.of_known(0x0803),
     )
 
 

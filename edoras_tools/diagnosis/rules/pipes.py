@@ -406,7 +406,8 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
             f"up to {int(rows.length[members].max()):,} bytes; cFS {words}",
             noun="commands",
             hop="CI_LAB_APP",
-            remedy=f"send commands of at most {limit} bytes, or build CI with a larger buffer",
+            remedy=f"send commands of at most {limit} bytes, header included; or build CI with a larger "
+            "buffer",
         )
 
 

@@ -275,7 +275,7 @@ def _hz(value: float, digits: int) -> str:
 def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> Verdict:
     first = members[0]
     fed = all(item.stream.link.peers and item.stream.is_command for item in members)
-    commands = list(sent_before(case, first.start_ns))
+    commands = list(sent_before(case, first.start_ns, SECOND))
     why = "; ".join(causes) or (_PUBLISHER if fed else next(iter(commands), "the capture cannot show why"))
     outages = [item for item in case.outages if any(line.startswith(item.app) for line in causes)]
     return verdict(
