@@ -120,7 +120,7 @@ class McapSink(Sink):
             with suppress(OSError):  # without them it takes longer
                 # One task each: this process does what comes meanwhile, and fills a third of the memory.
                 self._workers = Workers(
-                    options.jobs - 1, self._packed, writer_killed(self._path), tasks=1, yields=options.yields
+                    options.jobs - 1, self._packed, writer_killed(self._path), tasks=2, yields=options.yields
                 )
                 self._chunks = self._chunk_writer()
 
