@@ -60,8 +60,8 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
         f"{plural(len(commands), 'command')} to CI, no datagram from Telemetry Output",
         *(f"enabled for {item.address!r} at {case.at(item.time_ns)}" for item in enables),
         place=("to", "TO_LAB_APP"),
-        remedy=f"{case.inject(ENABLE_OUTPUT)}; to see telemetry, capture on the host that it is enabled for, "
-        "UDP port 1235; on the console of cFS, look for TO_LAB_APP's first event",
+        remedy="to see telemetry, capture on the host that it is enabled for, UDP port 1235; look for "
+        f"TO_LAB_APP's first event on cFS's console; or enable it: {case.inject(ENABLE_OUTPUT)}",
         confidence="medium",
     )
 

@@ -278,8 +278,9 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
     commands = list(sent_before(case, first.start_ns, SECOND))
     why = "; ".join(causes) or (_PUBLISHER if fed else next(iter(commands), "the capture cannot show why"))
     outages = [item for item in case.outages if any(line.startswith(item.app) for line in causes)]
+    is_said = bool(outages) and any(item.rule == "app_outage" and item.lost for item in case.verdicts)
     return verdict(
-        Severity.NOTE if fed or all(item.rate is None for item in members) else Severity.WARNING,
+        Severity.NOTE if fed or is_said or all(item.rate is None for item in members) else Severity.WARNING,
         f"{_stopped(case, members)}: {why}",
         *_evidence(case, members),
         *(item.witness for item in outages),
