@@ -230,6 +230,15 @@ def test_what_waited_behind_a_backlog_from_before_the_capture_is_not_late(tmp_pa
     assert not [item for item in found.verdicts if item.rule == "old_values"]
 
 
+@pytest.mark.parametrize("seed", [23, 24])
+def test_a_counter_that_grows_each_second_tells_nothing_where_some_of_its_seconds_lack(tmp_path, seed):
+    items = mutations.frames(FOLDER / "once_a_second.pcap.zst")
+    found = truth.examined(
+        mutations.write(tmp_path / "flight.pcap", mutations.removed(0.05)(items, random.Random(seed)))
+    )
+    assert (found.lost, found.unaccounted) == (0, 0)
+
+
 def test_a_stream_that_changes_its_rate_twice_at_once_has_no_empty_part(tmp_path):
     """Two bursts without what SBN brings: one of the rates would have no message."""
     items = mutations.frames(FOLDER / "bursts_of_two_robots.pcap.zst")
