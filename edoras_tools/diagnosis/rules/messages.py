@@ -195,12 +195,11 @@ def _unwanted(case: Case, track: Track, arriving: Places) -> Iterator[tuple[int,
     if spread:
         counts = np.array(track.totals["no_subscribers"])
     published = (_published(item) - SECOND for item in case.streams if item.link.only_from_cfs)
-    steps, apart = np.diff(counts), np.diff(seen_ns)
-    grown = np.flatnonzero(steps)
-    some = slice(grown[0], grown[-1] + 1) if len(grown) else slice(0)
-    # One each time, as a scheduler does of which nothing is here; some of the times may be missing.
-    as_woken = len(steps[some]) >= _FEW and (steps == np.rint(apart / np.median(apart)))[some].all()
-    if counts[-1] <= 0 or as_woken or any(_may_be(at, seen_ns, counts, _COUNTED_NS, 0) for at in published):
+    if (
+        counts[-1] <= 0
+        or _each_time(seen_ns, counts)
+        or any(_may_be(at, seen_ns, counts, _COUNTED_NS, 0) for at in published)
+    ):
         return  # what cFS does as often it may do for nobody: a scheduler wakes those that are not there
     inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
     own = {msg_id: inside[at] for msg_id, at in by_value(case.rows.msg_id[inside])}
@@ -221,6 +220,19 @@ def _unwanted(case: Case, track: Track, arriving: Places) -> Iterator[tuple[int,
                 yield msg_id, members, round(part * len(members))
         if fits:
             return
+
+
+def _each_time(seen_ns: Integers, counts: Integers) -> bool:
+    """Tell whether a counter grew by one each time, as a scheduler does of which nothing is here.
+
+    Some of the times may be missing.
+    """
+    steps, apart = np.diff(counts), np.diff(seen_ns)
+    grown = np.flatnonzero(steps)
+    if len(grown) < _FEW:
+        return False
+    even = steps == np.rint(apart / np.median(apart))
+    return bool(even[grown[0] : grown[-1] + 1].all())
 
 
 def _published(stream: Stream) -> Integers:
