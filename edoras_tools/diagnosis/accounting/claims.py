@@ -178,9 +178,10 @@ def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int 
         claims: of all of them together.
         slack_ns: by so much the time of a claim may be wrong, on either side.
     """
+    ranks = sorted({claim.rank for claim in claims})
     for place in range(len(COUNTERS)):  # as much as can be is of the likelier kind
         tables = _tables(counts, claims, slack_ns, place + 1)
-        for rank in sorted({claim.rank for claim in claims}):
+        for rank in ranks:
             for table in tables.values():
                 table.serve([at for at in table.asking if table.prefers(at, rank, place)])
         _improve(tables, claims)

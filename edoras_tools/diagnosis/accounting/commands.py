@@ -707,8 +707,8 @@ def hold_back(case: Case, claims: Sequence[Claim]) -> None:
 
 def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
     """Return how many the capture may have missed of some numbers that are missing from a stream."""
-    of = case.frames(stream) * (len(stream) + int(stream.missing.sum()))  # a datagram lacks at least one
-    most = case.quality.may_have_missed(of, case.confidence) if numbers else 0
+    frames = case.frames(stream) if numbers else 0  # of each a datagram that is missed lacks at least one
+    most = case.quality.may_have_missed(frames * (len(stream) + int(stream.missing.sum())), case.confidence)
     return shares(min(sum(numbers), most), numbers, numbers)
 
 

@@ -486,10 +486,11 @@ class Leftover:
         for at in self._counts:
             for each in self._candidates(at, "limit"):
                 fate = self._fates.get(id(each.stream))
-                for place, span in enumerate(each.spans if fate is not None and not fate.seen else ()):
+                if fate is None or fate.seen:
+                    continue
+                for place, span in enumerate(each.spans):
                     times = span.start_ns - LEAD_NS, span.end_ns + each.counted_ns
-                    open_ = int(fate.open[span.first : span.last + 1].sum()) if fate else 0
-                    most = min(each.most(range(place, place + 1)), open_)
+                    most = min(each.most(range(place, place + 1)), int(fate.open[span.rows].sum()))
                     if most and np.ptp(np.searchsorted(ends_ns, (times[0] - DRAINS_NS, times[1]))):
                         out.append(Rival(id(each.stream), at, "limit", *times, most))
         return [*out, *self._behind_full()]

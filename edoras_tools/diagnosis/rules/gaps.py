@@ -22,6 +22,7 @@ from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
@@ -130,33 +131,32 @@ def lost_after_cfs(case: Case) -> Iterator[Verdict]:
     Say that the counters clear cFS: a verdict a topic, and one for all housekeeping of a sender.
     """
     after = [loss for loss in case.losses if loss.kind in {"after", "fragments"} and loss.stream is not None]
-    groups: dict[tuple[object, ...], list[Loss]] = {}
-    for loss in after:
+
+    def relay_and_kind(loss: Loss) -> tuple[str, tuple[object, ...]]:
         assert loss.stream is not None
         together = loss.stream.is_housekeeping or loss.kind == "fragments"
         key = (loss.stream.sender, loss.stream.link, loss.kind) if together else (id(loss),)
-        groups.setdefault((*key, _relay_of(case, loss)), []).append(loss)
-    for members in groups.values():
-        yield _lost_after(case, members)
+        return _relay_of(case, loss), key
+
+    for (relay, _), members in by_key(after, relay_and_kind).items():
+        yield _lost_after(case, members, relay)
 
 
 def _relay_of(case: Case, loss: Loss) -> str:
     """Return the relay that took what is missing, and did not send it on; empty where none did."""
     assert loss.stream is not None
     place = loss.stream.link.code, loss.msg_id, loss.stream.receiver
-    for item in case.prepared.passed:
-        lost_ns = item.lost_ns[
-            (item.lost_ns > loss.start_ns - SECOND) & (item.lost_ns < loss.end_ns + SECOND)
-        ]
-        if (item.link, item.msg_id, item.receiver) == place and len(lost_ns) >= loss.lost:
+    own = (item for item in case.prepared.passed if (item.link, item.msg_id, item.receiver) == place)
+    for item in own:
+        near = (item.lost_ns > loss.start_ns - SECOND) & (item.lost_ns < loss.end_ns + SECOND)
+        if near.sum() >= loss.lost:
             return item.hop
     return ""
 
 
-def _lost_after(case: Case, members: list[Loss]) -> Verdict:
+def _lost_after(case: Case, members: list[Loss], relay: str) -> Verdict:
     first = members[0]
     assert first.stream is not None
-    relay = _relay_of(case, first)
     lost, of = (sum(getattr(loss, name) or 0 for loss in members) for name in ("lost", "of"))
     names = list(dict.fromkeys(case.name(loss.msg_id) for loss in members))
     one, evidence = len(names) == 1, list(first.evidence)
