@@ -108,6 +108,7 @@ FLIGHTS = {
     "cut_at_96_bytes": (46, {"limit": 46}),
     "burst_at_the_end": (49, {"limit": 49}),
     "robot_ends_unseen": (0, {}),
+    "ci_started_over_sbn": (67, {"ci_stopped": 66, "limit": 1}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {

@@ -43,6 +43,7 @@ from edoras_tools.wire.arrays.order import Integers, Mask, Places, changes, dist
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
 
+    from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
 
@@ -409,6 +410,10 @@ class _Counted:
         # What was sent by then had waited in its socket, where it came out later.
         read_ns = max([ended_ns, *(int(out[sent <= ended_ns].max(initial=0)) for sent, out in self._read)])
         commands = self._commanded_ns(sooner.seen_ns - SECOND, later.seen_ns)
+        cause: Cause = "down" if self._restarts[first] else "restart"
+        stops = (item for item in self._outages() if not item.restarted and item.start_ns < later.seen_ns)
+        if cause == "restart" and any((item.end_ns or 0) > sooner.seen_ns for item in stops):
+            cause = "ci_stopped"
         read = self._most_read(self._own[last:first], read_ns)
         if not commands and self._arrived is None and sooner.instance == later.instance:
             # Nothing tells when it ended: it may have read on until it began again.
@@ -419,14 +424,12 @@ class _Counted:
         before = int(self._sent_until(ended_ns)) - lost
         if before > most_read:
             # What waited in its socket is gone with it.
-            cause: Cause = "restart" if sooner.instance == later.instance else "down"
             span = self._own[last].seen_ns, ended_ns
             account.losses.append(Before(cause, before - most_read, *span, more=read - sooner.count))
             lost, before = lost + before - most_read, most_read
         if commands and (self._arrived is None or not self._all_out):  # it may have ended at once
             account.unsure += max(0, before - max(total, int(self._sent_until(max(commands)[1])) - lost))
-        down = bool(self._restarts[first])
-        if down and self._arrived is None:
+        if cause == "down" and self._arrived is None:
             until_ns = min(self._next_sign_ns(sooner.instance, ended_ns), later.made_ns)
             if restarts := self._restarts_ns(ended_ns - self._profile.ci_wake_ns, until_ns):
                 ended_ns = max(ended_ns, restarts[0])  # what it took beside the command, it may have read
@@ -434,7 +437,7 @@ class _Counted:
             account.ended.append((ended_ns, until_ns))
             before += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
             ended_ns = until_ns
-        return ("down" if down else "restart", ended_ns), lost, before
+        return (cause, ended_ns), lost, before
 
     def _end_with_outage(self, account: Ingest, begin: tuple[Cause, int]) -> None:
         """End what was lost while it did not run with the last of these: what it read since came behind."""
@@ -459,20 +462,25 @@ class _Counted:
 
     def _stop(self, account: Ingest) -> None:
         """Add what was sent since a CI was stopped, where it did not start again."""
-        for item in self._case.outages:
-            if item.app in command_ingest.NAMES and item.system == self._system and item.end_ns is None:
+        for item in self._outages():
+            if item.end_ns is None:
                 stops_ns = self._commanded_ns(self._own[-1].seen_ns - SECOND, item.ended_ns)
                 since_ns = max(stops_ns, default=(item.ended_ns, 0))[0]
                 if unread := int((self._sent_ns > since_ns).sum()):
                     span = since_ns, int(self._sent_ns[-1])
                     account.losses.append(Before("ci_stopped", unread, *span, said=item.witness))
 
+    def _outages(self) -> list[Outage]:
+        """Return when this CI did not run."""
+        names, system = command_ingest.NAMES, self._system
+        return [item for item in self._case.outages if item.app in names and item.system == system]
+
     def _commanded_ns(self, start_ns: int, end_ns: int) -> list[tuple[int, int]]:
         """Return until when CI may have read on after commands that end it, and when these were sent."""
         case, names = self._case, command_ingest.NAMES
         about = case.payloads.about_apps(*executive_services.ENDS_APP)
         times = [item.time_ns for item in about if item.app in names]
-        ends_ns = {item.start_ns: item.ended_ns for item in case.outages if item.app in names}
+        ends_ns = {item.start_ns: item.ended_ns for item in self._outages()}
         until = ((min(when + _ENDS_NS, ends_ns.get(when, end_ns)), when) for when in times)
         return [item for item in until if start_ns < item[0] < end_ns]
 
@@ -696,7 +704,7 @@ def _spread_evenly(rows: Places, number: int) -> Places:
 
 _LONG: Final = 3
 """For so many times as long as usual no ICMP error comes where somebody listens."""
-_OUTAGES: Final = frozenset({"down", "restart"})
+_OUTAGES: Final = frozenset({"down", "restart", "ci_stopped"})
 
 
 class BeforeCi:
