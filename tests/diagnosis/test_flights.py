@@ -109,6 +109,7 @@ FLIGHTS = {
     "burst_at_the_end": (49, {"limit": 49}),
     "robot_ends_unseen": (0, {}),
     "ci_started_over_sbn": (67, {"ci_stopped": 66, "limit": 1}),
+    "output_sent_elsewhere": (0, {}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -910,3 +911,9 @@ def test_who_sends_what_ci_cannot_read_at_once_is_told_so_and_no_application_is_
     text = first_screen(examined("refused_and_over_limits"))
     assert "spread all that is sent to CI: it reads 11 every 500 ms (up to 43 were)" in text
     assert "see what keeps" not in text
+
+
+def test_what_each_silence_of_output_kept_back_is_told_of_it_alone():
+    reasons = [item for item in examined("output_sent_elsewhere").verdicts if item.rule == "to_stopped"]
+    assert len(reasons) == 2
+    assert all("81 messages" in item.evidence[0] for item in reasons)

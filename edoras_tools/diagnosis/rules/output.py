@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from functools import cache
 from ipaddress import AddressValueError, IPv4Address
 from itertools import chain, pairwise
@@ -242,12 +241,14 @@ def _restarted(case: Case, explain: Callable[..., tuple[int | None, list[str]]])
 
 def _silent(case: Case) -> Iterator[Verdict]:
     """Say when nothing was sent until Telemetry Output was enabled."""
-    silenced = Counter[int]()
-    for item, lost, _ in case.telemetry.silenced:
-        silenced[item.sender] += lost
-    for sender, number in silenced.items():
+    silenced = case.telemetry.silenced
+    for sender in dict.fromkeys(stream.sender for stream, lost, _ in silenced if lost):
         spans = case.silences_of(sender)
-        for start_ns, end_ns in spans if number else ():
+        for start_ns, end_ns in spans:
+            own = ((lost, among.times_ns) for item, lost, among in silenced if item.sender == sender)
+            number = sum(lost for lost, (before_ns, behind_ns) in own if before_ns <= start_ns < behind_ns)
+            if not number:
+                continue
             failed = case.suppressed((start_ns, end_ns))
             order = None if failed else _diversion(case, sender, start_ns, end_ns)
             if failed:
