@@ -133,13 +133,14 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
     """Return the pipe of a loss, how many of its MsgId may wait there, and whether that was measured."""
     output = loss.hop == telemetry_output.PIPE
     queue = queues.telemetry_pipe(case.profile) if output else queues.peer_pipe(case.profile)
+    commanded = _limit_of(limit_command(case, loss))
     if loss.stream and loss.span:
         own, rounds = loss.span.rows, case.rounds(loss.stream, loss.span)
         near = abs(rounds.period_ns - queue.round_ns) < queue.round_ns // (10 if output else 5)
         lacking = loss.stream.time_ns[own], loss.stream.missing[own], rounds.most
-        if near and rounds.share >= _FULL and full_where_lacking(*lacking):
+        lower = commanded is not None and commanded < rounds.most  # for a part of the time
+        if near and not lower and rounds.share >= _FULL and full_where_lacking(*lacking):
             return replace(queue, round_ns=rounds.period_ns), rounds.most, True
-    commanded = _limit_of(limit_command(case, loss))
     return queue, queue.limit(loss.msg_id) if commanded is None else commanded, False
 
 
@@ -153,7 +154,8 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
     low = _limit_of(last) or queues.telemetry_pipe(case.profile).limit(loss.msg_id)
     again = [item for old, item in pairwise(changes) if old.state == "unsubscribed"]  # else its limit stays
     within = [item for item in again if times[0] + SECOND < item.not_before_ns < times[1]]
-    return next((item for item in reversed(within) if (_limit_of(item) or 0) < low), last)
+    lower = [item for item in reversed(within) if (_limit_of(item) or 0) < low]
+    return min(lower, key=lambda item: _limit_of(item) or 0, default=last)
 
 
 def set_by(case: Case, loss: Loss, limit: int) -> str:

@@ -110,6 +110,7 @@ FLIGHTS = {
     "robot_ends_unseen": (0, {}),
     "ci_started_over_sbn": (67, {"ci_stopped": 66, "limit": 1}),
     "output_sent_elsewhere": (0, {}),
+    "limits_one_three_seven": (140, {"limit": 140}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -917,3 +918,12 @@ def test_what_each_silence_of_output_kept_back_is_told_of_it_alone():
     reasons = [item for item in examined("output_sent_elsewhere").verdicts if item.rule == "to_stopped"]
     assert len(reasons) == 2
     assert all("81 messages" in item.evidence[0] for item in reasons)
+
+
+@pytest.mark.parametrize(
+    ("name", "limit", "since"), [("limits_one_three_seven", 1, "8.0"), ("lower_limit_amid", 2, "16.0")]
+)
+def test_of_limits_in_one_period_of_loss_the_lowest_is_told(name, limit, since):
+    text = first_screen(examined(name))
+    assert f"TO keeps {limit} of this MsgId" in text
+    assert f"set by a command at {since} s" in text
