@@ -734,7 +734,7 @@ class Case:
         places = {self.endpoints[item] for item in np.unique(self.rows.destination[to_ci]).tolist()}
         usual = Endpoint("127.0.0.1", command_ingest.PORT)
         target = f" --target {next(iter(places))}" if len(places) == 1 and places != {usual} else ""
-        lengths = self.rows.header_length[to_ci]
+        lengths = self.rows.header_length[to_ci & (self.rows.function_code >= 0)]  # telemetry's are as long
         extended = bool(len(lengths)) and bool((lengths == cfe.WITH_EXTENDED.command_bytes).mean() > _MOST)
         version = self.mission.msg_ids.version
         headers = " --set extended-header=yes" * extended

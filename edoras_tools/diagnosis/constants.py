@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -123,11 +124,12 @@ def _limits(
     """Return how many of a MsgId may wait at Telemetry Output, where full rounds show it."""
     limits: dict[int, int] = {}
     at_output = {item.msg_id for item in losses if item.kind == "limit" and item.at_output}
+    uses = Counter((item.sender, item.msg_id) for item in streams)
     for stream in streams:
         limit = assumed.to_limits.get(stream.msg_id)
         is_usual = limit == _USUAL.to_limits.get(stream.known_id) and stream.msg_id not in assumed.stated
-        if not stream.link.only_from_cfs or not is_usual:
-            continue
+        if not stream.link.only_from_cfs or not is_usual or uses[stream.sender, stream.msg_id] > 1:
+            continue  # of two that publish it, neither fills a round
         if stream.duplicates + stream.reordered > _ALIKE * len(stream):
             continue  # a network that doubles and delays makes other rounds of them
         times = stream.time_ns

@@ -111,6 +111,7 @@ FLIGHTS = {
     "ci_started_over_sbn": (67, {"ci_stopped": 66, "limit": 1}),
     "output_sent_elsewhere": (0, {}),
     "limits_one_three_seven": (140, {"limit": 140}),
+    "telemetry_sent_as_commands": (19, {"limit": 19}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -927,3 +928,10 @@ def test_of_limits_in_one_period_of_loss_the_lowest_is_told(name, limit, since):
     text = first_screen(examined(name))
     assert f"TO keeps {limit} of this MsgId" in text
     assert f"set by a command at {since} s" in text
+
+
+def test_telemetry_that_is_sent_to_ci_shows_no_other_headers_and_no_limit():
+    """Its headers are as long as a command's with an extended one; it shares TO's 4 with who publishes it."""
+    text = first_screen(examined("telemetry_sent_as_commands"))
+    assert "TO keeps 4 of this MsgId" in text
+    assert "extended-header" not in text
