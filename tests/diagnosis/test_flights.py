@@ -112,6 +112,7 @@ FLIGHTS = {
     "output_sent_elsewhere": (0, {}),
     "limits_one_three_seven": (140, {"limit": 140}),
     "telemetry_sent_as_commands": (19, {"limit": 19}),
+    "flood_of_a_stranger": (38, {"socket": 25, "limit": 9, "unaccounted": 4}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -935,3 +936,14 @@ def test_telemetry_that_is_sent_to_ci_shows_no_other_headers_and_no_limit():
     text = first_screen(examined("telemetry_sent_as_commands"))
     assert "TO keeps 4 of this MsgId" in text
     assert "extended-header" not in text
+
+
+def test_datagrams_of_a_stranger_fill_the_socket_and_are_no_messages(tmp_path):
+    found = examined("flood_of_a_stranger")
+    assert "at CI's full socket" in first_screen(found)
+    assert not [item for item in found.verdicts if item.rule == "lost_before_ci"]
+    items = mutations.frames(FOLDER / "flood_of_a_stranger.pcap.zst")
+    items = [item for item in items if not mutations.is_to(item.data, 8585, 8080)]
+    ground = truth.examined(mutations.write(tmp_path / "ground.pcap", items))
+    assert (ground.lost + ground.unaccounted, by_cause(ground)) == (9, {"limit": 9})
+    assert ground.lost + ground.uncertain >= 38

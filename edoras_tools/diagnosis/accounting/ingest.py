@@ -33,6 +33,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs import command_ingest, executive_services
+from edoras_tools.decode.conversations import ConversationKind
 from edoras_tools.diagnosis.accounting.claims import shares
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, Fate, Loss
 from edoras_tools.diagnosis.evidence.instances import NOBODY
@@ -764,6 +765,10 @@ class BeforeCi:
         rest -= quoted
         if quoted and before.cause == "network":
             evidence.append(f"{QUOTED}{quoted:,} of them came back")
+        if not bounded and (theirs := min(rest, self._strange(account, before))):
+            rest -= theirs
+            at = account.losses.index(before)
+            account.losses[at] = before = replace(before, more=before.more + theirs)
         for those, since_ns in spans:
             rest -= self._spread(self._open(those, before, since_ns), before, rest, evidence)
         # Of no stream, as those without a MsgId; what else is left came out: a cFS without telemetry read it.
@@ -772,6 +777,14 @@ class BeforeCi:
             span = before.start_ns, before.end_ns
             hop = LOST_AT[before.cause]
             self.losses.append(Loss(before.cause, hop, rest, *span, "medium", evidence=evidence))
+
+    def _strange(self, account: Ingest, before: Before) -> int:
+        """Return how many datagrams of programs that are no bridge came to a CI while it lost some."""
+        case, rows = self._case, account.rows
+        strange = {flow.source for flow in case.prepared.flows if flow.kind is ConversationKind.STRANGER}
+        places = [at for at, endpoint in enumerate(case.endpoints) if endpoint in strange]
+        sent_ns = case.rows.time_ns[rows[np.isin(case.rows.source[rows], places)]]
+        return int(((sent_ns > before.since_ns) & (sent_ns <= before.end_ns)).sum())
 
     def _answered(self, may: Sequence[_May]) -> int:
         """Leave open what was sent between ICMP errors when none came for long; return how many."""
@@ -850,6 +863,12 @@ class BeforeCi:
             missed = quality.may_have_missed(size) if shows else self._case.may_lack(size, number)
             text = "so many did not come out, and its counts leave room for them"
             self._spread(may, before, min(max(0, number - missed), before.more), [text])
+        for before in account.losses:
+            if strange := min(before.more, self._strange(account, before)):
+                may = self._open(self._to(account), before, before.since_ns)
+                most = [int(own.sum()) for _, own in may]
+                for (fate, own), part in zip(may, shares(strange, most, most), strict=True):
+                    fate.ends["crowded"] += fate.claim(np.flatnonzero(own)[:part])
 
     def wait(self, account: Ingest) -> None:
         """Tell which messages may wait in CI's socket at its last count, once all else is told: the latest.

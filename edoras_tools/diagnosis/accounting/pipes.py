@@ -619,8 +619,10 @@ class Leftover:
     ) -> _Candidate:
         case, spans, since_ns = self._case, stream.spans, self._older_ns.get(stream.receiver, 0)
         ingests = case.ingests_at(stream.receiver)
-        # Where CI read others, more came than is here; an application that was stopped takes nothing.
-        visible = stream.link.only_to_cfs and not any(item.not_captured for item in ingests)
+        # Where CI read others, more came than is here, and what waited in its full socket comes at once; an
+        # application that was stopped takes nothing.
+        full = any(loss.cause == "socket" for item in ingests for loss in item.losses)
+        visible = stream.link.only_to_cfs and not (full or any(item.not_captured for item in ingests))
         fate = self._fates.get(id(stream))
         visible &= fate is None or fate.unfollowed is None
         queue = queues.application_pipe(case.profile) if visible else None
