@@ -129,6 +129,7 @@ RANGES = {
     "route_disabled_at_a_full_pipe": 172,
     "one_of_two_peers_off": 22,
     "network_overload_restart": 52,
+    "two_cfs_of_one_name": 71,
 }
 
 

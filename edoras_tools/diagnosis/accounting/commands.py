@@ -502,7 +502,8 @@ class Commands:
             if fate.unfollowed is None and fate.stream.link.only_to_cfs:
                 self._leave_to_nobody(fate)
             if fate.unfollowed is not None:
-                fate.ends["unaccounted"] = min(int((fate.open & fate.unfollowed).sum()), self._untold(fate))
+                open_ = max(0, int((fate.open & fate.unfollowed).sum()) - fate.followed)
+                fate.ends["unaccounted"] = min(open_, self._untold(fate))
 
     def _leave_to_nobody(self, fate: Fate) -> None:
         case, sent_ns = self._case, fate.stream.time_ns

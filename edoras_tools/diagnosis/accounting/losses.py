@@ -170,6 +170,7 @@ class Fate:
         refused: rule to messages that came to nothing by what they are.
         unfollowed: bool (rows,), it was sent when nothing here could show any more what became of it.
         unfollowed_since: what was said or asked from which on that is so.
+        followed: of those, how many a counter has as lost, and none that was sent before them.
         reached: messages that came out by their number alone, where cut frames hide which; None elsewhere.
         commanded: commands to Telemetry Output that 0x880 counts; None where it does not tell.
         passed: bool (rows,), it may have come out of the application and have been lost behind it.
@@ -193,6 +194,7 @@ class Fate:
     counted_in_stop: Counter[int] = field(default_factory=Counter)
     unfollowed: Mask | None = None
     unfollowed_since: str = ""
+    followed: int = 0
     reached: int | None = None
     commanded: int | None = None
     passed: Mask = field(init=False)

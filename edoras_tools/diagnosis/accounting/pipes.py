@@ -448,7 +448,9 @@ class Leftover:
             for claim in self._settled(item, report, kind):
                 if number := sum(claim.taken.values()):
                     times = claim.low_ns, claim.high_ns
-                    self._blame(self._from_events(item, report), 0, item.instance, kind, number, times)
+                    self._blame(
+                        self._from_events(item, report), range(0), (item.instance, kind), number, times
+                    )
         for item, report, kind, stream in self._followed():
             if claims := self._settled(item, report, kind):
                 own = [claim for claim in self._pipes.claims if claim.flow == id(stream)]
@@ -571,7 +573,7 @@ class Leftover:
             most = sum(item.most(spans) for item, (_, spans) in zip(rivals, active_, strict=True))
             share = min(number, most)
             if len(rivals) == 1:
-                self._blame(rivals[0], active_[0][1][-1], instance, kind, share, times)
+                self._blame(rivals[0], active_[0][1], (instance, kind), share, times)
             elif rivals:
                 for item in rivals:
                     if (fate := self._fates.get(id(item.stream))) is not None:
@@ -685,12 +687,15 @@ class Leftover:
         self._losses.append(loss)
 
     def _blame(
-        self, item: _Candidate, span: int, instance: int, kind: PipeKind, number: int, times: tuple[int, int]
+        self, item: _Candidate, spans: range, at: tuple[int, PipeKind], number: int, times: tuple[int, int]
     ) -> None:
-        cut = item.spans[span] if item.spans else None
+        instance, kind = at
+        cut = item.spans[spans[-1]] if item.spans else None
         among = None
         if cut is not None and item.stream is not None:  # of which nothing has told what became of them
             rows, fate = np.arange(cut.first, cut.last + 1), self._fates.get(id(item.stream))
+            if fate is not None and fate.unfollowed is not None and len(spans) == 1:
+                fate.followed += number * bool(fate.unfollowed[rows].all())
             among = Among(item.stream, rows if fate is None else rows[fate.open[rows]])
             if item.said is not None:
                 self._pipes.lose(item.stream, cut, kind, number, instance, among.rows)
