@@ -113,6 +113,7 @@ FLIGHTS = {
     "limits_one_three_seven": (140, {"limit": 140}),
     "telemetry_sent_as_commands": (19, {"limit": 19}),
     "flood_of_a_stranger": (38, {"socket": 25, "limit": 9, "unaccounted": 4}),
+    "captured_in_two_parts": (43, {"limit": 43}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {

@@ -9,6 +9,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Mapping  # noqa: TC003  TICKS is annotated with it
+from itertools import chain
 from math import ceil
 from typing import TYPE_CHECKING, Final
 
@@ -416,8 +417,7 @@ class Leftover:
         for item in shared:
             self._together(item, {names[flow] for flow in item.flows})
         for instance, counts in self._counts.items():
-            # What is counted now was sent up to a round of CI before.
-            away = self._case.is_away(counts.times[:-1] - WAITS_NS - LEAD_NS, counts.times[1:])
+            away = self._away(counts)
             for kind, rest in counts.left.items():
                 if number := int(rest[away].sum()):
                     self.uncaptured[instance] += number
@@ -427,6 +427,13 @@ class Leftover:
                 old = self._old(instance)
                 counts.older += int(rest[old].sum())
                 rest[old] = 0
+
+    def _away(self, counts: Counts) -> Mask:
+        """Tell which seconds may count what was sent while the capturing interface was away.
+
+        What is counted now was sent up to a round of CI before.
+        """
+        return self._case.is_away(counts.times[:-1] - WAITS_NS - LEAD_NS, counts.times[1:])
 
     def _absent(self) -> Iterator[tuple[ReportedLoss, LossEvents, PipeKind]]:
         """Yield what events name at a pipe and the capture lacks, as a scheduler's wake-ups."""
@@ -538,8 +545,15 @@ class Leftover:
     def tell(self) -> None:
         """Make losses of what nothing explains."""
         for instance, counts in self._counts.items():
+            away, places = self._away(counts).tolist(), (own.taken.items() for own in self._pipes.claims)
+            given: Counter[PipeKind] = Counter()
+            for place, part in chain.from_iterable(places):
+                given[place[1]] += part * (place[0] == instance and place[2] != BEFORE and away[place[2]])
             for kind, rest in counts.left.items():
-                if number := int(rest.sum()):
+                # What was sent here may have been given another's count, of what was not captured.
+                spared = min(given[kind], int(rest.sum()))
+                self.uncaptured[instance] += spared
+                if number := int(rest.sum()) - spared:
                     span = counts.span(np.flatnonzero(rest))
                     text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
                     self._losses.append(Loss("unknown", BUS, number, *span, "low", instance, evidence=[text]))
