@@ -209,6 +209,7 @@ def test_what_nothing_counts_is_a_narrow_range(name, lost):
         ("enabled_behind_a_flood", 115),
         ("second_beside_the_first", 57),
         ("errors_seconds_apart", 54),
+        ("killed_on_a_losing_network", 75),
     ],
 )
 def test_what_witnesses_leave_to_several_places_is_a_range(name, lost):
@@ -949,3 +950,8 @@ def test_datagrams_of_a_stranger_fill_the_socket_and_are_no_messages(tmp_path):
     ground = truth.examined(mutations.write(tmp_path / "ground.pcap", items))
     assert (ground.lost + ground.unaccounted, by_cause(ground)) == (9, {"limit": 9})
     assert ground.lost + ground.uncertain >= 38
+
+
+def test_a_cfs_that_was_killed_and_kept_its_clock_was_not_started_beside_another():
+    text = first_screen(examined("killed_on_a_losing_network"))
+    assert "beside another" not in text

@@ -422,6 +422,9 @@ class _Counted:
             read = self._most_read(self._own[last:first], later.made_ns)
             account.unsure += max(0, min(int(self._sent_until(ended_ns)) - lost, before + read) - surely)
         most_read, total = before + read, before + sooner.count
+        if cause == "down" and self._arrived is None and account.lost_on_network:
+            # The network may have lost what its last count lacks, too.
+            account.unsure += max(0, int(self._sent_until(sooner.seen_ns)) - lost - total)
         before = int(self._sent_until(ended_ns)) - lost
         if before > most_read:
             # What waited in its socket is gone with it.

@@ -54,7 +54,9 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
         if earlier is None:
             continue
         span, boot_ns = (earlier.last_ns, later.first_ns), later.boot_ns(case.profile)
-        if not max(case.start_ns, earlier.first_ns) < boot_ns < earlier.last_ns - _OVERLAP_NS:
+        clock_ns = earlier.last_ns - earlier.offset_ns
+        went_on = later.first_ns - later.offset_ns >= clock_ns  # its clock, which so tells no boot
+        if went_on or not max(case.start_ns, earlier.first_ns) < boot_ns < earlier.last_ns - _OVERLAP_NS:
             boot_ns = 0
         if earlier.name or later.name or _down(case, *span):  # frames that were cut name nobody
             moved = (later.offset_ns - earlier.offset_ns) / SECOND
