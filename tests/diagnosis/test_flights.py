@@ -955,3 +955,7 @@ def test_datagrams_of_a_stranger_fill_the_socket_and_are_no_messages(tmp_path):
 def test_a_cfs_that_was_killed_and_kept_its_clock_was_not_started_beside_another():
     text = first_screen(examined("killed_on_a_losing_network"))
     assert "beside another" not in text
+
+
+def test_where_only_the_robot_link_is_here_nothing_tells_what_was_lost():
+    assert "only the robot link is here" in first_screen(examined("robot_link_alone"))

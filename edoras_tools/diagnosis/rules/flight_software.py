@@ -15,6 +15,7 @@ from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
 from edoras_tools.diagnosis.rules.about import sent_before
 from edoras_tools.diagnosis.verdict import Severity, Verdict, note, verdict, warning
 from edoras_tools.links.ci import CI
+from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.model import Finding
@@ -141,6 +142,9 @@ def not_observable(case: Case) -> Iterator[Verdict]:
         reason = "the capture cut 0x803 before its counters: how many the software bus lost cannot be shown"
         remedy = "capture whole frames, without -s or with -s 0"
     elif not sent and not (rows.link == TO).any():
+        if (rows.link == ROBOT).any():
+            reason = "only the robot link is here: nothing tells what was sent, so nothing what was lost"
+            yield warning(reason, hop="capture", remedy="capture what goes to CI and comes from TO, too")
         return
     elif not sent:
         reason = "0x803 is not in the capture: loss inside cFS shows only where a sequence count has a gap"
