@@ -114,6 +114,7 @@ FLIGHTS = {
     "telemetry_sent_as_commands": (19, {"limit": 19}),
     "flood_of_a_stranger": (38, {"socket": 25, "limit": 9, "unaccounted": 4}),
     "captured_in_two_parts": (43, {"limit": 43}),
+    "processor_restarted_twice": (22, {"down": 22}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -959,3 +960,9 @@ def test_a_cfs_that_was_killed_and_kept_its_clock_was_not_started_beside_another
 
 def test_where_only_the_robot_link_is_here_nothing_tells_what_was_lost():
     assert "only the robot link is here" in first_screen(examined("robot_link_alone"))
+
+
+def test_output_restarted_with_all_of_cfs_is_not_told_by_itself():
+    rules = {item.rule for item in examined("processor_restarted_twice").verdicts}
+    assert "cfs_restart" in rules
+    assert "to_stopped" not in rules

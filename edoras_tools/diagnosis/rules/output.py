@@ -224,6 +224,9 @@ def _restarted(case: Case, explain: Callable[..., tuple[int | None, list[str]]])
         if stream.link is TO
         for at in (rows.source[stream.rows][1:] != rows.source[stream.rows][:-1]).nonzero()[0].tolist()
     ]
+    # Where all of cFS was restarted, that is told by itself.
+    resets = [(item.start_ns, item.end_ns) for item in case.resets]
+    moves = [move for move in moves if not any(move[0] <= b and a <= move[1] for a, b in resets)]
     if moves:
         end_ns = min(end for _, end in moves)
         start_ns = max((start for start, _ in moves if start < end_ns), default=end_ns)
