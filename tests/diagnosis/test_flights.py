@@ -115,6 +115,7 @@ FLIGHTS = {
     "flood_of_a_stranger": (38, {"socket": 25, "limit": 9, "unaccounted": 4}),
     "captured_in_two_parts": (43, {"limit": 43}),
     "processor_restarted_twice": (22, {"down": 22}),
+    "ci_restarted_without_a_count": (76, {"restart": 29, "limit": 47}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {

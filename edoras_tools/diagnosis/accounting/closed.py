@@ -414,7 +414,7 @@ def outages(case: Case) -> list[Outage]:
 
 def _falls_silent(case: Case, app: str, span: StateSpan) -> bool:
     """Tell whether an application passes nothing on from the command that stops it, of what is sent to it."""
-    if app in _LINKS or app in executive_services.SCHEDULERS:
+    if (app in _LINKS and app not in command_ingest.NAMES) or app in executive_services.SCHEDULERS:
         return False
     start_ns, end_ns = span.start_lo + WAITS_NS, span.end_lo
     for hop in case.hops:

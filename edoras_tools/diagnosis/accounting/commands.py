@@ -286,16 +286,17 @@ class Commands:
         regroup(case, fate)
 
     def _uncounted(self, fate: Fate, stops: Stops) -> None:
-        """Mark what was sent while CI did not run, where no count is from before.
+        """Mark what was sent while CI did not run, where no counts are around that.
 
         The bus may have counted some: CI read them after the last that came out.
         """
         case, times = self._case, fate.stream.time_ns
-        first_ns = [item.first_ns for item in case.ingests if item.endpoint == fate.stream.receiver]
+        counted = [(item.first_ns, item.last_ns) for item in case.ingests_at(fate.stream.receiver)]
         own = [item for item in case.outages if case.into_system(fate.stream, item.system)]
         for item in (item for item in own if item.app in command_ingest.NAMES):
             end_ns = case.end_ns if item.end_ns is None else item.end_ns
-            if any(when < min(item.ended_ns, end_ns - WAITS_NS) for when in first_ns):
+            by_ns, to_ns = min(item.ended_ns, end_ns - WAITS_NS), item.start_ns if item.end_ns else 0
+            if any(first_ns < by_ns and last_ns > to_ns for first_ns, last_ns in counted):
                 continue
             # What came out again was read: it did not run where nothing does for the longest time.
             read = times[fate.arrived & (times > item.start_ns) & (times < end_ns)]
