@@ -967,3 +967,9 @@ def test_output_restarted_with_all_of_cfs_is_not_told_by_itself():
     rules = {item.rule for item in examined("processor_restarted_twice").verdicts}
     assert "cfs_restart" in rules
     assert "to_stopped" not in rules
+
+
+def test_what_a_peer_unsubscribes_is_told():
+    found = truth.examined(ROOT / "tests/captures/f_sbn_disconnect.pcap.zst")
+    reasons = [item.reason for item in found.verdicts if item.rule == "sbn_disconnected"]
+    assert "SBN peer 66:3 unsubscribed 0x082a at 49.2 s: it gets none until 65.0 s" in reasons

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -249,9 +250,10 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
 def sbn_disconnected(case: Case) -> Iterator[Verdict]:
     """An SBN peer said goodbye, or cFS did to its peer.
 
-    Name every DISCONNECT, and when the peer came back.
+    Name every DISCONNECT, and when the peer came back; and every UNSUB.
     """
     yield from _by_cfs(case)
+    yield from _unsubscribed(case)
     for connection in case.network.connections.values():
         for at, change in enumerate(connection.changes):
             if change.state != "disconnected" or change.why == SAID_GOODBYE:
@@ -266,6 +268,26 @@ def sbn_disconnected(case: Case) -> Iterator[Verdict]:
                 span=(change.time_ns, back.time_ns if back else case.end_ns),
                 remedy="none",
             )
+
+
+def _unsubscribed(case: Case) -> Iterator[Verdict]:
+    """Name what a peer no longer wants: of what it got, or what else is here."""
+    msg_ids = {stream.msg_id for stream in case.streams}
+    for system, owner in case.timeline.subjects:
+        wanted = owner.kind == "subscription" and owner.msg_id in msg_ids
+        changes = case.timeline.of(owner, system) if wanted else ()
+        for change, later in zip_longest(changes, changes[1:]):
+            if change.witness.startswith("UNSUB"):
+                until = f"until {case.at(later.not_before_ns)}" if later else "from then on"
+                yield note(
+                    f"SBN peer {owner.name} unsubscribed {case.name(owner.msg_id)} at "
+                    f"{case.at(change.not_before_ns)}: it gets none {until}",
+                    change.witness,
+                    msg_id=owner.msg_id,
+                    place=("sbn", f"SBN peer {owner.name}"),
+                    span=(change.not_before_ns, later.not_before_ns if later else case.end_ns),
+                    remedy="none, if it was to",
+                )
 
 
 def _by_cfs(case: Case) -> Iterator[Verdict]:
