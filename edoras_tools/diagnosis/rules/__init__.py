@@ -1,6 +1,7 @@
 """The rules: a function each that goes through a case and yields verdicts, which get its name.
 
-They are asked in this order, what concerns the capture itself first. ``docs/rules`` has a section for each.
+They are asked in the order in which they stand in these modules: who quotes others comes behind them.
+``docs/rules`` has a section for each.
 """
 
 from __future__ import annotations
@@ -29,85 +30,14 @@ if TYPE_CHECKING:
 
     Rule = Callable[[Case], Iterator[Verdict]]
 
+_MODULES: Final = capture, pipes, commands, messages, network, output, content, gaps, silence, flight_software
 RULES: Final[dict[str, Rule]] = {
-    rule.__name__: rule
-    for rule in (
-        capture.not_examined,
-        capture.more_senders,
-        capture.capture_drops,
-        pipes.host_drops,
-        capture.cut_frames,
-        capture.stream_gap,
-        capture.not_cfs,
-        capture.captured_twice,
-        capture.out_of_order,
-        capture.duplicated,
-        capture.clock_jump,
-        capture.proxy_faults,
-        flight_software.cfs_restart,
-        flight_software.cfs_stalled,
-        flight_software.not_observable,
-        pipes.lost_before_ci,
-        pipes.ci_backlog,
-        pipes.app_outage,
-        pipes.app_pipe_limit,
-        pipes.app_pipe_overflow,
-        pipes.to_message_limit,
-        pipes.to_pipe_overflow,
-        pipes.sbn_peer_pipe,
-        gaps.crossing_loss,
-        gaps.lost_after_cfs,
-        network.damaged,
-        gaps.perhaps_lost,
-        gaps.unexplained_gap,
-        gaps.unattributed_loss,
-        messages.struct_overrun,
-        content.changed_values,
-        content.old_values,
-        content.old_states,
-        content.value_limits,
-        silence.topic_silent,
-        pipes.ci_cut,
-        messages.ground_bridge_buffer,
-        messages.flight_bridge_length,
-        commands.bad_command,
-        messages.no_subscriber,
-        messages.rate_over_limit,
-        gaps.port_closed,
-        gaps.unreachable,
-        network.sbn_timeout,
-        network.sbn_peer_restart,
-        network.sbn_tcp_overwritten,
-        network.sbn_never_connected,
-        network.sbn_disconnected,
-        network.bad_network_message,
-        network.wrong_ident,
-        network.wrong_protocol_version,
-        network.unknown_peer,
-        network.sbn_table,
-        output.to_not_enabled,
-        output.to_destination,
-        output.to_stopped,
-        messages.wrong_direction,
-        messages.wrong_type,
-        messages.topic_never_seen,
-        messages.not_configured,
-        gaps.older_losses,
-        flight_software.event_suppression,
-        flight_software.event_squelch,
-        commands.stranger_commands,
-        commands.identity_from_two_addresses,
-        commands.repeated_commands,
-        commands.privileged_commands,
-        output.to_taken_over,
-        commands.checksum,
-        network.subscription_storm,
-        network.proto_storm,
-        gaps.superseded,
-        flight_software.cfs_errors,
-    )
+    name: item
+    for module in _MODULES
+    for name, item in vars(module).items()
+    if name[0] != "_" and getattr(item, "__annotations__", {}).get("return") == "Iterator[Verdict]"
 }
-"""Those of the core, by the name that their verdicts carry."""
+"""Those of the core, by the name that their verdicts carry: what is public there and yields verdicts."""
 
 
 def of_addons() -> dict[str, Rule]:
