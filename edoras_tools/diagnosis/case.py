@@ -377,7 +377,7 @@ class Case:
     @cached_property
     def network(self) -> Network:
         """The Software Bus Network."""
-        return Network(self.rows, self.payloads, self.instances, self.assumed, self.blind)
+        return Network(self.rows, self.instances, self.assumed, self.blind)
 
     @cached_property
     def timeline(self) -> Timeline:

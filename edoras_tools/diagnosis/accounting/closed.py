@@ -95,16 +95,14 @@ def closed_at(case: Case, stream: Stream, at: Places) -> Mask:
             back = np.flatnonzero(inside & (ends > again_ns))[:1]
             out |= np.isin(np.arange(len(at)), back) if len(back) else inside
         return out
-    connection = case.network.crossing(stream.sender, stream.receiver)
-    owner = case.owner(stream)
-    system = case.instances.systems[owner] if owner != NOBODY else 0
-    stopped = case.timeline.spans(StateOwner("app", sbn.NAME), "stopped", system)
-    for index, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
-        out[index] |= bool(
-            (connection and connection.broken_within(start, end))
-            or case.network.unsubscribed_within(stream.msg_id, start - _STOPS_NS, end)
-            or any(span.overlaps(start, end) for span in stopped)
-        )
+    peer = case.network.identity_of.get(stream.receiver, "")
+    way = Way(stream.msg_id, stream.link, case.instances.system(case.owner(stream)), peer=peer)
+    for span, _ in reasons_for(case.timeline, way, 0, NEVER, case.at):
+        subject, state = span.change.subject.kind, span.change.state
+        # A peer that did not say so may have subscribed before; SBN that restarts keeps its pipes.
+        unsubscribed = subject == "subscription" and span.change.rows
+        if unsubscribed or subject == "peer" or (subject, state) == ("app", "stopped"):
+            out |= (span.start_lo < (starts if state == "silent" else ends)) & (starts < span.end_lo)
     return out
 
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.table import Rows
 
 ObservedState = Literal["connected", "silent", "timed_out", "disconnected"]
@@ -90,9 +89,6 @@ class PeerRestart(NamedTuple):
     read_ns: int
 
 
-_TIME: Final = attrgetter("time_ns")
-
-
 class Connection(msgspec.Struct):
     """A peer as one cFS sees it.
 
@@ -109,21 +105,6 @@ class Connection(msgspec.Struct):
     changes: list[PeerChange]
     sent_ns: Integers
     restarts: list[PeerRestart]
-
-    def state_at(self, time_ns: int) -> ObservedState | None:
-        """Return the state at a time; None before anything was seen."""
-        before = bisect_right(self.changes, time_ns, key=_TIME)
-        if not before and self.changes and self.changes[0].why == ALREADY:
-            before = 1  # its first datagram came a little later
-        return self.changes[before - 1].state if before else None
-
-    def broken_within(self, start_ns: int, end_ns: int) -> bool:
-        """Tell whether messages could not cross at some time of a span."""
-        if self.state_at(start_ns) != "connected":
-            return True
-        first, end = (bisect_right(self.changes, when, key=_TIME) for when in (start_ns, end_ns))
-        since = self.changes[first:end]
-        return any(change.state != "silent" and change.why != ALREADY for change in since)
 
     def silences(self, end_ns: int) -> Iterator[PeerSilence]:
         """Yield every silence that the observer noticed, and one that lasts to the end of the capture."""
@@ -162,7 +143,6 @@ class Network:
     def __init__(
         self,
         rows: Rows,
-        payloads: Payloads,
         instances: Instances,
         profile: SimProfile,
         outages: Sequence[tuple[int, int]] = (),
@@ -178,12 +158,6 @@ class Network:
         self._hosts = instances.hosts
         self.datagrams: Counter[str] = Counter()
         self._profile = profile
-        listed = payloads.subscriptions
-        unsubscribed = np.flatnonzero(rows.sbn_msg_type[listed["row"]] == sbn.MsgType.UNSUB)
-        self._unsubscribed = [
-            (int(rows.time_ns[listed["row"][at]]), payloads.contents[listed["said"][at]].wanted)
-            for at in unsubscribed.tolist()
-        ]
         network = np.flatnonzero(rows.on(lambda link: link.peers) & (rows.sbn_msg_type >= 0))
         if not len(network):
             return
@@ -301,10 +275,6 @@ class Network:
         """Return the receiving peer's connection, as the sending cFS sees it."""
         return self.connections.get((self.party(receiver), self.party(sender)))
 
-    def unsubscribed_within(self, msg_id: int, start_ns: int, end_ns: int) -> bool:
-        """Tell whether a MsgId was unsubscribed in a span of time."""
-        return any(start_ns <= when <= end_ns and msg_id in msg_ids for when, msg_ids in self._unsubscribed)
-
 
 def _farewells(rows: Rows, sent: Places) -> list[tuple[int, int]]:
     """Return when an observer sent DISCONNECT, and from when on it took the peer's datagrams again.
@@ -346,7 +316,7 @@ def _greeted(changes: list[PeerChange], rows: Rows, sent: Places, app: Places) -
     # Nothing is missing before the first, nor behind the last.
     lacking = np.concatenate(([0], rows.missing[app[1:]], [0]))[behind] != 0
     for when, later in zip(subscribed[lacking].tolist(), behind[lacking].tolist(), strict=True):
-        place = bisect_right(out, when, key=_TIME)
+        place = bisect_right(out, when, key=attrgetter("time_ns"))
         if place and out[place - 1].state == "connected":
             last_ns = int(app_ns[later - 1])
             if out[place - 1].time_ns < last_ns < when - _STILL_NS:
