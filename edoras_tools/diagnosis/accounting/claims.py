@@ -1,8 +1,13 @@
-"""The growth of the software bus's loss counters, second by second, and who claims it.
+"""Share the growth of cFE's loss counters out to the messages that may have caused it.
 
-A count belongs to the second between two samples of the counter, and to one message. Messages claim counts
-rank after rank, and within each step as many of both are matched as can be. What may be of several kinds of
-traffic is given to none of them.
+0x803, the software bus's housekeeping, counts lost messages (MsgLimit, PipeOverflow) without their MsgId.
+Its growth is a supply of counts; messages that did not arrive are a demand for them. Rules:
+
+1. A count lies in the second between two samples of its counter, and is caused by exactly one message.
+2. A ``Claim`` is a group of messages that could have caused the same counts. Claims are served in the order
+   of their ``Rank``: first messages that are surely missing and have a known cause.
+3. Within a rank as many messages and counts are matched as possible (augmenting paths in a bipartite graph).
+4. Where messages of different traffic could have caused a count, no traffic gets it: it is ``Shared``.
 """
 
 from __future__ import annotations
@@ -25,49 +30,49 @@ if TYPE_CHECKING:
 
 
 class Rank(IntEnum):
-    """Which claims are served first: those of messages that surely are missing, and have a cause."""
+    """The order in which claims are served. A lower rank has better evidence for its messages."""
 
     NOT_TAKEN = -1
-    """What was sent while nobody took it, where the capture may have missed what others lack."""
+    """Sent while nobody received it, in a capture that surely misses frames."""
     PRESSED = 0
-    """What surely is missing, where an event names it or its pipe was full."""
+    """Surely missing, and either an event names its MsgId or its pipe was full."""
     ABSENT = 1
-    """Other commands that surely did not come out."""
+    """A command that surely did not leave cFS again; its stream was fast enough to fill a pipe."""
     CLOSED = 2
-    """What is missing while nothing took it."""
+    """Missing while its way out was closed."""
     OWN_PACKETS = 3
-    """The packets of cFS itself that are."""
+    """Missing while its way out was closed, and published by cFS itself."""
     QUIET = 4
-    """Commands that surely did not come out, where no event names them and no pipe was full by them."""
+    """A command that surely did not leave cFS again, with no event and a stream too slow to fill a pipe."""
     INTO_STOP = 5
-    """What was sent to an application that was stopped: its pipe may have been full before that."""
+    """Sent to an application that was stopped; its pipe may have filled up."""
     MISSING = 6
-    """What is missing where no pipe was full: it takes what nothing else that is missing explains."""
+    """Missing by its sequence count, but no pipe was full: it gets counts that nothing above explains."""
     POSSIBLE = 7
-    """Ranks from here on are of messages of which it is not sure that they are missing."""
+    """From this rank on the messages may also have arrived."""
 
 
 _APART_NS: Final = 3 * SECOND
-"""What is missing, and what is counted within so long of it, are not two things."""
+"""A gap and a count that are at most this far apart are the same loss."""
 FAR_NS: Final = 10 * SECOND
-"""Nor within so long where nothing else explains either: a cFS that stood still makes times wrong."""
+"""The same where nothing else explains either of them: if cFS stood still, its times are wrong."""
 _BOOTS_NS: Final = LEAD_NS + SECOND
-"""A boot may count what was sent so short before it: when it was is known to a second."""
+"""The time of a boot is known to about a second: it may count messages sent this long before it."""
 BEFORE: Final = -1
 Place = tuple[int, PipeKind, int]
-"""A count: of which instance, of which kind, and in which second of that counter; ``BEFORE`` its first."""
+"""Place of a count: cFS instance, counter, index of the second; ``BEFORE`` for the first sample."""
 
 
 class Counts(msgspec.Struct):
-    """The growth of one instance's loss counters, second by second, less what was told of it.
+    """The growth of one cFS instance's loss counters that no message explains yet.
 
     Attributes:
-        times: i64 (n + 1,), of the samples.
-        left: kind to i64 (n,), counts between two samples that nothing has taken.
-        first: kind to counts that the first sample had already, likewise.
-        older: counts since, which may be of what was sent before the capture.
-        boot_ns: all of these are of messages that were sent later.
-        set_back: seconds in which the counters were: what they had last is in no count here.
+        times: i64 (n + 1,), capture times of the samples, ns.
+        left: kind to i64 (n,), unexplained growth between each two samples.
+        first: kind to the unexplained value of the first sample.
+        older: unexplained growth that may be caused by messages from before the capture.
+        boot_ns: boot of the instance; every count is of a message sent later.
+        set_back: indices of seconds in which the counters were reset, so that their last growth is unknown.
     """
 
     times: Integers
@@ -79,10 +84,12 @@ class Counts(msgspec.Struct):
 
     @classmethod
     def of(cls, track: Track, boot_ns: int, later: Mapping[PipeKind, Sequence[int]]) -> Counts:
-        """Lay out a track of a cFS that began at a time.
+        """Build it from the samples of an instance.
 
         Args:
-            later: kind to when events told of losses behind the last sample: each is a count.
+            track: samples of its counters.
+            boot_ns: when it booted, capture time.
+            later: kind to times of loss events after the last sample; each event is one more count.
         """
         last = [max(times) for times in later.values() if times]
         grown = {
@@ -98,41 +105,41 @@ class Counts(msgspec.Struct):
         )
 
     def seconds(self, times: Integers) -> Places:
-        """Return which of the seconds each time is in: -1 before the first sample, n behind the last."""
+        """Return the second that each time lies in: -1 before the first sample, n after the last."""
         return np.asarray(np.searchsorted(self.times, times) - 1)
 
     def span(self, seconds: Sequence[int] | Places) -> tuple[int, int]:
-        """Return the times of the samples around some seconds, which are in order."""
+        """Return the times of the samples before and after some seconds, which are in rising order."""
         return int(self.times[seconds[0]]), int(self.times[seconds[-1] + 1])
 
     def between(self, low_ns: Integers, high_ns: Integers) -> Integers:
-        """Return how many counts of all kinds are left in the seconds that each of some times overlaps."""
+        """Return the unexplained counts of all kinds in the seconds that each interval overlaps, i64 (n,)."""
         total = np.concatenate(([0], np.cumsum([*self.left.values()], axis=1).sum(axis=0)))
         first, last = self.seconds(low_ns), self.seconds(high_ns) + 1
         return np.asarray(total[np.clip(last, 0, len(total) - 1)] - total[np.clip(first, 0, len(total) - 1)])
 
     def often(self, low_ns: Integers, high_ns: Integers) -> Mask:
-        """Tell in which times no two samples lie far apart: what is counted then was sent then."""
+        """Return in which intervals the samples are close together, so that counts have exact times."""
         rare = np.concatenate(([0], np.cumsum(np.diff(self.times) > TAIL_NS)))
         first = np.clip(self.seconds(low_ns), 0, len(rare) - 1)
         return np.asarray(rare[first] == rare[np.clip(self.seconds(high_ns) + 1, 0, len(rare) - 1)])
 
 
 class Claim(msgspec.Struct):
-    """Messages that are missing, or may be, and that a counter may have counted.
+    """A group of messages that did not arrive, or may not have, and that could have caused the same counts.
 
     Attributes:
-        key: place of their owner in a list of the caller's.
-        low_ns: capture time from which on they can have been counted.
-        high_ns: capture time until which they can.
+        key: index of their owner in a list of the caller.
+        low_ns: earliest capture time at which they can have been counted.
+        high_ns: latest such time.
         number: number of messages.
-        kinds: kinds of count, the likelier first.
+        kinds: counters that may have counted them, the likelier first.
         instances: cFS instances that may have counted them.
-        rank: claims of a lower rank are served first.
-        flow: traffic that they are of: id of its stream.
-        taken: (instance, kind, second of that counter) to the counts that they were given.
+        rank: order of service, lowest first.
+        flow: id of the stream, or of whatever else identifies their traffic.
+        taken: counts that were assigned to them, by place.
         reserved: counts that they share with claims of other traffic.
-        doubted: messages that are kept out of ``number``, because the capture itself may have missed them.
+        doubted: messages that are not in ``number``, because the capture may have missed them.
     """
 
     key: int
@@ -149,17 +156,17 @@ class Claim(msgspec.Struct):
 
     @property
     def open(self) -> int:
-        """Messages that no count explains yet."""
+        """Number of messages that no count explains yet."""
         return self.number - sum(self.taken.values()) - self.reserved
 
     def give(self, place: Place, number: int) -> None:
-        """Add counts to those that it was given, or take some back."""
+        """Assign counts, or take some back if ``number`` is negative."""
         self.taken[place] = self.taken.get(place, 0) + number
         if not self.taken[place]:
             del self.taken[place]
 
     def by_kind(self) -> dict[tuple[int, PipeKind], int]:
-        """Return how many of each kind each instance counted of them."""
+        """Return the assigned counts by instance and kind."""
         counts: dict[tuple[int, PipeKind], int] = {}
         for (instance, kind, _), number in self.taken.items():
             counts[instance, kind] = counts.get((instance, kind), 0) + number
@@ -167,16 +174,17 @@ class Claim(msgspec.Struct):
 
 
 def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0) -> None:
-    """Give claims what was counted, rank after rank, and then as much as can be given at all.
+    """Assign counts to claims, rank after rank, until no more can be assigned.
 
-    A count goes to the open claims whose time holds it, to each by how much of it is open. What is left then
-    is given by moving others' counts (augmenting paths, as of a bipartite graph). The likelier kind of
-    each is given first, as far as it goes; those that it has taken are not moved for the other kind.
+    Each count goes to the open claims whose interval contains it, in proportion to what is open. Then counts
+    that are left are assigned by moving others along augmenting paths. The likelier kind of every claim is
+    assigned first; counts assigned then are not moved for the other kind, so the result is the maximum for
+    each kind in turn, not for both together.
 
     Args:
-        counts: the counters of each instance; what is given is taken out of them.
-        claims: of all of them together.
-        slack_ns: by so much the time of a claim may be wrong, on either side.
+        counts: counters by instance; assigned counts are subtracted from them.
+        claims: claims on all of these counters.
+        slack_ns: the interval of each claim is widened by this on both sides.
     """
     ranks = sorted({claim.rank for claim in claims})
     for place in range(len(COUNTERS)):  # as much as can be is of the likelier kind
@@ -190,7 +198,7 @@ def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int 
 def _tables(
     counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0, kinds: int = len(COUNTERS)
 ) -> dict[tuple[int, PipeKind], _Table]:
-    """Return who may take the counts of each counter that has some left, or whose claims may go elsewhere."""
+    """Return a table of claims for each counter with counts left, or whose claims may move to another."""
     several: set[int] = set()
     if len(counts) > 1:
         several.update(at for claim in claims if len(claim.instances) > 1 for at in claim.instances)
@@ -203,15 +211,15 @@ def _tables(
 
 
 class Rival(NamedTuple):
-    """Traffic that is not in the capture, and that a counter may have counted.
+    """Traffic that the capture does not show, and that a counter may have counted too.
 
     Attributes:
-        flow: what distinguishes it from other traffic, as in ``Claim``.
+        flow: identity of the traffic, as in ``Claim``.
         instance: cFS instance that may have counted it.
-        kind: kind of count.
-        start_ns: capture time from which on it may have been counted.
-        end_ns: capture time until which it may.
-        most: so many of it at most, each second anew.
+        kind: counter.
+        start_ns: earliest capture time at which it can have been counted.
+        end_ns: latest such time.
+        most: upper bound of its counts in each second.
     """
 
     flow: int
@@ -223,15 +231,15 @@ class Rival(NamedTuple):
 
 
 class Shared(msgspec.Struct):
-    """Counts that are losses of several kinds of traffic together: nothing tells how many of each.
+    """Counts that several kinds of traffic may have caused; nothing shows how many are of each.
 
     Attributes:
         instance: cFS instance that counted them.
-        kind: kind of count.
-        flows: traffic that shares them, as in ``Claim`` and ``Rival``.
-        number: counts.
+        kind: counter.
+        flows: traffic that may have caused them, as in ``Claim`` and ``Rival``.
+        number: number of counts.
         start_ns: time of the sample before the first of them.
-        end_ns: time of the sample behind the last of them.
+        end_ns: time of the sample after the last of them.
     """
 
     instance: int
@@ -242,7 +250,7 @@ class Shared(msgspec.Struct):
     end_ns: int
 
     def add(self, number: int, flows: Iterable[int], span: tuple[int, int]) -> None:
-        """Add counts that some traffic shares, of a second."""
+        """Add counts of one second, and the traffic that may have caused them."""
         self.number += number
         self.flows |= frozenset(flows)
         self.start_ns, self.end_ns = min(self.start_ns, span[0]), max(self.end_ns, span[1])
@@ -251,10 +259,13 @@ class Shared(msgspec.Struct):
 def settle_known(
     counts: Mapping[int, Counts], claims: Sequence[Claim], rivals: Sequence[Rival]
 ) -> list[Shared]:
-    """Give counts to what surely is missing, then to what may be; see ``settle_possible``.
+    """Assign counts to messages that are surely missing, then to messages that may be.
 
     Args:
-        rivals: traffic that is not in the capture.
+        rivals: traffic that the capture does not show.
+
+    Returns:
+        The counts that several kinds of traffic share.
     """
     missing = {Rank.NOT_TAKEN, Rank.PRESSED, Rank.ABSENT, Rank.CLOSED}
     with_own, quiet = missing | {Rank.OWN_PACKETS}, {Rank.QUIET, Rank.INTO_STOP}
@@ -268,14 +279,15 @@ def settle_known(
 def hand_on(
     counts: Counts, instance: int, kind: PipeKind, givers: Sequence[Claim], claims: Sequence[Claim]
 ) -> None:
-    """Hand what some claims were given on to others of the same traffic, what surely is missing first.
+    """Pass the counts of some claims on to other claims of the same traffic, lowest rank first.
 
-    What none of them can have been is left.
+    Counts that fit none of these go back to the counter.
 
     Args:
-        counts: of the instance, which counted all of it as of one kind.
-        givers: claims that have it.
-        claims: those that are to have it.
+        counts: the counters of the instance.
+        kind: counter that the counts are from.
+        givers: claims that the counts were assigned to.
+        claims: claims that receive them.
     """
     table = _Table((instance, kind), counts, claims, 0, len(COUNTERS))
     for place, number in (item for each in givers for item in each.taken.items()):
@@ -288,10 +300,10 @@ def hand_on(
 
 
 def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: dict[int, int]) -> None:
-    """Give what a first sample had already to what surely is missing, was sent before it, and has a cause.
+    """Assign the value of a first sample to messages that were sent before it, and are surely lost at a pipe.
 
     Args:
-        missed: id of a stream to how many of it the capture may have missed; they become fewer.
+        missed: id of a stream to the messages of it that the capture may have missed; reduced here.
     """
     for claim in claims:
         low_ns, own = claim.low_ns, [(at, counts[at]) for at in claim.instances]
@@ -309,12 +321,12 @@ def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: 
 
 
 def settle_rest(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
-    """Give what nothing else explains to what is missing for no reason that is seen."""
+    """Assign what is left to messages that are missing by their sequence count, with no full pipe."""
     settle(counts, [claim for claim in claims if claim.rank == Rank.MISSING], _APART_NS)
 
 
 def settle_doubted(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
-    """Give what is left at the very end to what the capture may have missed: it is lost, and not missed."""
+    """Assign what is left to messages that the capture may have missed: a count proves them lost."""
     for claim in claims:
         claim.number, claim.doubted = claim.number + claim.doubted, 0
     settle_rest(counts, claims)
@@ -324,15 +336,15 @@ def settle_doubted(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> Non
 def settle_possible(
     counts: Mapping[int, Counts], claims: Sequence[Claim], rivals: Sequence[Rival] = ()
 ) -> list[Shared]:
-    """Give claims of messages that may be lost what is left, rank after rank, where one traffic alone can be.
+    """Assign what is left to messages that may be lost, where only one kind of traffic can have caused it.
 
-    What several share is theirs only as far as nothing that surely is missing can be it: a count that may be
-    of such a message proves no other loss.
+    A count that a surely missing message may have caused proves no other loss, so those are served before
+    anything is shared.
 
     Returns:
-        what several share.
+        The counts that several kinds of traffic share.
     """
-    # What a gap shows is lost, and what may follow a stream's last message is not: that gets what is left.
+    # A gap proves a loss; messages after a stream's last one are only a possibility, so gaps come first.
     behind = {claim.flow for claim in claims if claim.rank == Rank.POSSIBLE}
     rivals = [*filter(lambda rival: rival.flow not in behind, rivals)]
     gaps = [item for item in claims if item.rank in (Rank.PRESSED, Rank.MISSING) and item.flow in behind]
@@ -365,15 +377,15 @@ def settle_possible(
 
 
 def share_open(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Shared]:
-    """Take from each traffic what messages of others may have been counted as, which no count explains.
+    """Take back from each traffic those counts that unexplained messages of other traffic may have caused.
 
-    Where all others have what they can, the rest of a counter's growth is its own.
+    A traffic keeps only the counts that all others together cannot have caused.
 
     Args:
-        claims: of all; what several of those that surely are missing share is no longer open.
+        claims: all claims; messages that get a shared count are no longer open.
 
     Returns:
-        what several share.
+        The counts that several kinds of traffic share.
     """
     claims = [claim for claim in claims if claim.rank in (Rank.PRESSED, Rank.ABSENT)]
     open_ = {claim.flow for claim in claims if claim.open}
@@ -398,7 +410,7 @@ def share_open(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Sh
 def _others(
     counts: Mapping[int, Counts], claims: Sequence[Claim], flow: int
 ) -> tuple[Counter[Place], list[tuple[Claim, int]]]:
-    """Return which counts of a traffic others may have, and which claims are so much less open then."""
+    """Return the counts of one traffic that others may have caused, and the claims that would take them."""
     rest = {
         at: replace(item, left={kind: number.copy() for kind, number in item.left.items()})
         for at, item in counts.items()
@@ -411,7 +423,7 @@ def _others(
         rest[at].left[kind][second] += number
         places[at, kind, second] = int(rest[at].left[kind][second])
     copies = [replace(item, taken=dict(item.taken)) for item in others]
-    # Those with nothing left, too: counts may be moved through them.
+    # Tables without counts as well: a path may lead through them.
     tables = {
         (at, kind): _Table((at, kind), own, copies, 0, len(COUNTERS))
         for at, own in rest.items()
@@ -425,11 +437,11 @@ def _others(
 
 
 class _Table:
-    """Who may take the counts of one counter.
+    """The claims on one counter.
 
     Attributes:
-        asking: places of the claims that may.
-        left: i64 (n,), its counts that nothing has taken.
+        asking: indices of its claims.
+        left: i64 (n,), unexplained counts of each second.
     """
 
     def __init__(
@@ -443,18 +455,18 @@ class _Table:
         high = np.array([claims[at].high_ns for at in self.asking], np.int64)
         self._first = np.maximum(own.seconds(low - slack_ns), 0)
         self._last = np.minimum(own.seconds(high + slack_ns), len(own.times) - 2)
-        # What was lost before the first sample or behind the last is in no count here.
+        # No second here counts a loss before the first sample or after the last.
         self._last[(high <= own.times[0]) | (low >= own.times[-1])] = -1
         self._place = {at: place for place, at in enumerate(self.asking)}
         self._within: dict[int, list[int]] = {}
 
     def prefers(self, at: int, rank: int, place: int) -> bool:
-        """Tell whether a claim is of a rank, is open, and names this kind at a place."""
+        """Return whether a claim has this rank, is open, and has this counter as its ``place``-th kind."""
         claim = self._claims[at]
         return claim.rank == rank and claim.kinds[place:][:1] == (self.kind,) and claim.open > 0
 
     def within(self, second: int) -> list[int]:
-        """Return the claims whose time holds a second."""
+        """Return the indices of the claims whose interval contains a second."""
         if (own := self._within.get(second)) is None:
             places = np.flatnonzero((self._first <= second) & (self._last >= second))
             own = self._within[second] = [self.asking[place] for place in places.tolist()]
@@ -463,11 +475,12 @@ class _Table:
     def sharers(
         self, second: int, takers: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]
     ) -> frozenset[int]:
-        """Return which traffic shares the counts of a second; none where each has its own.
+        """Return the traffic that shares the counts of a second; empty if they are one's own or are enough.
 
         Args:
-            takers: claims that may take them.
-            span: when the second begins and ends, ns.
+            takers: indices of the claims that may get them.
+            rivals: traffic that the capture does not show.
+            span: begin and end of the second, ns.
         """
         unseen = {rival.flow for rival in self._unseen(second, rivals, span)}
         flows = frozenset(self._claims[at].flow for at in takers) | unseen
@@ -484,7 +497,7 @@ class _Table:
     def give_surplus(
         self, second: int, takers: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]
     ) -> None:
-        """Give each traffic the counts of a second that all others together cannot have; see ``sharers``."""
+        """Assign each traffic the counts of a second that all others together cannot have caused."""
         unseen = sum(rival.most for rival in self._unseen(second, rivals, span))
         open_ = Counter[int]()
         for at in takers:
@@ -495,7 +508,7 @@ class _Table:
                 self.give(second, [at for at in takers if self._claims[at].flow == flow], most=most)
 
     def serve(self, asking: Sequence[int]) -> None:
-        """Give counts to claims: to all whose time holds a count, by how much of each is open."""
+        """Assign every count to the claims whose interval contains it, in proportion to what is open."""
         first = {at: int(self._first[self._place[at]]) for at in asking}
         order, takers, next_ = sorted(asking, key=first.__getitem__), list[int](), 0
         for second in np.flatnonzero(self.left).tolist():
@@ -506,8 +519,14 @@ class _Table:
             self.give(second, takers)
 
     def give(self, second: int, takers: Sequence[int], *, reserve: bool = False, most: int = 1 << 32) -> int:
-        """Give so many counts of a second at most to claims, or reserve them for these; return how many."""
-        turn = second % max(1, len(takers))  # what does not divide goes to another one each time
+        """Assign counts of a second to claims, or reserve them as shared; return how many.
+
+        Args:
+            takers: indices of the claims.
+            reserve: the claims share the counts, and none gets them.
+            most: upper bound.
+        """
+        turn = second % max(1, len(takers))  # a remainder goes to another claim each time
         takers = [*takers[turn:], *takers[:turn]]
         before, opened = int(self.left[second]), [self._claims[at].open for at in takers]
         for at, share in zip(takers, shares(min(before, most), opened, opened), strict=True):
@@ -522,10 +541,10 @@ class _Table:
 def _improve(
     tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], *, alone: bool = False
 ) -> None:
-    """Give what is left by moving counts between claims; what leads to no open claim is looked at once.
+    """Assign what is left by moving counts between claims along augmenting paths.
 
     Args:
-        alone: only where one traffic alone can have lost more.
+        alone: only where a single kind of traffic has open claims that can be reached.
     """
     dead: set[int] = set()
     if not any(claim.open for claim in claims):
@@ -543,7 +562,7 @@ def _improve(
 
 
 def _shift(table: _Table, claims: Sequence[Claim], path: Sequence[tuple[Place, int]]) -> None:
-    """Give counts of a table along a path: each claim gives up its own for those of the one before it."""
+    """Move counts along a path: each claim gives its count to the next and takes the one before it."""
     second = path[0][0][2]
     moved = min(int(table.left[second]), claims[path[-1][1]].open)
     for (place, _), (_, before) in zip(path[1:], path, strict=False):
@@ -558,10 +577,11 @@ def _shift(table: _Table, claims: Sequence[Claim], path: Sequence[tuple[Place, i
 def _path(
     tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], start: Place, dead: set[int]
 ) -> list[tuple[Place, int]] | None:
-    """Return which counts go to which claims instead, from some that are left to a claim that is open.
+    """Return the moves that lead from counts that are left to an open claim; None if there is no path.
 
     Args:
-        dead: claims that lead nowhere; added to where there is no path.
+        start: place of the counts.
+        dead: claims that lead to no open one; extended if there is no path.
     """
     from_: dict[int, tuple[Place, int | None]] = {}
     for place, giver, fresh in _ways_from(tables, claims, start, dead):
@@ -580,13 +600,13 @@ def _path(
 def _ways_from(
     tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], start: Place, dead: set[int]
 ) -> Iterator[tuple[Place, int | None, list[int]]]:
-    """Yield where some counts can go to, by moving those of others.
+    """Yield the steps that counts can take, breadth of one claim at a time.
 
-    Each is a place, the claim that has its counts, None where nobody does, and the claims that may get them,
-    each once.
+    Each step is a place, the claim that holds its counts (None for counts that are left), and the claims that
+    may get them; each claim is yielded once.
 
     Args:
-        dead: claims that are passed over.
+        dead: claims that are skipped.
     """
     todo: list[tuple[Place, int | None]] = [(start, None)]
     places, reached = set[Place](), set[int]()
@@ -604,7 +624,7 @@ def _ways_from(
 
 
 def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[int]:
-    """Divide a number by weights into whole parts, none above its most; what does not fit is left."""
+    """Divide a number by weights into whole parts of at most ``most`` each; what does not fit is dropped."""
     out, rest = [0] * len(weights), number
     while rest > 0:
         free = [at for at in range(len(out)) if out[at] < most[at] and weights[at] > 0]
@@ -613,7 +633,7 @@ def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[i
         total = sum(weights[at] for at in free)
         exact = [rest * weights[at] / total for at in free]
         parts = [min(int(value), most[at] - out[at]) for value, at in zip(exact, free, strict=True)]
-        if not any(parts):  # what does not divide: one each, as far as it goes
+        if not any(parts):  # the remainder: one each, to the largest first
             parts = (np.argsort(np.argsort(-np.array(exact), kind="stable")) < rest).astype(int).tolist()
         for at, part in zip(free, parts, strict=True):
             out[at] += part
@@ -624,13 +644,16 @@ def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[i
 def claimed_alike(
     counts: Sequence[Counts], low_ns: Integers, high_ns: Integers, *keys: Places
 ) -> list[Places]:
-    """Return groups of messages that the same counts may hold, as indices: one claim can speak for each.
+    """Group messages that could have caused the same counts, so that one claim can stand for each group.
 
     Args:
-        counts: of the instances that may have counted them.
-        low_ns: from when on each can have been counted.
-        high_ns: and until when.
-        keys: what else those of a group have in common.
+        counts: counters of the instances that may have counted them.
+        low_ns: i64 (n,), earliest time at which each message can have been counted.
+        high_ns: i64 (n,), latest such time.
+        keys: further columns that are equal within a group.
+
+    Returns:
+        Indices of the messages, an array a group.
     """
     _, which = numbered(*[own.seconds(times) for own in counts for times in (low_ns, high_ns)], *keys)
     return [members for _, members in by_value(which)]

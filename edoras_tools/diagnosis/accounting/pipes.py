@@ -1,7 +1,14 @@
-"""What pipes lost of the messages that went into cFS, when a pipe was full, and what counters have left.
+"""Losses at pipes: commands that did not leave cFS again, and counts that no missing message explains.
 
-What a counter of the software bus counted and nothing that came out explains is shared out to what events
-name, else to what is sent faster than a pipe takes; what is left is lost, and not known which.
+Rules:
+
+1. ``Pipes``: a message into cFS whose way out is captured and that did not come out may have been lost at its
+   application's pipe. It claims counts of 0x803 (``claims``).
+2. A pipe can have lost messages only where it was full: its output comes in full rounds and messages are
+   missing beside them, or more messages were sent in a round than the pipe holds (``pressed``).
+3. ``Leftover``: a count that no missing message explains is of traffic whose way out is not captured. That is
+   the traffic that events name, else traffic that is sent faster than a pipe holds.
+4. If several kinds of traffic fit, they share the count. If none fits, it stays a loss of an unknown MsgId.
 """
 
 from __future__ import annotations
@@ -62,13 +69,13 @@ if TYPE_CHECKING:
 
 
 LATE_NS: Final = 2 * SECOND
-"""A count is seen within so long of what it counts."""
+"""A loss shows in the counter at most this much later."""
 TICKS: Final[Mapping[str, int]] = {
     **dict.fromkeys(executive_services.SCHEDULERS, executive_services.TICK_MSG_ID),
     **dict.fromkeys(command_ingest.NAMES, command_ingest.REQUEST_MSG_ID),
     **dict.fromkeys(telemetry_output.NAMES, telemetry_output.REQUEST_MSG_ID),
 }
-"""Applications of cFS to the MsgId of what each gets once a second."""
+"""Application of cFS to the MsgId of the message that wakes it once a second."""
 _RANKS: Final = (
     Rank.ABSENT,
     Rank.POSSIBLE + 1,
@@ -77,24 +84,29 @@ _RANKS: Final = (
     Rank.INTO_STOP,
     Rank.POSSIBLE + 2,
 )
-"""Ranks of the claims of ``_standing`` messages."""
+"""Rank of the claims for each mask of ``_standing``, in its order."""
 _UNNAMED: Final[Mapping[int, int]] = {Rank.ABSENT: Rank.QUIET, Rank.INTO_STOP: Rank.INTO_STOP}
-"""Rank to that of messages which no event names and of which no pipe was full; of others a later one."""
+"""The rank instead, where no event names the MsgId and its stream is too slow to fill a pipe."""
 _FIRST: Final = "; its first value already had some"
 _LATE: Final = 1.5
-"""A pipe that is read late loses so many times what it would."""
+"""A pipe that is read late may lose this many times as much as one that is read in time."""
 _MAY_WAIT: Final = 2
 _BLIND: Final = 3
 _INTO_STOP: Final = 4
 _OVER: Final = 1.02
 _OFTEN: Final = 1
-"""A size of rounds that is met more often shows how deep a pipe is."""
+"""The largest round shows how deep a pipe is if it occurs more often than this."""
 _FULL: Final = 0.3
-"""Rounds of which so many are full show how many may wait."""
+"""If at least this share of the rounds is full, the size of a full one is the limit."""
 
 
 def _standing(fate: Fate) -> tuple[Mask, ...]:
-    """Return which messages lack, may have gone on, may yet come, nobody sees, were sent to nobody, end."""
+    """Return masks (rows,) of the messages that no loss explains yet, by what is known of each.
+
+    In order: surely did not come out; may have come out unseen, given way or been lost behind; may still
+    come out; have no values to be recognised by; were sent into a stop; lie before the first that came out
+    or after the last.
+    """
     into_stop = fate.open & (fate.stop >= 0) & ~fate.unread
     others = fate.open & (fate.stop < 0)
     sure = others & ~fate.newer & ~fate.passed & ~fate.edge & ~fate.unseen & fate.seen
@@ -102,7 +114,14 @@ def _standing(fate: Fate) -> tuple[Mask, ...]:
 
 
 class _Own(msgspec.Struct):
-    """Messages of one span of a stream that can have been counted in the same seconds."""
+    """Messages of one span of a stream that could have caused the same counts.
+
+    Attributes:
+        fate: what became of the stream's messages.
+        span: index of the span.
+        rows: indices into the stream's rows.
+        standing: index into ``_standing``.
+    """
 
     fate: Fate
     span: int
@@ -111,10 +130,10 @@ class _Own(msgspec.Struct):
 
 
 class Pipes:
-    """Tells what was lost at pipes, of messages whose way out can be seen.
+    """Losses at application pipes, of messages whose way out is captured.
 
     Attributes:
-        claims: of messages that counters may have counted.
+        claims: claims of these messages on the loss counters.
     """
 
     def __init__(self, case: Case, losses: list[Loss]) -> None:
@@ -124,12 +143,12 @@ class Pipes:
         self._whose: list[_Own] = []
 
     def claim(self, fate: Fate) -> None:
-        """Claim counts for messages that did not come out, of each cFS that they may have gone to."""
+        """Add claims for the messages of a stream that did not come out, on each cFS that it may go to."""
         stream = fate.stream
         group = [at for at in self._counts if self._case.goes_to(stream, at) and self._leaves(fate, at)]
         kinds = [kind for kind in COUNTERS if any(self._from_events(stream, kind, at)[0] for at in group)]
         has_events = bool(kinds)
-        # Of traffic that nobody can follow events tell that it has a part in what others' counts may be.
+        # Traffic whose way out is not captured claims counts only if events name it.
         if not group or not (fate.seen or (has_events and self._case.hops)):
             return
         kinds += [kind for kind in COUNTERS if kind not in kinds]
@@ -155,7 +174,7 @@ class Pipes:
                 self._whose.append(_Own(fate, int(which[own[0]]), own, place))
 
     def _bursts(self, fate: Fate) -> bool:
-        """Tell whether more of a stream may come to its pipe in one round than that takes."""
+        """Return whether more messages of a stream may reach its pipe in one round than the pipe holds."""
         times, profile = fate.stream.time_ns, self._case.profile
         period = (
             profile.ci_wake_ns if fate.stream.link.only_to_cfs else profile.sbn_wake_ns * profile.sbn_polls
@@ -163,19 +182,16 @@ class Pipes:
         return more_at_once(times, period, profile.app_msg_limit)
 
     def _times(self, fate: Fate) -> tuple[Integers, Integers]:
-        """Return from when and until when each message can have been counted: i64, capture time in ns.
-
-        CI hands on in order: what it lost was handed on before the next one that came out did.
-        """
+        """Return the earliest and latest time at which each message can be counted: i64 (rows,), ns."""
         times = fate.stream.time_ns
         delay = max((hop.last_ns for hop in fate.hops), default=0)
         return np.maximum(times - LEAD_NS, self._taken_since(fate, times)), times + delay + LATE_NS
 
     def tell(self) -> None:
-        """Make losses of what was given to the claims."""
+        """Turn the counts that the claims got into losses."""
         for claim in self.claims:
             own, at = self._whose[claim.key], 0
-            if own.standing == _INTO_STOP:  # that it was stopped is why; ``closed`` tells of them
+            if own.standing == _INTO_STOP:  # the stop is their cause: ``closed.Stops`` makes that loss
                 own.fate.counted_in_stop[int(own.fate.stop[own.rows[0]])] += sum(claim.taken.values())
                 continue
             cut = own.fate.stream.spans[own.span]
@@ -189,12 +205,12 @@ class Pipes:
                 at += number
 
     def _leaves(self, fate: Fate, instance: int) -> bool:
-        """Tell whether an instance is the one that a stream into cFS goes to, where several are there."""
+        """Return whether the messages of a stream may leave cFS from this instance."""
         owners = {self._case.owner(hop.out) for hop in fate.hops if not hop.out.link.last_hop}
         return not owners or instance in owners or NOBODY in owners
 
     def _taken_since(self, fate: Fate, times: Integers) -> int:
-        """Return from when on a stream was taken: CI first takes what waits from before the capture."""
+        """Return when CI began to read a stream: first it reads the backlog from before the capture."""
         if not fate.hops or not fate.stream.link.only_to_cfs:
             return 0
         out_ns, went_ns = min(hop.first for hop in fate.hops)
@@ -213,12 +229,16 @@ class Pipes:
         *,
         first: bool = False,
     ) -> None:
-        """Add to the loss at a pipe of a span of a stream.
+        """Add messages to the loss at a pipe in one span of a stream.
 
         Args:
-            instance: the cFS that counted them.
-            among: which they are, or are some of.
-            first: some are of what the first 0x803 had counted already.
+            stream: their stream.
+            cut: the span.
+            kind: counter that counted them.
+            number: number of messages.
+            instance: cFS that counted them.
+            among: indices of the messages that they are some of.
+            first: the first 0x803 of the capture had already counted some of them.
         """
         key = id(stream), kind, instance, cut
         if (loss := self._same.get(key)) is not None:
@@ -247,23 +267,26 @@ class Pipes:
         self, stream: Stream, kind: PipeKind, instance: int
     ) -> tuple[ReportedLoss | None, LossEvents | None]:
         about = self._case.events_about(instance, stream.msg_id, kind)
-        # A command that Telemetry Output is to send as well is lost there apart from its application.
+        # Telemetry Output may subscribe to a command too: its pipe loses other copies than the application's.
         return next((own for own in about if not (stream.is_command and own[0].at_output)), (None, None))
 
 
 def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Integers, *, full: bool) -> bool:
-    """Tell whether so much came that a pipe can have lost what is missing from a span of a stream.
+    """Return whether a pipe was so full that it can have lost the messages missing from a span of a stream.
 
-    Where a MsgId's limit or a whole pipe is full, what did get in comes out in one burst, and the loss lies
-    beside it; or more of the MsgId is sent in a round, on the average, than the pipe takes.
+    A full pipe is emptied in one burst, and its losses lie beside that burst. Or, on average, more messages
+    of the MsgId are sent in a round than the pipe holds.
 
     Args:
-        kind: over the MsgId's limit, or out of a full pipe.
-        missing: (rows of the stream,), what is missing behind each.
-        full: whether the whole pipe was, which then shows not how many of one MsgId may wait.
+        case: the capture.
+        stream: telemetry stream behind the pipe.
+        span: the span.
+        kind: ``limit`` of the MsgId, or ``overflow`` of the whole pipe.
+        missing: i64 (rows of the stream,), number of messages missing after each row.
+        full: the whole pipe overflowed, so that bursts do not show the limit of one MsgId.
     """
     if case.unsteady_ns:
-        return True  # times that are wrong show no full rounds
+        return True  # with wrong times no round can be recognised
     profile, output = case.profile, stream.link.only_from_cfs
     queue = queues.telemetry_pipe(profile) if output else queues.peer_pipe(profile)
     period, limit = queue.round_ns, queue.limit(stream.msg_id)
@@ -275,13 +298,13 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
         if not output:
             sent &= case.rows.destination == stream.receiver
         times = case.rows.time_ns[sent]
-        # Some of what fills the pipe may not be here: half of it tells.
+        # Part of the pipe's traffic may not be captured: half its depth is taken as full.
         most_ns = _full(times, period, min(queue.depth // 2, measured_depth(times, period)))
         return _beside(most_ns, own[at] - period, own[at + 1] + period, missing[at])
     rounds, clean = case.rounds(stream, span), limit
     if not full and rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
         clean, limit = rounds.most, max(limit, rounds.most)
-    # Others may share the MsgId: the round that was full need not have brought one of this stream's.
+    # Other senders may use the MsgId: their messages fill the pipe too.
     if _beside(_full(case.times(stream), period, limit), own[at], own[at + 1], missing[at]):
         return True
     inside = own[span.rows]
@@ -291,45 +314,45 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
 
 
 def more_at_once(times: Integers, period_ns: int, number: int) -> bool:
-    """Tell whether more than so many of some messages, in order of time, come within a period of time."""
+    """Return whether more than ``number`` of some times, in rising order, lie within one period."""
     late = times[number:]
     return bool((late - times[: len(late)] < period_ns).any())
 
 
 def measured_depth(times: Integers, period: int) -> int:
-    """Return how deep a pipe is by the rounds that come out of it: a size often met and never passed."""
+    """Return the depth of a pipe: the size of its largest round, if that occurs often; else 2^63 - 1."""
     _, sizes = bursts(times, period // 2)
     most = int(sizes.max(initial=0))
     return most if (sizes == most).sum() > _OFTEN else int(np.iinfo(np.int64).max)
 
 
 def _full(times: Integers, period: int, most: int) -> Integers:
-    """Return those of some times at which so many have come in one burst."""
+    """Return those of some times at which a burst has reached ``most`` messages."""
     burst = np.arange(1, len(times) + 1) - np.searchsorted(times, times - period // 2)
     return times[burst >= most]
 
 
 def _beside(times: Integers, starts: Integers, ends: Integers, missing: Integers) -> bool:
-    """Tell whether most of what is missing is missing where one of some times lies."""
+    """Return whether most missing messages lie in intervals that contain one of some times."""
     inside = np.searchsorted(times, ends) > np.searchsorted(times, starts)
     return int(missing[inside].sum()) * 2 > int(missing.sum())
 
 
 class _Candidate(msgspec.Struct, frozen=True):
-    """What a counter may have counted.
+    """Traffic whose way out is not captured, and that may have caused counts.
 
     Attributes:
-        msg_id: of what.
-        pipe: where it would be lost.
-        stream: its traffic; None where that is not in the capture.
-        lost_from: the stream that lacks them; that traffic, or what was seen behind the pipe.
-        spans: its traffic in time.
-        since_ns: until then what was counted may have been sent before the capture began.
-        sender: who sends it, as an event names it.
-        said: the events that name it.
-        sent_ns: i64, when its traffic was sent; None where that is not here.
-        queue: the pipe; None where it is not known what it takes.
-        counted_ns: a loss is counted so long after it was sent at most.
+        msg_id: MsgId of the traffic.
+        pipe: pipe that would lose it.
+        stream: its stream into the pipe; None if that is not captured.
+        lost_from: stream that the loss is reported for: ``stream``, or the one seen behind the pipe.
+        spans: spans of time in which it was sent.
+        since_ns: counts until this time may be of messages from before the capture.
+        sender: sending application, as events name it.
+        said: events that name it; None if there are none.
+        sent_ns: i64, when its messages were sent; None if that is not captured.
+        queue: model of the pipe; None if its size is not known.
+        counted_ns: a loss is counted at most this long after its message was sent.
     """
 
     msg_id: int
@@ -345,17 +368,17 @@ class _Candidate(msgspec.Struct, frozen=True):
     counted_ns: int = DRAINS_NS
 
     def active(self, start_ns: int, end_ns: int) -> range:
-        """Return which of its spans can be counted in a second: none where another may be."""
+        """Return the indices of the spans whose losses can be counted between two times."""
         if end_ns <= self.since_ns:
             return range(0)
         if not self.spans:
             return range(self.said is not None and self.said.first_ns - TAIL_NS <= end_ns)
-        # What waits in a socket is delivered, and counted, long after it was sent.
+        # A datagram may wait in a socket for long before it is delivered, and counted.
         first = bisect_left(self.spans, start_ns - self.counted_ns, key=lambda item: item.end_ns)
         return range(first, bisect_right(self.spans, end_ns + LEAD_NS, key=lambda item: item.start_ns))
 
     def most(self, spans: range) -> int:
-        """Return how many of some spans can have been lost: of each round what fits is taken."""
+        """Return the most messages of some spans that can be lost: those beyond the limit in each round."""
         if not self.spans:
             return int(np.iinfo(np.int32).max)
         own = self.spans[spans.start : spans.stop]
@@ -368,18 +391,18 @@ class _Candidate(msgspec.Struct, frozen=True):
         return min(count, int(_LATE * over) + self.queue.limit(self.msg_id))
 
     def beyond(self, sent_ns: Integers, start_ns: int, end_ns: int) -> int:
-        """Return how many sent between two times a pipe can have lost: it takes some each round."""
+        """Return how many messages sent between two times the pipe has no room for; may be negative."""
         number, queue = int(((sent_ns > start_ns) & (sent_ns <= end_ns)).sum()), self.queue
         return number - (end_ns - start_ns) // queue.round_ns * queue.limit(self.msg_id) if queue else number
 
     @property
     def named(self) -> tuple[str, int, str]:
-        """Label of its link, MsgId and pipe."""
+        """Label of its link ("" if not captured), MsgId and pipe."""
         return self.stream.link.label if self.stream else "", self.msg_id, self.pipe
 
 
 def _not_seen(item: _Candidate, hop: Hop) -> _Candidate:
-    """Return a candidate less what is seen not to go out: between the first that did and the last."""
+    """Return a candidate less the messages whose fate is seen: between the first and last to leave."""
     times, out_ns = hop.into.time_ns, hop.out.time_ns
     beyond = hop.absent & ((times < out_ns[0]) | (times > out_ns[-1]))
     spans = [replace(span, count=int(beyond[span.rows].sum()), missing=0) for span in item.spans]
@@ -387,14 +410,16 @@ def _not_seen(item: _Candidate, hop: Hop) -> _Candidate:
 
 
 class Leftover:
-    """Shares out what counters have left.
+    """Explains counts that no missing message explains.
 
     Args:
+        case: the capture.
         fates: id of a stream to what became of its messages.
+        pipes: losses at application pipes, which are added to.
 
     Attributes:
-        uncaptured: instance to what it counted lost while the capturing interface was away, and is told of
-            nothing that was captured.
+        uncaptured: instance to the losses that it counted while the capturing interface was away, and that no
+            captured message explains.
     """
 
     def __init__(self, case: Case, fates: Mapping[int, Fate], pipes: Pipes) -> None:
@@ -405,10 +430,10 @@ class Leftover:
         self._places: dict[tuple[object, ...], Loss] = {}
 
     def share(self, shared: Sequence[Shared]) -> None:
-        """Share out what nothing has taken: to what events name, else to what is sent too fast for a pipe.
+        """Explain counts that are left: by traffic that events name, else by traffic too fast for its pipe.
 
         Args:
-            shared: counts that several kinds of traffic share: each is a loss of its own.
+            shared: counts that several kinds of traffic share: each becomes a loss of its own.
         """
         names = {id(item): (item.link.label, item.msg_id, self._pipe(item)) for item in self._case.streams}
         names |= {id(item): ("", item.msg_id, item.pipe) for item in self._case.reported_losses}
@@ -436,13 +461,13 @@ class Leftover:
         return self._case.is_away(counts.times[:-1] - WAITS_NS - LEAD_NS, counts.times[1:])
 
     def _absent(self) -> Iterator[tuple[ReportedLoss, LossEvents, PipeKind]]:
-        """Yield what events name at a pipe and the capture lacks, as a scheduler's wake-ups."""
+        """Yield losses that events name and whose traffic is not captured, such as a scheduler's wake-ups."""
         for item, report in self._case.reported_losses.items():
             if item.at_pipe and not (self._seen_behind(item) or self._fed(item, item.instance)):
                 yield item, report, item.at_pipe
 
     def _followed(self) -> Iterator[tuple[ReportedLoss, LossEvents, PipeKind, Stream]]:
-        """Yield what events name at the pipe of an application that can be seen to pass on what it gets."""
+        """Yield losses that events name at the pipe of an application whose output is captured."""
         for item, report in self._case.reported_losses.items():
             if item.at_pipe and not (item.at_output or item.at_peer):
                 fate = self._fed(item, item.instance)
@@ -450,7 +475,7 @@ class Leftover:
                     yield item, report, item.at_pipe, fate.stream
 
     def take_named(self) -> None:
-        """Give counts to what events name: each of them is one."""
+        """Assign one count to every loss event, and make losses of those whose traffic is not captured."""
         for item, report, kind in self._absent():
             for claim in self._settled(item, report, kind):
                 if number := sum(claim.taken.values()):
@@ -464,7 +489,7 @@ class Leftover:
                 hand_on(self._counts[item.instance], item.instance, kind, claims, own)
 
     def _settled(self, item: ReportedLoss, report: LossEvents, kind: PipeKind) -> list[Claim]:
-        """Return claims of what events name, a claim a second, with the counts that they were given."""
+        """Return a claim a second for the events of one loss, settled."""
         counts = self._counts.get(item.instance)
         if counts is None:
             return []
@@ -477,7 +502,11 @@ class Leftover:
         return claims
 
     def rivals(self) -> list[Rival]:
-        """Return such traffic: it may go on being lost after cFS has stopped its events."""
+        """Return traffic that the capture does not show and that may be lost without an event.
+
+        That is: traffic whose events cFS has stopped, wake-ups of an application that does not run, and
+        messages after the last one of a stream.
+        """
         events = Counter[tuple[int, str]]()
         for item, report in self._case.reported_losses.items():
             events[item.instance, item.kind] += report.count
@@ -486,11 +515,11 @@ class Leftover:
             is_stopped = events[item.instance, kind] >= STOPS_AFTER - 2
             end_ns = NEVER if is_stopped else report.last_ns + TAIL_NS
             out.append(Rival(id(item), item.instance, kind, report.first_ns - TAIL_NS, end_ns))
-        for outage, end_ns in self._ticked():  # its pipe gets more while nobody reads it
+        for outage, end_ns in self._ticked():  # its wake-ups fill the pipe while nobody reads it
             most = ceil((end_ns - outage.start_ns) / SECOND) - self._case.profile.app_msg_limit
             own = [at for at in self._counts if self._case.instances.systems[at] == outage.system]
             out += [Rival(id(outage), at, "limit", outage.start_ns, end_ns, most) for at in own if most > 0]
-        # Where a stream ends, what none of its gaps shows may be another's.
+        # Messages after the last one of a stream leave no gap; a count then may be of other traffic.
         ends_ns = np.sort([item.time_ns[-1] for item in self._case.streams if item.counted])
         for at in self._counts:
             for each in self._candidates(at, "limit"):
@@ -505,7 +534,7 @@ class Leftover:
         return [*out, *self._behind_full()]
 
     def _behind_full(self) -> Iterator[Rival]:
-        """Yield the streams that end with a full round: no gap shows what was lost behind it."""
+        """Yield the streams whose last round is full: losses after it leave no gap."""
         case, same = self._case, Counter((item.sender, item.msg_id) for item in self._case.streams)
         for stream in (item for item in case.streams if item.counted and not item.link.only_to_cfs):
             at, last_ns = case.owner(stream), int(stream.time_ns[-1])
@@ -518,16 +547,18 @@ class Leftover:
                 yield Rival(id(stream), at, "limit", last_ns, last_ns + LATE_NS)
 
     def _ticked(self) -> Iterator[tuple[Outage, int]]:
-        """Yield the times in which one that gets something once a second did not run, and when each ended."""
+        """Yield the outages of applications that are woken once a second, each with its end."""
         for item in self._case.outages:
             if item.app in TICKS:
                 yield item, self._case.end_ns if item.end_ns is None else item.end_ns
 
     def trade(self, claims: Sequence[Claim]) -> None:
-        """Leave open what may have been counted in place of gaps, where some show losses behind cFS.
+        """Count messages as uncertain that may have caused the counts which gaps were given.
+
+        This is so where gaps show that telemetry was lost behind cFS, too: then a gap need not be a count.
 
         Args:
-            claims: of gaps, with all that they were given.
+            claims: claims of gaps, settled.
         """
         behind = {at for own in claims if own.rank == Rank.MISSING and own.open for at in own.instances}
         places: Counter[Place] = Counter()
@@ -543,7 +574,7 @@ class Leftover:
                     fate.ends["earlier"] = min(len(sent), fate.ends["earlier"] + more)
 
     def tell(self) -> None:
-        """Make losses of what nothing explains."""
+        """Make losses of an unknown MsgId of the counts that nothing explains."""
         for instance, counts in self._counts.items():
             away, places = self._away(counts).tolist(), (own.taken.items() for own in self._pipes.claims)
             given: Counter[PipeKind] = Counter()
@@ -559,7 +590,7 @@ class Leftover:
                     self._losses.append(Loss("unknown", BUS, number, *span, "low", instance, evidence=[text]))
 
     def _old(self, instance: int) -> Mask:
-        """Return in which seconds what was counted may have been sent before the capture."""
+        """Return in which seconds counts may be of messages from before the capture: a mask (seconds,)."""
         system = self._case.instances.systems[instance]
         old_ns = [item.older_until_ns for item in self._case.ingests if item.system == system]
         return np.asarray(self._counts[instance].times[1:] <= max(old_ns, default=0))
@@ -601,15 +632,14 @@ class Leftover:
                 rest[second] = part
 
     def _candidates(self, instance: int, kind: PipeKind) -> list[_Candidate]:
-        """Return what may be counted: what events name, else what is sent faster than a pipe takes."""
+        """Return traffic that may explain counts: that which events name, else that which is too fast."""
         case, candidates = self._case, []
         for reported, report in case.reported_losses.items():
-            # Of what is not here, others than those that events name may be lost as well.
+            # Without any traffic into cFS, others than those named by events may be lost as well.
             if not self._fates or (reported.instance, reported.kind) != (instance, kind):
                 continue
             out = self._seen_behind(reported)
-            # What leaves by a pipe and is seen behind it has gaps, which are counted there; what is lost
-            # behind the last message that was seen leaves none.
+            # Losses at a pipe whose output is captured show as gaps there, except after its last message.
             if any(stream.time_ns[-1] > report.first_ns for stream in out):
                 continue
             fate = self._fed(reported, instance)
@@ -644,14 +674,14 @@ class Leftover:
         queue = queues.application_pipe(case.profile) if visible else None
         late = [item for item in ingests if item.waiting or item.older_until_ns or item.lost]
         times, reads = self._came_ns(stream), case.profile.ci_datagrams_per_wake
-        crowded = more_at_once(times, case.profile.ci_wake_ns, reads)  # it waits in CI's socket
+        crowded = more_at_once(times, case.profile.ci_wake_ns, reads)  # datagrams wait in CI's socket
         counted_ns = DRAINS_NS if late or crowded or not ingests else LATE_NS
         return _Candidate(
             stream.msg_id, pipe, stream, stream, spans, since_ns, sender, report, times, queue, counted_ns
         )
 
     def _fed(self, reported: ReportedLoss, instance: int) -> Fate | None:
-        """Return the traffic that the messages of a reported loss came from, if the capture has it."""
+        """Return the fate of the captured traffic that a reported loss is of; None if there is none."""
         link = carrying("flight" if reported.sender.startswith("SBN") else "ground", to_cfs=True)
         for fate in self._fates.values():
             stream = fate.stream
@@ -680,7 +710,7 @@ class Leftover:
                     yield item if hop is None else _not_seen(item, hop)
 
     def _came_ns(self, stream: Stream) -> Integers:
-        """Return when messages came to a pipe: what was sent while a cFS stood still, when it went on."""
+        """Return when messages reached a pipe, i64 ns: those sent while cFS stood still, when it went on."""
         case, times = self._case, stream.time_ns.copy()
         for system in {item for item in case.instances.systems if case.into_system(stream, item)}:
             for span in case.timeline.spans(StateOwner("cfs"), "stalled", system):
@@ -688,11 +718,11 @@ class Leftover:
         return times
 
     def _pipe(self, stream: Stream) -> str:
-        """Return the pipe that traffic goes into: an application's, Telemetry Output's or an SBN peer's."""
+        """Return the pipe that a stream goes into: an application's, Telemetry Output's or an SBN peer's."""
         return APP if id(stream) in self._fates else self._case.pipe_of(stream)
 
     def _together(self, item: Shared, rivals: set[tuple[str, int, str]]) -> None:
-        """Tell counts that several kinds of traffic share as one loss, of none of them."""
+        """Make one loss without a MsgId of counts that several kinds of traffic share."""
         text = f"0x803: {COUNTER_NAMES[item.kind]} +{item.number:,}, which may be of any of these"
         pipes = {pipe for _, _, pipe in rivals}
         hop = pipes.pop() if len(pipes) == 1 else BUS
@@ -706,7 +736,7 @@ class Leftover:
         instance, kind = at
         cut = item.spans[spans[-1]] if item.spans else None
         among = None
-        if cut is not None and item.stream is not None:  # of which nothing has told what became of them
+        if cut is not None and item.stream is not None:  # the messages of the span without a fate
             rows, fate = np.arange(cut.first, cut.last + 1), self._fates.get(id(item.stream))
             if fate is not None and fate.unfollowed is not None and len(spans) == 1:
                 fate.followed += number * bool(fate.unfollowed[rows].all())
@@ -725,7 +755,7 @@ class Leftover:
         self._add(loss)
 
     def _add(self, loss: Loss) -> None:
-        """Take a loss; what one traffic lost at one place in one span is one."""
+        """Add a loss, or add it to the one of the same traffic, place and span."""
         key = loss.kind, loss.hop, loss.instance, loss.msg_id, loss.sender, loss.span
         before = self._places.setdefault(key, loss)
         if before is loss:
