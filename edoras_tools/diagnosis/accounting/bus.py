@@ -1,16 +1,16 @@
-"""What the software bus counted in 0x803, told once: which messages each count is.
+"""Telemetry that is missing by its sequence counts, and where it was lost.
 
 Rules:
 
-1. A count belongs to the second between two samples of the counter, and to one message.
-2. A message that is missing from a sequence count was published between its neighbours, in cFE's time. It can
-   be one of the counts made meanwhile, where an event names its MsgId at that pipe, or the pipe was full.
-3. Of commands whose way out can be seen, those that did not come out can be; of others, what events name, and
-   then what was sent faster than a pipe takes.
-4. All claims are settled together (``claims``), so that as many as possible are explained.
-5. Behind the last message of a stream that lost some at a pipe, as many more can be lost as one round loses;
-   where it is seen what the stream was made of, no more than went in since.
-6. What nothing takes stays what it is: counted, and not known which.
+1. A message that is missing from a sequence count was published between its neighbours, in cFE's time. It can
+   have caused a count of 0x803 that was made meanwhile (``claims``).
+2. It surely competes for counts if an event names its MsgId at that pipe, or the pipe was full (``pressed``).
+3. Messages that are missing while their way out was closed (``closed``) were not sent, and are no loss,
+   unless the pipe that nobody emptied lost them.
+4. After the last message of a stream that was losing messages at a pipe, as many more can be lost as one
+   round loses; if the source of the stream is captured, no more than went into it since.
+5. A message that no count explains was lost behind cFS if the counters were watched, else at a place that the
+   capture does not show. If SBN brought it to cFS, it may have been lost on that way.
 """
 
 from __future__ import annotations
@@ -63,36 +63,37 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.verdict import Confidence
 
 _SLACK_NS: Final = 50 * MILLISECOND
-"""By so much the times of two packets of one cFS may be wrong."""
+"""Error of the times of two packets of one cFS."""
 _MOSTLY: Final = 0.9
 _FEW_ROUNDS: Final = 3
-"""So many rounds show the most that one loses."""
+"""This many rounds with losses show the most that a round loses."""
 _AROUND: Final = 8
-"""A stream of which none of so many is missing on either side is over no limit."""
+"""A stream with no gap within this many rows on either side is over no limit."""
 _SOON: Final = 1.2
-"""What comes behind no more than so many of the longest usual steps goes on as before."""
+"""A stream goes on as before if the next message comes within this many of its longest steps."""
 _LEAST_FRAGMENTED: Final = 6
-"""So many in a row that never became whole were dropped, and not missed by the capture."""
+"""If this many datagrams in a row never became whole, their fragments were dropped on the way."""
 
 
 class Part(msgspec.Struct):
-    """What is missing from one span of a telemetry stream.
+    """The messages missing from one span of a telemetry stream.
 
     Attributes:
         stream: the stream.
-        span: when.
-        owner: the cFS whose pipe it comes out of.
-        missing: how many.
-        kinds: as what they may have been counted.
-        taken: kind to how many were.
-        shared: how many may be among what counters have of several together.
-        watched: whether the counters were seen most of the time.
-        outside: how many may be missing before the first count or behind the last.
-        closed: whether the way out was closed: nobody would have sent them.
-        silenced: whether Telemetry Output as a whole was silent until it was enabled.
-        unled: whether it was silent as a whole, and what it was told is not in the capture.
-        cause: why the way out was closed, where that lost them: kind of the loss, place, evidence.
-        among: which they are.
+        span: span of time.
+        owner: cFS instance whose pipe the stream comes out of.
+        missing: number of missing messages.
+        kinds: counters that surely compete for them (rule 2), the likelier first.
+        taken: counts that were assigned to them, by counter.
+        shared: messages of them that may be among counts of several kinds of traffic.
+        watched: whether the counters were captured most of the time.
+        outside: messages missing before the first sample of the counters or after the last.
+        closed: whether the way out was closed, so that they would not have been sent.
+        silenced: whether Telemetry Output sent nothing at all until it was enabled.
+        unled: whether nothing at all came, and the commands that would explain it are not captured.
+        cause: kind of loss, place and evidence, if a closed way out lost them; else None.
+        among: the missing messages.
+        evidence: lines that show the loss.
     """
 
     stream: Stream
@@ -113,25 +114,25 @@ class Part(msgspec.Struct):
 
 
 GapEnd = Literal["closed", "proxied", "damaged", "untold", "away", "uncertain", "astray", "shared"]
-"""How counts end that are missing and in no loss.
+"""The fate of a missing message that is in no loss.
 
-Those that were published while the way out was ``closed``, and are in no counter; that a proxy dropped on
-purpose; ``damaged``: they came with a wrong checksum; ``untold``: cut frames do not tell whose they are, or
-nothing tells whether Telemetry Output was to send them; that are missing while the capturing interface was
-``away``; ``uncertain``: the capture itself may have missed them; ``astray``: they are here, and the next
-capture on their way may have missed them; ``shared``: they may be among what counters have of several."""
+``closed``: published while the way out was closed, and not counted. ``proxied``: a proxy dropped it on
+purpose. ``damaged``: it came with a wrong checksum. ``untold``: cut frames hide which cFS it is of, or
+nothing shows whether Telemetry Output was to send it. ``away``: missing while the capturing interface was
+away. ``uncertain``: the capture may have missed it. ``astray``: it is captured here, and the next capture on
+its way may have missed it. ``shared``: it may be among counts of several kinds of traffic."""
 
 
 class _Gaps(NamedTuple):
-    """What is missing from a stream, an element each.
+    """The gaps of a stream, an element a gap.
 
     Attributes:
-        of: the stream that has ``rows``: it itself, or what went in where its packets came from.
-        at: intp, the row of the stream that is before each.
-        rows: intp, the messages that are missing, or what came before them, as indices into those of ``of``.
-        number: i64, how many are missing there.
-        low_ns: i64, from when on they can have been counted,
-        high_ns: i64, and until when.
+        of: stream that ``rows`` belong to: the stream itself, or the captured stream that it is made of.
+        at: intp, row of the stream before the gap.
+        rows: intp, rows of ``of``: the missing messages themselves, or the row before them.
+        number: i64, number of missing messages.
+        low_ns: i64, earliest time at which they can have been counted.
+        high_ns: i64, latest such time.
     """
 
     of: Stream
@@ -142,23 +143,25 @@ class _Gaps(NamedTuple):
     high_ns: Integers
 
     def take(self, rows: NDArray[Any]) -> _Gaps:
-        """Return some of them."""
+        """Return some of the gaps."""
         columns = self.at, self.rows, self.number, self.low_ns, self.high_ns
         return _Gaps(self.of, *(column[rows] for column in columns))
 
     def among(self, stream: Stream) -> Among:
-        """Return the messages that they are, of a stream that lacks them."""
+        """Return the missing messages of a stream."""
         return Among(self.of, self.rows, self.number if self.of is stream else None)
 
 
 class Telemetry:
-    """What is missing from sequence counts, held against the counters.
+    """Losses of telemetry by its sequence counts.
 
     Attributes:
-        losses: what was lost.
-        ends: id of a stream to counts that are missing, and how they ended, where that is in no loss.
-        silenced: a stream, how many of it Telemetry Output took and did not send until it was enabled, and
-            among which.
+        losses: losses.
+        ends: id of a stream to the fates of missing messages that are in no loss.
+        silenced: streams, each with the number of messages that Telemetry Output took and did not send until
+            it was enabled, and the messages that they are some of.
+        parts: missing messages by stream and span.
+        claims: their claims on the loss counters; ``Claim.key`` is an index into ``parts``.
     """
 
     def __init__(self, case: Case) -> None:
@@ -172,21 +175,21 @@ class Telemetry:
         for stream in case.streams:
             if not stream.link.only_to_cfs:
                 self._claim(stream)
-                # Before the first that came and behind the last no gap shows them.
+                # Damaged packets before the first good one or after the last lie in no gap.
                 times, when = stream.time_ns, case.damaged_of(stream).time_ns
                 outside = (when < times[0]) | (when > times[-1]) | (not stream.counted)
                 self.ends[id(stream)]["damaged"] += int(outside.sum())
         self._dropped_unseen()
 
     def ended(self, stream: Stream, how: GapEnd) -> int:
-        """Return how many counts of a stream are missing and ended so."""
+        """Return how many missing messages of a stream have a fate."""
         return self.ends[id(stream)][how]
 
     def passed(self, stream: Stream) -> Integers:
-        """Return how many of a stream are behind each row and its next, of what was meant for its receiver.
+        """Return how many messages were sent to the receiver between each row and the next, i64 (rows,).
 
-        The next one is one of them, and its counts that are missing; not what cFS publishes for others while
-        an SBN peer is away.
+        The next message and those missing before it count; not those that cFS published for others while this
+        SBN peer was away.
         """
         counts = stream.missing + 1
         for part in self.parts:
@@ -196,9 +199,10 @@ class Telemetry:
         return counts
 
     def tell(self) -> None:
-        """Make losses of what is missing, once the claims have their counts.
+        """Turn the missing messages into losses, once the claims are settled.
 
-        What a bus counted before SBN, which is not here, may be what lacks behind: that is told once.
+        Messages that SBN brought from another cFS, on a way that is not captured, may also be among the
+        counts of that other cFS.
         """
         missing = [claim for claim in self.claims if claim.rank in (Rank.PRESSED, Rank.MISSING)]
         handed_on = [claim for claim in missing if self._handed_on(self.parts[claim.key])]
@@ -221,7 +225,7 @@ class Telemetry:
                 self._tell(part)
 
     def _claim(self, stream: Stream) -> None:
-        """Divide what is missing from a stream by spans and seconds."""
+        """Divide the missing messages of a stream into parts, and add their claims."""
         case = self._case
         hop = case.upstream(stream)
         gaps = self._missing(stream) if hop is None else self._not_handed_on(stream, hop)
@@ -268,7 +272,7 @@ class Telemetry:
             self._tail(len(self.parts) - 1)
 
     def _missing(self, stream: Stream) -> _Gaps:
-        """Return what is missing by sequence counts, and 0 behind the last message where events name more."""
+        """Return the gaps of a stream, with an empty one after its end if events name later losses."""
         case, missing = self._case, stream.missing - self._dropped(stream)
         made_ns = case.instances.made_ns[stream.rows] if stream.instance != NOBODY else stream.time_ns
         at = np.flatnonzero(np.append(missing[:-1], self._named_behind(stream)))
@@ -276,24 +280,27 @@ class Telemetry:
         return _Gaps(stream, at, at, missing[at], made_ns[at] - _SLACK_NS, made_ns[at + 1] + _SLACK_NS)
 
     def _not_handed_on(self, stream: Stream, hop: Hop) -> _Gaps:
-        """Return what came in and did not go out: what was lost further up is that link's loss."""
+        """Return the messages of the stream behind this one that did not go out, as gaps.
+
+        Losses further up are losses of that other link.
+        """
         self._dropped(stream)
         whose = np.full(len(hop.into), -1)
         for own in self._case.hops:
             if own.into is hop.into and own.out.sender == stream.sender:
                 whose[own.in_rows] = own is hop
         came, absent = np.flatnonzero(whose >= 0), np.flatnonzero(hop.known & (whose < 0))
-        # Where wrong times make several streams of one, what came out behind it tells of which it is missing.
+        # If wrong times split one stream into several, the next message that came out shows whose gap it is.
         absent = absent[whose[np.append(came, came[-1:])[np.searchsorted(came, absent)]] == 1]
         out, due = stream.time_ns, hop.into.time_ns[absent]
-        # What came just before the last that went out may have waited for the next round.
+        # A message that came just before the last one to go out may have waited for the next round.
         inside = (due >= out[0]) & (due <= out[-1] - self._case.profile.sbn_wake_ns)
         absent, due = absent[inside], due[inside]
         at = np.maximum(np.searchsorted(out, due, "right") - 1, 0)
         return _Gaps(hop.into, at, absent, np.ones(len(due), np.int64), due - LEAD_NS, due + LEAD_NS)
 
     def _claim_open(self, part: Part, gaps: _Gaps) -> None:
-        """Claim counts of what is missing from a span of a stream whose way out was open."""
+        """Add the claims of messages missing from a span of a stream whose way out was open."""
         counts, key = self._counts[part.owner], len(self.parts)
         low, high = gaps.low_ns, gaps.high_ns
         part.outside = int(gaps.number[(low <= counts.times[0]) | (high > counts.times[-1])].sum())
@@ -306,7 +313,7 @@ class Telemetry:
         self.parts.append(part)
 
     def _dropped_unseen(self) -> None:
-        """Add what a proxy dropped before a stream begins here, or behind its end: no gap shows it."""
+        """Count messages that a proxy dropped before a stream's first message or after its last."""
         rest: dict[int, int] = {}
         for stream in self._case.streams:
             faults = self._case.done_to(stream)
@@ -316,10 +323,7 @@ class Telemetry:
                 self.ends[id(stream)]["proxied"] += more
 
     def _dropped(self, stream: Stream) -> Integers:
-        """Return how many are missing behind each row that others tell of, by their counts.
-
-        A proxy dropped them on purpose, or they came damaged.
-        """
+        """Return how many missing messages after each row a proxy or damage explains, i64 (rows,)."""
         numbers = np.zeros(len(stream), np.int64)
         dropped = self._case.done_to(stream).counts(peers=stream.link.peers)
         damaged = self._case.damaged_of(stream).sequence_count.astype(np.int64).tolist()
@@ -327,7 +331,7 @@ class Telemetry:
         both: tuple[tuple[GapEnd, list[int]], ...] = ("proxied", dropped), ("damaged", damaged)
         for ending, counts in both:
             for count in counts:
-                # Of gaps that a count fits into, where counts have wrapped, the first that has room.
+                # Sequence counts wrap, so several gaps may fit: the first one with room is taken.
                 fits = (count - before - 1) % MODULUS < stream.missing
                 at = np.flatnonzero(fits & (numbers < stream.missing))
                 if len(at):
@@ -336,10 +340,12 @@ class Telemetry:
         return numbers
 
     def _claim_closed(self, part: Part, gap: _Gaps, gaps: _Gaps) -> None:
-        """Claim counts of what is missing: a pipe that nobody empties fills up, and the bus counts that.
+        """Add the claim of one gap while the way out was closed: a pipe that nobody empties loses messages.
 
         Args:
-            gaps: all that is missing from the stream.
+            part: the missing messages.
+            gap: the gap.
+            gaps: all gaps of the stream.
         """
         if not part.silenced and not part.unled:
             part.cause = self._cause(part)
@@ -351,19 +357,20 @@ class Telemetry:
         self.parts.append(part)
 
     def _countable(self, part: Part, gaps: _Gaps) -> int:
-        """Return how many of what is missing while its way out was closed a pipe can have counted."""
+        """Return how many messages of a closed part the bus can have counted at the pipe."""
         stream, span = part.stream, part.span
         before, behind = self._case.rows.source[stream.rows[[span.first, span.last]]]
-        if part.silenced or before != behind:  # Telemetry Output did not read its pipe: some waited there
+        if part.silenced or before != behind:  # Telemetry Output did not read its pipe, and some waited in it
             waited = queues.telemetry_pipe(self._case.profile).limit(stream.msg_id)
             full = self._grown(part, COUNTERS["overflow"])
             return part.missing if full else max(0, part.missing - waited)
-        # Taken off the table and put there again: over a limit where it was around that, too.
+        # Removed from TO's table and added again: it lost messages at its limit if it did so around that,
+        # too.
         near = (gaps.at != span.first) & (np.abs(gaps.at - span.first) <= _AROUND)
         return part.missing if near.any() else 0
 
     def _cause(self, part: Part) -> tuple[LossKind, str, str] | None:
-        """Return what closed the way out of messages of the mission, unless a command took them off it."""
+        """Return why the way out of mission data was closed; None if a command removed it from TO's table."""
         case, stream, span = self._case, part.stream, part.span
         for cut in routes_cut(case, stream):
             if cut.overlaps(span.start_ns, span.end_ns):
@@ -375,15 +382,15 @@ class Telemetry:
         for command in case.payloads.about_apps(executive_services.STOP_APP):
             if command.app not in telemetry_output.NAMES or command.time_ns <= span.start_ns - TAIL_NS:
                 continue
-            # It starts without anybody to send to: who enabled it again must be here, or the capture missed
-            # more than that.
+            # A restarted TO sends to nobody until it is enabled. If no enable is captured, the capture is not
+            # complete enough to tell.
             if any(command.time_ns < enabled_ns < span.end_ns for enabled_ns in enables_ns(case)):
                 text = f"packet {case.rows.number[command.row]} told ES to stop {command.app}"
                 return "stopped", command.app, text
         return None
 
     def _ended_with_sbn(self, part: Part) -> tuple[LossKind, str, str] | None:
-        """Return that SBN was stopped when a peer was to get messages that nothing else here follows."""
+        """Return a stop of SBN as the cause, for messages to a peer that are followed nowhere else."""
         case, span = self._case, part.span
         if case.upstream(part.stream) is None and not any(hop.out is part.stream for hop in case.hops):
             way = Way(part.stream.msg_id, part.stream.link, case.system(part.stream))
@@ -393,7 +400,7 @@ class Telemetry:
         return None
 
     def _tell_closed(self, part: Part) -> None:
-        """Make losses of what is missing while the way out was closed, of what was counted at least."""
+        """Turn a closed part into losses: all of it if the closing lost it, else those that were counted."""
         pipe = self._case.pipe_of(part.stream)
         texts = {
             kind: f"0x803: {COUNTER_NAMES[kind]} +{number:,} while nobody emptied {pipe}"
@@ -402,7 +409,7 @@ class Telemetry:
         if part.cause is not None:
             kind_, hop, text = part.cause
             part.evidence = [text, *texts.values()]
-            at_pipe = part.taken if kind_ == "route" else Counter()  # that came to its pipe
+            at_pipe = part.taken if kind_ == "route" else Counter()  # these had reached the pipe
             for kind, number in at_pipe.items():
                 self._lose(part, kind, number, part.missing, "high")
             if rest := part.missing - at_pipe.total():
@@ -419,7 +426,7 @@ class Telemetry:
             self.ends[id(part.stream)]["untold" if part.unled else "closed"] += rest
 
     def _kinds(self, part: Part, gaps: Integers, *, via: bool) -> tuple[PipeKind, ...]:
-        """Tell as what the missing of a span may have been counted (rule 2), and collect what says so."""
+        """Return the counters that surely compete for a part's messages (rule 2); adds to its evidence."""
         case, stream, span = self._case, part.stream, part.span
         came = f"{part.missing:,} of {span.count + part.missing:,}"
         text = f"{came} that came in did not go out" if via else f"sequence count: {came} never came"
@@ -432,7 +439,7 @@ class Telemetry:
             is_named = bool(events and events.within(*window))
             if events and is_named:
                 part.evidence.append(events.text(events.within(*window)))
-            # Without its counter a full pipe proves nothing.
+            # A full pipe proves nothing if its counter did not grow.
             if is_named or (grown[kind] and pressed(case, stream, span, kind, gaps, full=grown["overflow"])):
                 kinds.append((not is_named, kind))
         if not kinds and part.owner not in self._counts and stream.link.only_from_cfs and not via:
@@ -449,32 +456,32 @@ class Telemetry:
         return next((events for item, events in about if (item.at_output if output else item.at_peer)), None)
 
     def _tail(self, key: int) -> None:
-        """Claim counts of what was lost behind the last message that came: no gap shows it."""
+        """Add a claim for messages that may be lost after the last one of a stream (rule 4)."""
         part, case = self.parts[key], self._case
         stream = part.stream
         into = case.rows.on(lambda link: link.to_cfs)
         if not part.kinds or not self._ends(part) or not into.any():
-            return  # commands that are not here may be counted as well
+            return  # without the commands, the counts may be theirs
         most = self._most_behind(part)
         for hop in case.hops:
             if hop.out is stream and hop.matched > _MOSTLY * len(stream):
-                # It was made of what went in: no more were than went in behind the last that came out.
+                # The stream is made of another one: no more are lost than went in after the last to come out.
                 went_in = hop.into.time_ns
                 most = min(most, int((hop.absent & (went_in > went_in[hop.arrived].max())).sum()))
         if most > 0:
             made_ns = int(case.instances.made_ns[stream.rows[-1]])
-            # So many were published by then, if they went on as before.
+            # All of them were published by then if they went on at the same rate.
             until_ns = made_ns + LEAD_NS + int(most * SECOND / max(part.span.offered_hz, 1))
             of = (part.owner,)
             self.claims.append(Claim(key, made_ns, until_ns, most, part.kinds, of, Rank.POSSIBLE, id(stream)))
 
     def _named_behind(self, stream: Stream) -> bool:
-        """Tell whether events name a loss behind the last message of a stream, which no gap shows."""
+        """Return whether events name a loss after the last message of a stream."""
         last_ns, every = stream.time_ns[-1], (self._naming(stream, kind) for kind in COUNTERS)
         return any(events.last_ns >= last_ns for events in every if events)
 
     def _ends(self, part: Part) -> bool:
-        """Tell whether a stream ends with a part, or with one round behind it that lacks none."""
+        """Return whether a stream ends with a part, or one complete round after it."""
         times, span = part.stream.time_ns, part.span
         if span.last == len(times) - 1:
             return True
@@ -483,18 +490,18 @@ class Telemetry:
         return bool(soon and times[-1] - next_ns < self._case.profile.to_wake_ns)
 
     def _most_behind(self, part: Part) -> int:
-        """Return how many can be missing behind a stream's last message: what a round loses."""
+        """Return how many messages can be lost after the last one of a stream: as many as one round loses."""
         gaps = part.stream.missing[:-1][part.span.rows]
         most = int(gaps.max(initial=0))
         return most if (gaps > 0).sum() >= _FEW_ROUNDS else max(most, int(0.7 * part.span.offered_hz + 2))
 
     def _tell(self, part: Part) -> None:
-        """Make losses of what is missing from a span."""
+        """Turn an open part into losses, by where its messages were lost."""
         rest = part.missing - part.taken.total() - part.shared
         self.ends[id(part.stream)]["shared"] += part.shared
         likeliest = max(part.taken, key=lambda kind: part.taken[kind], default=None)
         more = max(0, min(rest, part.outside)) if part.kinds and likeliest is not None else 0
-        if likeliest is not None:  # where no count was seen, a pipe that was full before and after was full
+        if likeliest is not None:  # outside the samples: a pipe that was full before and after was full then
             part.taken[likeliest] += more
         rest -= more
         of = part.span.count + part.missing
@@ -513,7 +520,7 @@ class Telemetry:
             self._lose(part, "fragments", cut, of, "high")
             rest -= cut
         hop = self._case.upstream(part.stream)
-        if rest <= 0 or (hop is not None and hop.is_copy):  # a command may be lost before the bus, too
+        if rest <= 0 or (hop is not None and hop.is_copy):  # a copy of a command may be lost before the bus
             return
         is_counted = part.owner in self._counts
         if part.kinds and not is_counted:
@@ -526,12 +533,12 @@ class Telemetry:
             self._unexplained(part, rest, of, grown=any(grown))
 
     def _missing_at_output(self, stream: Stream) -> int:
-        """Return how many of what SBN brings are missing behind Telemetry Output: the same may be missing."""
+        """Return how many messages of an SBN stream are missing at Telemetry Output: they may be the same."""
         alike = (item for item in self._case.streams if item.link.only_from_cfs and stream.link.peers)
         return sum(int(item.missing.sum()) for item in alike if item.msg_id == stream.msg_id)
 
     def _unexplained(self, part: Part, number: int, of: int, *, grown: bool) -> None:
-        """Make a loss of what no counter has: behind cFS, where nothing else can have lost it."""
+        """Make a loss of messages that no counter explains: behind cFS if nothing else can have lost them."""
         why = next(self._doubts(part), "") if part.watched else ""
         behind = part.watched and not why
         if behind and grown:
@@ -543,12 +550,12 @@ class Telemetry:
         self._lose(part, "after" if behind else "unknown", number, of, "medium" if behind else "low")
 
     def _handed_on(self, part: Part) -> bool:
-        """Tell whether it came over SBN to the cFS that sends it, and how it did is not in the capture."""
+        """Return whether SBN brought the messages to the sending cFS on a way that is not captured."""
         handed_on = part.stream.link.only_from_cfs and part.stream.instance != part.owner
         return handed_on and self._case.upstream(part.stream) is None
 
     def _doubts(self, part: Part) -> Iterator[str]:
-        """Yield why what is missing may not have been lost behind cFS."""
+        """Yield reasons why missing messages may not have been lost behind cFS."""
         case, stream = self._case, part.stream
         if case.peers_unseen:
             yield "what several cFS send each other over SBN is not in the capture: it may be lost there"
@@ -559,7 +566,7 @@ class Telemetry:
             yield f"it came from {whom} over SBN, which is not captured: some may be lost at that pipe"
 
     def _never_whole(self, part: Part) -> int:
-        """Return how many lost their later fragments on the way."""
+        """Return how many messages of a part lost their later fragments on the way."""
         stream, span = part.stream, part.span
         every = np.array(self._beginnings(stream), np.int64)
         at = np.searchsorted(stream.time_ns, every[overlapping(every - 1, every + 1, self._fragmented)]) - 1
@@ -576,7 +583,7 @@ class Telemetry:
 
     @cached_property
     def _fragmented(self) -> list[tuple[int, int]]:
-        """From when to when no later fragments came: what the capture missed stands between whole ones."""
+        """Intervals without later fragments: those that the capture missed lie between whole datagrams."""
         cut = [(stream, own) for stream in self._case.streams if (own := self._beginnings(stream))]
         none = np.zeros(0, np.int64)
         whole_ns = np.sort(np.concatenate([none, *(stream.time_ns for stream, _ in cut)]))
@@ -585,7 +592,7 @@ class Telemetry:
         return [(int(own[0]), int(own[-1])) for own in groups if len(own) >= _LEAST_FRAGMENTED]
 
     def _cut(self, stream: Stream) -> bool:
-        """Tell whether the capture cut off when packets were made, without which two cFS are one."""
+        """Return whether packets lack their time stamps, which the capture cut off: two cFS look like one."""
         rows = self._case.rows
         same = (rows.link == stream.link.code) & (rows.msg_id == stream.msg_id)
         bare = (rows.mission_time_ns[same] <= 0).any()
@@ -597,10 +604,10 @@ class Telemetry:
         return track.growth(name, part.span.start_ns - LEAD_NS, part.span.end_ns + TAIL_NS) if track else 0
 
     def _lose(self, part: Part, kind: LossKind, number: int, of: int, confidence: Confidence) -> Loss:
-        """Add a loss of what is missing from a span, and return it."""
+        """Add a loss of messages of a part, and return it."""
         stream, span = part.stream, part.span
         hop = self._case.pipe_of(stream) if kind in COUNTERS else BEHIND
-        # Of a pipe the rate counts, of other places when they are missing.
+        # A loss at a pipe is of the whole span, because its rate is the cause; another is where its gaps are.
         times = part.among.times_ns
         if kind in COUNTERS and times[0] < span.end_ns:
             times = span.start_ns, span.end_ns

@@ -1,16 +1,16 @@
-"""What went into cFS and did not come out again: message by message where the way out can be seen.
+"""The fate of every message into cFS: message by message where the way out is captured.
 
-Rules:
+Each step gives a fate to messages that have none yet, so the order of the steps is part of the result:
 
-1. A message that came out arrived. One that did not, so near the end that it may yet, waits.
-2. What CI did not count was lost before it, whatever became of the rest (``ingest``).
-3. What cFS refused (``refused``) is no loss on the way.
-4. While the application was stopped, and until something comes out again, nothing arrives (``closed``).
-5. What is left may be what the software bus counted (``bus``, ``pipes``).
-6. Then, of messages that an application takes in one round and of which the last went on, the others are
+1. A message that came out arrived. One that was sent so late that it may still come out is waiting.
+2. Datagrams that CI did not count were lost before it (``ingest``).
+3. Messages that cFS refused are no loss on the way.
+4. While an application was stopped, and until something comes out of it again, nothing arrives (``closed``).
+5. The others compete with missing telemetry for the counts of the software bus (``claims``, ``pipes``).
+6. Of messages that an application takes in one round and of which it sends on the last, the others are
    superseded.
-7. What remains is not accounted for, and said to be.
-8. What no counter explains and the capture itself may have missed is uncertain.
+7. A message that nothing explains is unaccounted for.
+8. A loss that no counter explains, and that the capture may only have missed, becomes uncertain (``doubt``).
 """
 
 from __future__ import annotations
@@ -68,25 +68,25 @@ if TYPE_CHECKING:
 
 _COUNTS: Final = 256
 _WRAPPED: Final = 128
-"""A counter of 8 bits that falls by more began again from 0, by itself."""
+"""A counter of 8 bits that falls by more than this has wrapped."""
 _UNEXPLAINED: Final = frozenset({"after", "unknown"})
 _COUNTED: Final = frozenset({*COUNTERS, "unknown"})
 
 
 class Commands:
-    """What became of everything that went into cFS.
+    """What became of every message that went into cFS.
 
     Attributes:
-        telemetry: what is missing from sequence counts.
-        fates: id of a stream to what became of its messages.
-        losses: what was lost.
-        unplaced: id of a refusal to how many of its messages no stream here has.
-        placed: id of a refusal to how many of its messages are of a stream, and of which of that.
-        refused_of: id of a stream to the refusals of its messages, each with what ``placed`` has.
-        relayed: id of a stream to what a relay in front of cFS did to it, of which both sides were captured.
-        never_came: id of a stream to how many counts of its sender the capture lacks.
-        uncaptured: instance to what it counted lost while the capturing interface was away, and is told of
-            nothing that was captured.
+        telemetry: losses of telemetry by sequence counts.
+        fates: id of a stream to the fates of its messages.
+        losses: losses of messages into cFS.
+        unplaced: id of a refusal to the number of its messages that no stream has.
+        placed: id of a refusal to the number of its messages in a stream, and among which they are.
+        refused_of: id of a stream to the refusals of its messages, each with the values of ``placed``.
+        relayed: id of a stream to the losses in a relay in front of cFS, both sides of which are captured.
+        never_came: id of a stream to the number of its sequence counts that the capture does not have.
+        uncaptured: instance to the losses that it counted while the capturing interface was away, and that no
+            captured message explains.
     """
 
     def __init__(self, case: Case, telemetry: Telemetry) -> None:
@@ -126,7 +126,7 @@ class Commands:
         leftover = Leftover(case, self.fates, pipes)
         leftover.take_named()
         shared = settle_known(counts, claims, leftover.rivals())
-        if case.quality.lacks_answered:  # what no count explains it may have missed: which it is is open
+        if case.quality.lacks_answered:  # a missing message may be lost, or only missed by the capture
             shared += share_open(counts, claims)
         open_ = Counter[int]()
         for claim in claims:
@@ -166,7 +166,10 @@ class Commands:
                 self._commanded(fate)
 
     def _damaged(self, fate: Fate) -> None:
-        """Tell lost what came out damaged, on its way to a robot: between those that came out around it."""
+        """Make losses of messages that came out damaged on their way to a robot.
+
+        Each is one of the messages between those that came out before and after it.
+        """
         case, sent = self._case, fate.stream.time_ns
         for hop in (hop for hop in fate.hops if hop.out.link.last_hop):
             out_ns, into = hop.out.time_ns[hop.out_rows], hop.in_rows
@@ -181,9 +184,10 @@ class Commands:
                     self.losses.append(fate.loss("damaged", rows, [text], hop=f"{UDP_PORT} {to}"))
 
     def _count(self, fate: Fate) -> None:
-        """Tell lost what a sender that counts sent, and neither the capture nor CI has.
+        """Make losses of messages that are missing in the sequence counts of a sender in front of CI.
 
-        What CI counted more than is here the capture missed; without CI's counts, what it may have missed.
+        Those that CI counted beyond the captured ones were missed by the capture; without counts of CI, those
+        that the capture may have missed.
         """
         case, stream = self._case, fate.stream
         if not (stream.link.only_to_cfs and stream.counted):
@@ -210,7 +214,10 @@ class Commands:
             self.losses.append(loss)
 
     def _astray(self, stream: Stream, fate: Fate | None) -> None:
-        """Tell lost what came to one capture and never to the next; leave open what that may lack."""
+        """Make losses of datagrams that one capture has and the next one on their way does not.
+
+        Those that the next capture may only have missed become uncertain.
+        """
         masks = self._case.rows.undelivered, self._case.prepared.perhaps_astray
         rows, perhaps = (np.flatnonzero(mask[stream.rows]) for mask in masks)
         if unheard := self._case.unheard_of(stream):
@@ -233,10 +240,9 @@ class Commands:
 
     @cached_property
     def _is_lost_between(self) -> bool:
-        """Whether neither of two places that a file has both of can have missed what one of them lacks.
+        """Whether datagrams that only one of two capture points has were lost, and not missed by the other.
 
-        CI's counts say that some were lost by a time, and just as many as one place lacks of what went to it
-        until then: both have the rest.
+        That is so if CI's counts show exactly as many losses by a time as one capture point lacks by then.
         """
         alone, rows = self._case.prepared.perhaps_astray, self._case.rows
         up = rows.on(lambda link: link.only_to_cfs)
@@ -248,11 +254,11 @@ class Commands:
         return is_so and (1 - down.sum() / max(1, len(down))) ** int((up & ~alone).sum()) < 1 - CONFIDENCE
 
     def _down(self, fate: Fate) -> None:
-        """Tell lost what came over SBN while its cFS was down: from its last packet to its next boot."""
+        """Make losses of messages over SBN to a cFS that was down: from its last packet to its next boot."""
         case, times = self._case, fate.stream.time_ns
         connection = case.network.crossing(fate.stream.sender, fate.stream.receiver)
         if connection and (connection.restarts or any(connection.silences(case.end_ns))):
-            return  # its silence as a peer tells of that
+            return  # the account of silent peers has them
         items, systems = case.instances.items, case.instances.systems
         said_ns = case.rows.time_ns[case.rows.source == fate.stream.receiver]
         for index, later in enumerate(items):
@@ -270,7 +276,7 @@ class Commands:
                 self._lose(fate, "down", rows, text)
 
     def _not_taken(self, fate: Fate, stops: Stops) -> None:
-        """Tell lost what came while nobody was there to take it, or to a closed port."""
+        """Make losses of messages to a cFS or CI that did not run, or to a closed port."""
         case, stream = self._case, fate.stream
         if stream.link.peers:
             self._down(fate)
@@ -288,7 +294,7 @@ class Commands:
     def _uncounted(self, fate: Fate, stops: Stops) -> None:
         """Mark what was sent while CI did not run, where no counts are around that.
 
-        The bus may have counted some: CI read them after the last that came out.
+        They may still claim counts of the bus: CI may have read some after the last one that came out.
         """
         case, times = self._case, fate.stream.time_ns
         counted = [(item.first_ns, item.last_ns) for item in case.ingests_at(fate.stream.receiver)]
@@ -298,7 +304,7 @@ class Commands:
             by_ns, to_ns = min(item.ended_ns, end_ns - WAITS_NS), item.start_ns if item.end_ns else 0
             if any(first_ns < by_ns and last_ns > to_ns for first_ns, last_ns in counted):
                 continue
-            # What came out again was read: it did not run where nothing does for the longest time.
+            # What came out was read: CI did not run where nothing came out for the longest time.
             read = times[fate.arrived & (times > item.start_ns) & (times < end_ns)]
             bounds = np.concatenate(([item.start_ns], read, [end_ns]))
             hole = int(np.diff(bounds).argmax())
@@ -307,7 +313,7 @@ class Commands:
             stops.mark(fate, inside, kind, LOST_AT[kind], item.witness)
 
     def _over_limit(self, fate: Fate) -> None:
-        """Tell lost what an application's pipe did not take, where no counter is but full rounds show it."""
+        """Make losses of messages missing behind full rounds only, where no counter was captured."""
         case, hops = self._case, fate.hops
         if len(hops) != 1 or not hops[0].out.link.last_hop or not fate.stream.link.only_to_cfs:
             return
@@ -321,7 +327,7 @@ class Commands:
         inside[: into[0]] = inside[into[-1] :] = False
         silent_ns = case.rows.time_ns[:-1][np.diff(case.rows.time_ns) > WAITS_NS]
         for at in np.unique(np.searchsorted(hops[0].out.time_ns[came], silent_ns, "right")).tolist():
-            # Of more than CI reads at once some come out: nothing at all was captured then.
+            # CI reads several at once, and some would come out: the capture has a hole here.
             unseen = np.flatnonzero(inside & (np.searchsorted(into, np.arange(len(inside))) == at))
             if len(unseen) > case.profile.ci_datagrams_per_wake:
                 fate.ends["missed"] += fate.claim(unseen)
@@ -331,13 +337,13 @@ class Commands:
             self.losses.append(fate.loss("limit", lacking, [text], hop=APP))
 
     def _fills_socket(self, fate: Fate) -> bool:
-        """Tell whether more of a stream waits for CI than its socket holds: that loses some, too."""
+        """Return whether more datagrams of a stream wait for CI than its socket holds."""
         times, socket = fate.stream.time_ns, queues.ci_socket(self._case.profile)
         ahead = np.arange(len(times)) - (times - times[0]) * (socket.reads / socket.round_ns)
         return bool((ahead - np.minimum.accumulate(ahead)).max() > socket.depth)
 
     def _relayed(self, fates: Sequence[Fate]) -> None:
-        """Tell lost what went into a relay and did not come out of it: its other side is in the capture."""
+        """Make losses of messages that went into a relay and did not come out of its other, captured side."""
         own = (fate.stream for fate in reversed(fates))
         streams = {(item.link.code, item.msg_id, item.receiver): item for item in own}
         is_command = self._case.context.msg_ids.is_command  # of telemetry sequence counts tell
@@ -346,7 +352,7 @@ class Commands:
             if stream is not None:
                 self.relayed[id(stream)] = item
             number = len(item.lost_ns)
-            # What CI counts more than is here came out of it, too.
+            # Datagrams that CI counted without a sign of them came out of the relay too.
             unseen = sum(own.not_captured for own in self._case.ingests)
             number -= max(min(unseen, number), self._case.may_lack(item.of, number)) if number else 0
             if number:
@@ -357,17 +363,17 @@ class Commands:
                 self.losses.append(loss)
 
     def _lose(self, fate: Fate, kind: LossKind, rows: Places, text: str) -> None:
-        """Tell messages lost, those of them that are open: before CI, or in SBN's socket."""
+        """Make a loss of messages that have no fate yet: before CI, or in SBN's socket."""
         if fate.claim(rows):
             hop = SBN_SOCKET if fate.stream.link.peers else ""
             self.losses.append(fate.loss(kind, rows, [text], hop=hop))
 
     def refusals(self, item: Verdict) -> int:
-        """Return how many messages of a refusal were lost by it, and by nothing else."""
+        """Return how many messages were lost by a refusal, and by nothing else."""
         return self.unplaced[id(item)] + self.placed.get(id(item), (0, None))[0]
 
     def _alike(self, item: Verdict) -> Iterator[tuple[Fate, Mask]]:
-        """Yield the streams that a refusal can be of, each with which of its messages."""
+        """Yield the streams that a refusal can be of, each with a mask of the messages in its span."""
         key = item.link, item.msg_id
         if key not in self._spans:
             return
@@ -380,20 +386,31 @@ class Commands:
                 yield fate, within
 
     def _place(self, item: Verdict, fate: Fate, inside: Places, most: int) -> int:
-        """Give a refusal messages of a stream, some of those that may be it; return how many."""
+        """Assign messages of a stream to a refusal; return how many.
+
+        Args:
+            item: the refusal.
+            fate: fates of the stream.
+            inside: indices of the messages that may be refused.
+            most: upper bound.
+        """
         if number := fate.claim(inside[:most]):
             fate.refused[item.rule] += number
             self.placed[id(item)] = number, Among(fate.stream, inside)
         return number
 
     def _refuse(self, *, counted: bool) -> None:
-        """Give refusals their messages: those first of which a counter has how many CI read."""
+        """Assign messages to refusals: shortest spans first, because they name their messages best.
+
+        Args:
+            counted: only refusals for want of a subscriber whose number a counter has; or only the others.
+        """
         refused = [
             item
             for item in self._case.refused
             if not item.by_type and counted == (item.rule == "no_subscriber" and item.lost != item.of)
         ]
-        # One datagram that is named is that one; what many of a span may be comes after.
+        # A refusal that names one datagram is that one; a refusal of many in a span comes later.
         for item in sorted(refused, key=lambda item: item.end_ns - item.start_ns):
             rest = item.lost or 0
             first = next(self._alike(item), None) if rest else None
@@ -405,12 +422,12 @@ class Commands:
                 if number := min(rest, len(rows)) if (fate.arrived & within).any() else 0:
                     rest = number - self._case.may_lack(int(within.sum()), number)  # some come out
                 self._place(item, fate, rows, rest)
-                rest = 0  # what is not open arrived, or is told of by another verdict
+                rest = 0  # the others arrived, or are in another verdict
             self.unplaced[id(item)] = rest
 
     @staticmethod
     def _give_way(fate: Fate, rows: Places) -> None:
-        """Let what came out be of equal messages that nobody refused, or of some without values."""
+        """Swap a refused message that seems to have come out with an equal one, or one without values."""
         for row in rows.tolist() if len(fate.hops) == 1 else ():
             prints = fate.hops[0].prints
             if len(others := np.flatnonzero(fate.blind | (fate.open & (prints == prints[row])))):
@@ -419,7 +436,7 @@ class Commands:
                 fate.arrived[other] = fate.open[row] = True
 
     def _spare_refused(self) -> None:
-        """Take refusals back of what a full pipe lost, or may have, before the application refused it."""
+        """Take back refusals of messages that a full pipe lost, or may have, before they were refused."""
         unknown = [loss for loss in self.losses if loss.stream is None and loss.kind == "unknown"]
         for key, placed in self.refused_of.items():
             fate, at = self.fates[key], np.concatenate([ones.rows for *_, ones in placed])
@@ -442,9 +459,9 @@ class Commands:
                 fate.refused[item.rule] -= part
 
     def _name(self, refused: Sequence[Verdict]) -> None:
-        """Give a cause to what is unaccounted for, where the types of a mission tell one.
+        """Give a cause to unaccounted messages that do not fit the types of the mission.
 
-        They are wrong where a message arrived that they refuse.
+        The types are wrong if a message arrived that does not fit them.
         """
         self.unplaced |= dict.fromkeys(map(id, refused), 0)
         verdicts: dict[int, list[tuple[Verdict, Mask]]] = {}
@@ -460,11 +477,11 @@ class Commands:
                 fate.ends["unaccounted"] -= self._place(item, fate, np.flatnonzero(fate.open & within), most)
 
     def _pass_on(self, fate: Fate) -> None:
-        """Mark those that may have come out of the application, and are among what is missing behind it.
+        """Mark messages that the application may have sent on, and that were lost or changed behind it.
 
-        An application passes on in order. Between two messages that came out as many of the absent ones may
-        have been passed on as came out with other values, or are missing there by their counts. No count
-        shows those before the first and behind the last.
+        An application sends on in order. Between two messages that came out it may have sent on as many
+        others as came out with other values, or are missing there by sequence count. No sequence count shows
+        those before the first and after the last: these are marked as ``edge``.
         """
         open_ = np.flatnonzero(fate.open)
         for hop in fate.hops:
@@ -479,24 +496,25 @@ class Commands:
             into, out = _in_order(hop)
             behind = np.searchsorted(into, open_)
             counts = self.telemetry.passed(hop.out)
-            for other in self._case.hops:  # what came in by another way is none of these
+            for other in self._case.hops:  # messages from another way in are none of these
                 if other.out is hop.out and other is not hop:
                     counts[other.out_rows - 1] -= 1
             passed = np.concatenate(([0], np.cumsum(counts)))[out]
             room = np.maximum(np.concatenate(([0], np.diff(passed) - 1, [0])), 0)
-            # Of those in one place the first may be it, as far as there is room, that gave way to none.
+            # Of the messages in one place the first ones that were not superseded, as far as there is room.
             order = np.lexsort((open_, fate.newer[open_], behind))
             first = order[np.arange(len(behind)) - np.searchsorted(behind, behind) < room[behind]]
             fate.passed[open_[first]] = True
-            if self._case.unsteady_ns:  # or another one, sent a little before or later
+            if self._case.unsteady_ns:  # or another one, sent a little sooner or later
                 others = open_[~(fate.passed | fate.newer)[open_]]
                 fate.passed[others[: int(room.sum()) - len(first)]] = True
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True
 
     def _follow_on(self, fates: Sequence[Fate]) -> None:
-        """Tell unaccounted what was sent after an application stopped, and may not be taken by another.
+        """Make messages unaccounted that were sent after their application stopped.
 
-        Likewise where 0x803 may have counted all of them as messages without a subscriber.
+        Likewise if 0x803 may have counted all of them as messages without a subscriber, or if nothing comes
+        from the address that they were sent to.
         """
         self._leave_to_silence([fate for fate in fates if fate.stream.link.only_to_cfs])
         for fate in fates:
@@ -518,7 +536,7 @@ class Commands:
                 fate.unfollowed_since = f"0x803: {more:,} more messages without a subscriber meanwhile"
 
     def _leave_to_silence(self, fates: Sequence[Fate]) -> None:
-        """Leave open what went to an address from which nothing comes, where others answer its sender."""
+        """Mark streams to an address from which nothing comes, while other addresses answer the sender."""
         places, answers = self._case.endpoints, defaultdict[int, set[str]](set)
         heard = {places[at].address for at in distinct(self._case.rows.source).tolist()}
         for stream in (fate.stream for fate in fates):
@@ -530,15 +548,15 @@ class Commands:
                 fate.unfollowed_since = f"nothing comes from {address}, as it does from {why}"
 
     def _untold(self, fate: Fate) -> int:
-        """Return of how many messages nothing has told what became of them."""
+        """Return how many messages of a stream have no fate."""
         lost = sum(loss.lost for loss in self.losses if loss.stream is fate.stream)
         others = fate.refused.total() + sum(fate.ends[how] for how in ("queued", "crowded", "late"))
         return max(0, len(fate.stream) - lost - others)
 
     def _number(self, fates: Sequence[Fate]) -> None:
-        """Hold the stream of commands whose values are cut off against the number that the robot got.
+        """Compare a stream of commands whose values the capture cut off with the number that the robot got.
 
-        Where several are, all the others together are fewer than that.
+        This needs a stream without which the robot cannot have got so many.
         """
         rows = self._case.rows
         robot = np.flatnonzero(rows.on(lambda item: item.last_hop))
@@ -554,7 +572,7 @@ class Commands:
             rest = self._untold(fate) + fate.ends["queued"] + fate.ends["late"]
             fate.reached = min(rest, len(robot))
             rest -= fate.reached
-            # What the robot got CI had read, counted or not.
+            # CI had read what the robot got, counted or not.
             fate.ends["queued"] = min(fate.ends["queued"], rest)
             fate.ends["late"] = min(fate.ends["late"], rest - fate.ends["queued"])
             rest -= fate.ends["queued"] + fate.ends["late"]
@@ -565,9 +583,10 @@ class Commands:
             fate.ends["elsewhere"] += min(int(bare.sum()), max(0, rest))
 
     def _leave_open(self, fate: Fate, number: int) -> None:
-        """Leave so many unaccounted for, but those that the capture missed, or the bus counted of nobody.
+        """Make ``number`` messages of a stream unaccounted, less those that may have another explanation.
 
-        Or of what a closed way out would not have sent either, or what may be behind a stream's last message.
+        That is: losses of an unknown MsgId, losses of telemetry that would not have been sent anyway or that
+        may lie after a stream's end, and messages that the capture may have missed.
         """
         losses = [item for item in [*self.losses, *self.telemetry.losses] if item.kind in _COUNTED]
         others = sum(item.lost for item in losses if item.stream is None or item.closed)
@@ -576,11 +595,10 @@ class Commands:
         fate.ends["elsewhere"] = max(0, number) - fate.ends["unaccounted"]
 
     def _commanded(self, fate: Fate) -> None:
-        """Hold commands to Telemetry Output against its own counters in 0x880.
+        """Compare commands to Telemetry Output with its own counters in 0x880.
 
-        They were sent, and are counted, between its first 0x880 and its last; what was sent just before the
-        last may not be in it yet. A counter that was set back tells nothing, nor those of
-        several cFS, or of one that was started again, or whose Telemetry Output was.
+        It counted the commands sent between its first 0x880 and its last; the last may not count those sent
+        just before it. Counters that were reset, of several cFS, or of a restarted cFS or TO show nothing.
         """
         case, samples = self._case, self._case.payloads.commanded
         senders = np.unique(case.rows.source[samples["row"]])
@@ -596,9 +614,10 @@ class Commands:
         self._leave_open(fate, inside - (len(times) - self._untold(fate)) - fate.commanded)
 
     def _end(self, fates: Sequence[Fate], shared: Sequence[Shared]) -> None:
-        """Tell what became of what is left, rules 6 and 7.
+        """Give a fate to the messages that are left (rules 6 and 7).
 
         Args:
+            fates: fates of all streams.
             shared: counts that several kinds of traffic share.
         """
         rest, counts = [item.number for item in shared], self._case.loss_counts
@@ -615,12 +634,13 @@ class Commands:
                 fate.ends["uncertain"] = self._lost_last(fate, to_end=to_end)
 
     def _lost_last(self, fate: Fate, *, to_end: bool) -> int:
-        """Return how many of those that are last a pipe may lose that loses to the end, or the one behind it.
+        """Return how many waiting messages are lost if a pipe that loses messages goes on to do so.
 
-        What keeps the newest took as many of each round as its pipe takes.
+        That is the application's own pipe, or the one behind it.
 
         Args:
-            to_end: its own pipe loses to the end.
+            fate: fates of the stream.
+            to_end: the application's own pipe lost messages up to its last count.
         """
         profile, out = self._case.profile, {id(hop.out) for hop in fate.hops}
         times = fate.stream.time_ns[fate.waits & ~fate.newer]
@@ -646,21 +666,22 @@ class Commands:
 
         ends["beyond"] = int((fate.open & fate.edge).sum())
         unaccounted = int(fate.open.sum()) - ends["beyond"]
-        # One that came out and was lost behind that took others' place, too.
+        # A message that came out and was lost behind the application superseded others too.
         more = min(unaccounted, ends["passed_on"]) if fate.newer.any() else 0
         ends["superseded"] += more
-        # Where times are wrong, what is late may be taken for another; so may what has another value.
+        # With wrong times a late message may be taken for another; so may one with other values.
         strange = fate.open & (~fate.edge if self._case.unsteady_ns else fate.strange | fate.unseen)
         ends["missed"] += (not_seen := min(int(strange.sum()), unaccounted - more))
         ends["unaccounted"] += unaccounted - more - not_seen
 
     @staticmethod
     def _share(fate: Fate, own: Sequence[int], rest: list[int]) -> None:
-        """Let what counters have of several together be some of what is left.
+        """Move messages from unaccounted, superseded and passed on to ``shared`` counts.
 
         Args:
-            own: which counts it shares with other traffic.
-            rest: of each count, how many may still be messages that did not come out; they become fewer.
+            fate: fates of the stream.
+            own: indices of the counts that it shares with other traffic.
+            rest: of each count, how many may still be messages that did not come out; reduced here.
         """
         ends = fate.ends
         for at in own:
@@ -676,9 +697,9 @@ class Commands:
 
 
 def _in_order(hop: Hop) -> tuple[Places, Places]:
-    """Return what went in, and what of it came out, each in order, without pairs that stand far apart.
+    """Return the rows of a hop that went in and came out, each in order, without pairs far out of order.
 
-    Of equal messages the one that came out may be another than the one that it is taken for.
+    Such pairs are equal messages that were matched with one another.
     """
     into = hop.in_rows
     near = np.abs(np.argsort(np.argsort(into)) - np.arange(len(into))) <= (np.diff(into) < 0).sum()
@@ -686,10 +707,10 @@ def _in_order(hop: Hop) -> tuple[Places, Places]:
 
 
 def hold_back(case: Case, claims: Sequence[Claim]) -> None:
-    """Keep counts from what the capture may have missed, where no event names it and no pipe was full of it.
+    """Remove from claims the messages that the capture may have missed, and keep them as ``doubted``.
 
-    Such a claim takes what nothing else explains; a capture that lacks frames lacks what explains it, too. So
-    what nobody took, and is lost in any case, has counts before what such a capture may have missed.
+    This concerns gaps that no event names and where no pipe was full. If the capture surely missed frames,
+    messages sent while nobody received them are served before all others, because they are lost in any case.
     """
     groups: dict[int, list[Claim]] = {}
     for claim in claims:
@@ -698,7 +719,7 @@ def hold_back(case: Case, claims: Sequence[Claim]) -> None:
         elif claim.rank in {Rank.CLOSED, Rank.INTO_STOP} and case.quality.lacks_answered:
             claim.rank = Rank.NOT_TAKEN
     missing = sum(claim.number for own in groups.values() for claim in own)
-    # Of what is not counted nothing would show that the capture missed it.
+    # In streams without sequence counts a frame missed by the capture leaves no gap.
     came = sum(len(stream) for stream in case.streams if stream.counted)
     if missing and not case.quality.excludes(missing / (came + missing)):
         for stream in case.streams:
@@ -708,33 +729,39 @@ def hold_back(case: Case, claims: Sequence[Claim]) -> None:
 
 
 def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
-    """Return how many the capture may have missed of some numbers that are missing from a stream."""
-    frames = case.frames(stream) if numbers else 0  # of each a datagram that is missed lacks at least one
+    """Return how many messages of each gap of a stream the capture may have missed."""
+    frames = case.frames(stream) if numbers else 0  # one missed frame is enough to lose a datagram
     most = case.quality.may_have_missed(frames * (len(stream) + int(stream.missing.sum())), case.confidence)
     return shares(min(sum(numbers), most), numbers, numbers)
 
 
 def _spans(fates: Sequence[Fate]) -> Integers:
-    """Return when each stream began, and when it ended: i64 (2, n), ns since 1970."""
+    """Return the first and last time of each stream: i64 (2, n), ns since 1970."""
     return np.array([[edge(fate.stream.time_ns) for fate in fates] for edge in (np.min, np.max)])
 
 
 def may_be_missed(case: Case, lacking: Counter[int]) -> dict[int, int]:
-    """Return id of a stream to how many the capture may have missed of so many that lack."""
+    """Return how many missing messages of each stream the capture may have missed.
+
+    Args:
+        case: the capture.
+        lacking: id of a stream to its number of missing messages.
+    """
     own = (item for item in case.streams if id(item) in lacking)
     return {id(item): case.may_lack(len(item), lacking[id(item)]) for item in own}
 
 
 def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Sequence[Loss]) -> None:
-    """Take losses back that the capture may have missed: they become uncertain.
+    """Make losses uncertain that the capture may only have missed.
 
-    None does where a capture that misses such a share would show it; nor what came over TCP, where the bytes
-    themselves tell what the capture lacks.
+    No loss becomes uncertain if a capture that misses such a share of frames would have shown it elsewhere;
+    nor losses on TCP, where the byte stream itself shows what the capture missed.
 
     Args:
-        telemetry: its losses become fewer, and are counted as uncertain there.
-        fates: likewise what is unaccounted for.
-        losses: of what went in.
+        case: the capture.
+        telemetry: losses of telemetry; reduced here, and counted as uncertain.
+        fates: fates of messages into cFS; their unaccounted messages are reduced too.
+        losses: losses of messages into cFS.
     """
     _leave_quiet(case, telemetry)
     streamed = case.rows.streamed
@@ -762,7 +789,7 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
 
 
 def _mistaken(case: Case, losses: Sequence[Loss]) -> int:
-    """Return how many that counters have the capture may have missed: they may be others that are missing."""
+    """Return how many messages whose loss was counted may be others, because the capture missed these."""
     lost = Counter[int]()
     for loss in losses if case.quality.lacks_answered else ():
         if loss.kind in COUNTERS and loss.stream is not None:
@@ -771,7 +798,7 @@ def _mistaken(case: Case, losses: Sequence[Loss]) -> int:
 
 
 def _leave_quiet(case: Case, telemetry: Telemetry) -> None:
-    """Take back what is missing where nothing at all was captured, and nobody shows whether it was there."""
+    """Take back losses in intervals in which nothing at all was captured."""
     for loss in telemetry.losses if case.quiet else ():
         among = loss.among
         if loss.kind not in COUNTERS and among is not None and among.missing is not None:

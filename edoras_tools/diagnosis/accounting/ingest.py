@@ -1,24 +1,25 @@
-"""What went to a CI against what it counted in 0x884: what the network or a full socket lost before it.
+"""Datagrams lost before CI, on the network or in its socket: those sent to it against its count in 0x884.
 
 Rules:
 
-1. CI counts every datagram that it reads, good or bad. At a sample, what was sent so far is what it took,
-   what waits in its socket, and what was lost before it.
-2. What was lost never becomes less, and what waits is not negative: a later sample bounds an earlier one.
-3. A wake-up that reads fewer than CI can read empties the socket: what was sent before it does not wait.
-4. A count that falls began anew: CI or cFS started again. Nobody counted what CI took last; it took what was
-   sent until it was told to restart, or until its cFS fell silent. If it was told to reset its counters, it
-   ran on.
-5. Loss while more wait than two wake-ups read, or while it mostly reads all that it can, is its full
-   socket; at a rate that it can read, the network. So is what is missing at the first count already, where
-   by then never more can have waited than a socket holds.
-6. CI takes datagrams in the order in which they came. What it takes before it reads the first one of the
-   capture, as that comes out, was sent before the capture began.
-7. Within these bounds the smallest number is lost. The rest waits.
-8. Datagrams and counts may be under way for long, as over a radio link: if that explains all that seem to be
-   lost on the network, nothing is. It explains no more than a part where nothing came for a while.
-9. Copies that a network makes hide in the count what it loses. Where all goes to a robot, no more were lost
-   behind CI than it read and did not come out; the others that did not come out were lost before it.
+1. CI counts every datagram that it reads, good or bad. So at each sample of its count:
+   sent until then = read + waiting in its socket + lost before it.
+2. The number lost never falls and the number waiting is never negative. So later samples bound earlier ones.
+3. If CI reads fewer datagrams at a wake-up than it can, its socket is empty afterwards: none sent before
+   waits.
+4. If the count falls, CI or its cFS started again. The datagrams that it read last were never counted: it
+   read on until it was commanded to restart, or until its cFS fell silent. After a command to reset its
+   counters it runs on.
+5. A loss is in the full socket if more datagrams wait than two wake-ups read, or CI mostly reads as many as
+   it can; else it is on the network. Datagrams that the first count lacks were lost on the network if the
+   socket cannot have been full by then.
+6. CI reads datagrams in their order. What it read before the first datagram of the capture came out of cFS
+   was sent before the capture began.
+7. Within these bounds the smallest number is lost; the rest waits.
+8. On a slow link, such as a radio, datagrams and counts may be on their way for long. If that explains all
+   losses on the network, there are none. Where nothing came for a while, it explains only a part.
+9. Copies made by a network hide losses in the count. If everything CI reads goes to a robot, at most as many
+   messages were lost behind CI as it read and did not come out; the others were lost before it.
 """
 
 from __future__ import annotations
@@ -49,41 +50,41 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.crossing import Hop
 
     _May = tuple[Fate, Mask]
-    """What became of messages, and which of these may be lost."""
+    """A stream's fate, and a mask (rows,) of its messages that may be lost."""
 
 QUOTED: Final = "ICMP errors about "
-"""Evidence that begins so names messages that a router or a firewall turned away."""
+"""Start of the evidence that counts messages which a router or a firewall rejected."""
 Cause = Literal["socket", "network", "down", "restart", "ci_stopped"]
 _SLACK_NS: Final = 100 * MILLISECOND
-"""Tasks on a busy host wake up so late."""
+"""How late tasks wake up on a busy host."""
 _UNDER_WAY_NS: Final = 2 * SECOND
 _APART_NS: Final = SECOND // 4
-"""A network that always takes about as long takes so much more now and then."""
+"""How much the delay of a steady network varies."""
 _LATE_NS: Final = 2 * SECOND
 _ONE_NS: Final = 15 * SECOND
 _ENDS_NS: Final = 750 * MILLISECOND
-"""An application that is told to stop runs on for up to a second and a half."""
+"""An application runs on for up to a second and a half after it is commanded to stop; half of that."""
 _HELD_NS: Final = 2 * SECOND
-"""So long an application may keep what it does not send at once, and the link behind it."""
+"""How long an application, and the link behind it, may keep a message that is not sent on at once."""
 DRAINS_NS: Final = 15 * SECOND
-"""So long after it was sent CI may read a datagram: what waits in its socket then."""
+"""A datagram may wait this long in CI's socket before it is read."""
 _MODULUS: Final = 1 << 32
 _BUSY: Final = 0.9
-"""Of what CI can read at the most; whoever reads so much may have left something."""
+"""A CI that reads this share of the most it can read may have left datagrams in its socket."""
 _MOSTLY: Final = 0.5
-"""More than so many of the samples."""
+"""A larger share of the samples than this is most of them."""
 
 
 class Before(msgspec.Struct, frozen=True):
     """Datagrams that were lost before a CI in one span of time.
 
     Attributes:
-        cause: why.
-        lost: how many.
-        start_ns: the first of them was sent after this.
-        end_ns: and the last not after this.
-        more: of those that may wait behind it, as many may have been lost with it: counts alone cannot tell.
-        said: what cFS said of it.
+        cause: why they were lost.
+        lost: number of datagrams.
+        start_ns: the first of them was sent after this time.
+        end_ns: the last of them was sent at this time at the latest.
+        more: number of later datagrams that may be lost too, or waiting; counts cannot distinguish these.
+        said: text of the event or command that shows it; empty if there is none.
     """
 
     cause: Cause
@@ -95,32 +96,32 @@ class Before(msgspec.Struct, frozen=True):
 
     @property
     def since_ns(self) -> int:
-        """From when on what was lost was sent: a count is seen within so long of what it counts."""
+        """Earliest time at which a lost datagram was sent: a count is captured later than its datagrams."""
         return self.start_ns - _LATE_NS * (self.cause in {"socket", "network"})
 
 
 class Ingest(msgspec.Struct):
-    """The account of one CI.
+    """Datagrams sent to one CI: read, lost before it, waiting, or not captured.
 
     Attributes:
-        endpoint: where it listens, as the table numbers endpoints.
-        system: its cFS, as ``Instances.systems`` numbers them.
-        rows: datagrams to it, in order of time.
-        first_ns: from here on its count is known.
-        last_ns: until here.
-        taken: by how much its count grew, starts anew included.
-        losses: what was lost before it.
+        endpoint: number of the endpoint where it listens, as in the table.
+        system: number of its cFS, as in ``Instances.systems``.
+        rows: intp, rows of the datagrams to it, in order of time.
+        first_ns: time of its first count in the capture.
+        last_ns: time of its last count.
+        taken: datagrams that it read between these two, all restarts included.
+        losses: losses before it, in order of time.
         waiting: datagrams that were sent before ``last_ns`` and may be waiting in its socket then.
-        unread: of those, the ones that were sent before its last count was made.
+        unread: those of ``waiting`` that were sent before its last count was made.
         not_captured: datagrams that it counted and the capture does not show.
-        unsure: datagrams that may have been lost beside ``losses``: the capture begins amid datagrams, and
-            its first count does not tell which of those just sent it has.
-        before: datagrams that its first count does not have, though they came before it was made.
-        older_until_ns: it read as fast as it can when the capture began: until then it may have read what was
-            sent before.
-        ended: from the last sign of a cFS that went down until it would have given the next one: what was
-            sent then, it may have read or not.
-        by_kernel: it has no count here; what its socket dropped, the kernel of its host counted.
+        unsure: datagrams that may be lost besides: where the capture begins amid traffic, nothing shows which
+            of the datagrams just sent are in the first count.
+        before: datagrams that arrived before its first count was made and are not in it.
+        older_until_ns: until this time it may have read datagrams from before the capture, because it read as
+            fast as it can when the capture began; 0 if it did not.
+        ended: intervals from the last packet of a cFS that went down to when the next would have come: it may
+            have read the datagrams sent meanwhile.
+        by_kernel: it has no count; the drops of its socket are from its host's kernel.
     """
 
     endpoint: int
@@ -140,7 +141,7 @@ class Ingest(msgspec.Struct):
     by_kernel: bool = False
 
     def add(self, loss: Before) -> None:
-        """Take a loss; what the network goes on losing is one."""
+        """Append a loss; losses on the network that follow each other within 15 s become one."""
         last = self.losses[-1] if self.losses else None
         if last and last.cause == loss.cause == "network" and loss.start_ns - last.end_ns < _ONE_NS:
             loss = Before("network", last.lost + loss.lost, last.start_ns, loss.end_ns)
@@ -148,19 +149,24 @@ class Ingest(msgspec.Struct):
         self.losses.append(loss)
 
     def spare(self, again_ns: Integers) -> None:
-        """Leave open as many losses on the network as there are copies by then: the capture may make some.
+        """Make network losses uncertain that copies can explain, and take back those that came late.
 
-        And take back as many as CI counts more than is here: those may have come late.
+        The capture may have doubled a datagram that was sent once: then one loss less is proven. And
+        datagrams that CI counted without a sign of them may be those that seem lost.
 
         Args:
-            again_ns: when copies were sent.
+            again_ns: i64, times of the copies.
         """
         self.unsure += self._take_back(lambda end_ns: int((again_ns <= end_ns).sum()))
         later = self._take_back(lambda _: self.not_captured)
         self.taken, self.not_captured = self.taken + later, self.not_captured - later
 
     def _take_back(self, most: Callable[[int], int]) -> int:
-        """Take back so many losses on the network at most, until the end of each; return how many."""
+        """Take back network losses; return how many.
+
+        Args:
+            most: the most that can be taken back of all losses up to a time.
+        """
         spared = 0
         for at, loss in enumerate(self.losses):
             number = min(loss.lost, max(0, most(loss.end_ns) - spared)) * (loss.cause == "network")
@@ -171,17 +177,17 @@ class Ingest(msgspec.Struct):
 
     @property
     def lost_on_network(self) -> int:
-        """What was lost on the network before it."""
+        """Number of datagrams lost on the network."""
         return sum(item.lost for item in self.losses if item.cause == "network")
 
     @property
     def lost(self) -> int:
-        """All that was lost before it."""
+        """Number of all datagrams lost before it."""
         return sum(item.lost for item in self.losses)
 
 
 def ingests(case: Case) -> list[Ingest]:
-    """Return the account of every CI that is counted: by itself, or by the kernel of the recording host."""
+    """Return an account of every CI that has counts: its own, or those of the recording host's kernel."""
     rows = case.rows
     came = rows.on(lambda link: link.only_to_cfs) & ~rows.undelivered & (rows.length > 0)
     to_ci = np.flatnonzero(came)
@@ -192,13 +198,13 @@ def ingests(case: Case) -> list[Ingest]:
     accounts = []
     for system, own in samples.items():
         endpoint = places[system]
-        # Of two CIs at one address and port nothing tells which was meant.
+        # If two CIs share an address and port, nothing shows which one a datagram was for.
         if endpoint is not None and uses[endpoint] == 1 and len(own) > 1:
             counter = _Counted(case, endpoint, system, to_ci[rows.destination[to_ci] == endpoint], own)
             account = counter.account()
             if account.lost_on_network or (account.lost and account.not_captured):
                 late = counter.account(_UNDER_WAY_NS)
-                # What a slow network explains is no loss, and no copy: rule 8.
+                # Rule 8: what a slow network explains is neither a loss nor a copy.
                 came_late = min(account.not_captured, account.lost_on_network)
                 is_less = late.lost_on_network - late.not_captured <= account.lost_on_network - came_late
                 explains = late.lost_on_network == 0 < account.lost_on_network
@@ -214,12 +220,12 @@ def ingests(case: Case) -> list[Ingest]:
 
 
 def _by_kernel(case: Case, to_ci: Places, endpoints: Collection[int]) -> Iterator[Ingest]:
-    """Yield the account of every CI without a count here, of whose socket the kernel counted drops."""
+    """Yield an account of every CI without a count of its own whose socket's drops the kernel counted."""
     places = distinct(case.rows.destination[to_ci]).tolist()
     ports = Counter(case.endpoints[item].port for item in places)
     for endpoint in places:
         port = case.endpoints[endpoint].port
-        # Of two hosts' sockets nothing tells which one the counter is of.
+        # If two hosts use the port, nothing shows whose socket the counter is of.
         if endpoint not in endpoints and ports[port] == 1 and (drops := case.host.by_port.get(port)):
             mine = to_ci[case.rows.destination[to_ci] == endpoint]
             span, lost = case.span(mine), min(drops, len(mine))
@@ -228,7 +234,15 @@ def _by_kernel(case: Case, to_ci: Places, endpoints: Collection[int]) -> Iterato
 
 
 class _Sample(msgspec.Struct, frozen=True):
-    """One 0x884: when it was seen and made, what CI had read in all, of which boot and from which address."""
+    """One 0x884.
+
+    Attributes:
+        seen_ns: capture time.
+        made_ns: its own time stamp, as capture time.
+        count: datagrams that CI had read, good and bad, modulo 2^32.
+        instance: boot of cFS that it is from.
+        source: number of the endpoint that sent it.
+    """
 
     seen_ns: int
     made_ns: int
@@ -238,12 +252,12 @@ class _Sample(msgspec.Struct, frozen=True):
 
 
 def _samples(case: Case) -> dict[int, list[_Sample]]:
-    """Return the counts of each cFS, in order of time, all its boots together."""
+    """Return the samples by cFS, all its boots together, in order of time."""
     rows, instances = case.rows, case.instances
     samples = case.payloads.ingest
     row, counts = samples["row"], (samples["packets"] + samples["errors"]) % _MODULUS
     own = (instances.of_row[row] != NOBODY) & rows.on(lambda link: link.only_from_cfs, row)
-    # An older count behind a newer one is no start anew; of two places copies are out of order.
+    # A count that was overtaken by a newer one is no restart; captures of two places are out of order anyway.
     own &= (rows.reordered[row] == 0) | (case.prepared.copies > 0)
     own &= instances.owners(rows.source[row], samples["time_ns"]) == instances.of_row[row]
     row, seen_ns, instance = row[own], samples["time_ns"][own], instances.of_row[row[own]]
@@ -260,11 +274,12 @@ def _samples(case: Case) -> dict[int, list[_Sample]]:
 
 
 def _endpoint(case: Case, places: Sequence[int], own: Sequence[_Sample]) -> int | None:
-    """Return where a cFS's CI listens: the only place, or that of its address and number.
+    """Return the endpoint of a cFS's CI; None if several fit.
 
     Args:
-        places: where datagrams to any CI went.
-        own: its counts.
+        case: the capture.
+        places: endpoints that datagrams to any CI went to.
+        own: samples of this cFS.
     """
     if len(places) == len(set(case.instances.systems)) == 1:
         return places[0]
@@ -282,11 +297,14 @@ def _endpoint(case: Case, places: Sequence[int], own: Sequence[_Sample]) -> int 
 
 
 class _Counted:
-    """What was sent to a CI, and its counts.
+    """The datagrams sent to one CI, and its counts.
 
     Args:
-        rows: the datagrams to it, in order of time.
-        own: its counts, likewise.
+        case: the capture.
+        endpoint: number of its endpoint.
+        system: number of its cFS.
+        rows: rows of the datagrams, in order of time.
+        own: samples of its count, in order of time.
     """
 
     def __init__(self, case: Case, endpoint: int, system: int, rows: Places, own: Sequence[_Sample]) -> None:
@@ -299,45 +317,51 @@ class _Counted:
             for name in ("seen_ns", "made_ns", "count", "instance")
         )
         begins = np.diff(instance) != 0
-        for item in case.resets:  # of a cFS whose clock went on; a sample may be the last sign before it
+        for item in case.resets:  # a reset of cFS whose clock went on
             within = (item.start_ns < self._seen[1:]) & (self._seen[:-1] < item.end_ns)
             begins |= within & (instance[1:] == item.instance)
         self._restarts = np.append(False, begins)
-        """Which samples are of a cFS that was started again since the one before."""
+        """Mask (samples,): cFS was started again since the sample before."""
         self._starts = (np.flatnonzero(begins | (np.diff(self._count) < 0)) + 1).tolist()  # or CI alone was
         hops = [hop for hop in case.hops if hop.into.link.only_to_cfs and hop.into.receiver == endpoint]
         self._read = []
         for hop in hops:
             wait_ns = 0 if hop.out.link.last_hop else _HELD_NS
             self._read.append((hop.into.time_ns[hop.in_rows], hop.out.time_ns[hop.out_rows] - wait_ns))
-        """When commands to it were sent that came out of cFS again, and when it surely had not read them yet.
+        """For each way out of cFS: when commands were sent, and a time at which CI had surely not read them
+        yet.
 
-        A robot is sent them at once; before they leave elsewhere the application and the link may keep them.
+        A robot gets a command at once; on other ways the application and the link may keep it for a while.
         """
         self._arrived = np.sort(np.concatenate([sent for sent, _ in self._read])) if hops else None
         self.has_output = bool(hops)
-        """Whether it is seen what comes out: that shows how long it took."""
+        """Whether the way out is captured, which shows how long a command takes."""
         self._all_out = all(hop.out.link.last_hop for hop in hops)
-        """Whether all that is read comes out: what is rewritten for others may give way."""
+        """Whether everything read comes out: on other ways newer messages may supersede older ones."""
         self._read_ns = _read_by(hops)
         firsts = ((int(out[0]), int(sent[0])) for sent, out in self._read)
         self._first_out = min(firsts, default=(0, 0))
-        """Until when CI surely had not read the first of those, and when it had been sent."""
+        """Of the first command that came out: a time at which CI had not read it, and when it was sent."""
         self.stood = bool((np.diff(self._sent_until(self._seen))[np.diff(self._count) == 0] > 2).any())
-        """Whether nothing came between two samples though some were sent, as when a network becomes slow."""
+        """Whether CI read nothing between two samples though datagrams were sent, as on a stalled network."""
 
     def of_steady_delay(self, account: Ingest) -> Ingest:
-        """Return the account by which the fewest were lost, if a network always takes about as long.
+        """Return the account with the fewest losses, for any constant delay of the network up to 2 s.
 
         Args:
-            account: if it takes no time.
+            account: the account for a network without delay.
         """
         every = [self.account(ns + _APART_NS, ns) for ns in range(0, _UNDER_WAY_NS, _APART_NS)]
         least = min(every, key=lambda item: (item.before > 0, item.lost_on_network))
         return replace(least, unsure=least.unsure + max(0, account.lost - least.lost))
 
     def account(self, under_way_ns: int = 0, least_ns: int = 0) -> Ingest:
-        """Hold what was sent against the counts, if that was under way for so long, at the most and least."""
+        """Compare the datagrams sent with the counts.
+
+        Args:
+            under_way_ns: longest delay of the network.
+            least_ns: shortest delay.
+        """
         own, count, most = self._own, self._count, self._most
         account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
         unsteady_ns = self._case.unsteady_ns
@@ -351,10 +375,10 @@ class _Counted:
             emptied_ns -= under_way_ns + unsteady_ns
             low = np.where(emptied_ns <= 0, -_MODULUS, self._sent_until(emptied_ns) - count[part])
             if first and self._reset(own[first - 1], own[first]):
-                # It ran on, and set its count to 0: it read no more until then than it can.
+                # It ran on and reset its count: until then it read at most what it can.
                 begin: tuple[Cause, int] = ("socket" if crowded else "network", idle_ns)
                 most_read = before + self._most_read(own[last:first], own[first].made_ns) - own[first].count
-                low[0] = -_MODULUS  # it may have left something then
+                low[0] = -_MODULUS  # datagrams may have waited then
                 least, before = before + own[first - 1].count, min(_fewer(low, high) - lost, most_read)
                 room += max(0, before - least)
             elif first:
@@ -362,20 +386,20 @@ class _Counted:
             else:
                 begin = self._first_count()
                 if busy[1:2].any() or ((sent[part][1:2] == 0) & (np.diff(count[part][:2]) > 0)).any():
-                    low[0] = -_MODULUS  # how much it had read before the first sample, nothing tells
+                    low[0] = -_MODULUS  # nothing shows how many it had read before the first sample
                     idle = np.flatnonzero(np.diff(count[part]) < most)
                     behind = int(self._seen[idle[0] + 1 if len(idle) else -1])
-                    # Else it read what was sent here, and nothing older; or less than it always can.
+                    # Else it had read just what the capture shows, or fewer than a busy CI reads.
                     wakes = (own[0].made_ns - self._case.start_ns) // self._profile.ci_wake_ns
                     if count[end - 1] != sent[end - 1] and count[0] >= most * (wakes - 1):
                         account.older_until_ns = min(behind, self._first_out[0] or own[0].seen_ns + DRAINS_NS)
                 before = 0 if begin[0] == "down" else min(_older(low, high), self._most_older(end))
                 account.before = before
-                low[0] = min(low[0], max(before, high.min()))  # what CI counts later was not lost before
+                low[0] = min(low[0], max(before, high.min()))  # a datagram counted later was not lost
             drained = np.diff(count[part], prepend=count[first]) < most
             unread = 0 if first else self._unseen()
             full = 0 if first else self._most_waited(before) - self._profile.socket_queue
-            # What was sent before the capture began may wait, and is not lost here.
+            # Datagrams from before the capture may wait too; they are no losses of this capture.
             high = high - before if first else np.minimum(high - before, sent[part])
             run = _Run(self._seen[part], low - before, high, drained, busy, 2 * most, full, unread)
             lost = _follow(account, run, lost, begin, room)
@@ -395,20 +419,20 @@ class _Counted:
     def _restarted(
         self, account: Ingest, last: int, first: int, lost: int, before: int
     ) -> tuple[tuple[Cause, int], int, int]:
-        """Return how a run begins behind a restart, all that is lost until then, and what it read before.
+        """Return cause and begin of the losses by a restart, the number lost by then, and the number read.
 
         Args:
-            account: gets what was lost with the socket.
-            last: first sample of the run before,
-            first: and of this one.
-            lost: all that was lost until the restart.
-            before: what was read before the run before.
+            account: the account; datagrams lost with the closed socket are added to it.
+            last: index of the first sample of the run before the restart.
+            first: index of the first sample after it.
+            lost: number of datagrams lost until the restart.
+            before: number of datagrams read before the previous run.
         """
         sooner, later = self._own[first - 1], self._own[first]
         ended_ns = self._ended_ns(sooner, later)
         blind = (end for start, end in self._case.blind if start < later.seen_ns and sooner.seen_ns < end)
         ended_ns = max([ended_ns, *blind])  # it may have read on while nothing was captured
-        # What was sent by then had waited in its socket, where it came out later.
+        # A datagram sent by then that came out later had waited in the socket.
         read_ns = max([ended_ns, *(int(out[sent <= ended_ns].max(initial=0)) for sent, out in self._read)])
         commands = self._commanded_ns(sooner.seen_ns - SECOND, later.seen_ns)
         cause: Cause = "down" if self._restarts[first] else "restart"
@@ -417,7 +441,7 @@ class _Counted:
             cause = "ci_stopped"
         read = self._most_read(self._own[last:first], read_ns)
         if not commands and self._arrived is None and sooner.instance == later.instance:
-            # Nothing tells when it ended: it may have read on until it began again.
+            # Nothing shows when it ended: it may have read on until it started again.
             surely = before + read
             read = self._most_read(self._own[last:first], later.made_ns)
             account.unsure += max(0, min(int(self._sent_until(ended_ns)) - lost, before + read) - surely)
@@ -436,7 +460,7 @@ class _Counted:
         if cause == "down" and self._arrived is None:
             until_ns = min(self._next_sign_ns(sooner.instance, ended_ns), later.made_ns)
             if restarts := self._restarts_ns(ended_ns - self._profile.ci_wake_ns, until_ns):
-                ended_ns = max(ended_ns, restarts[0])  # what it took beside the command, it may have read
+                ended_ns = max(ended_ns, restarts[0])  # it may have read what came with the command
                 before, until_ns = int(self._sent_until(ended_ns)) - lost, ended_ns + self._profile.ci_wake_ns
             account.ended.append((ended_ns, until_ns))
             before += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
@@ -444,7 +468,7 @@ class _Counted:
         return (cause, ended_ns), lost, before
 
     def _end_with_outage(self, account: Ingest, begin: tuple[Cause, int]) -> None:
-        """End what was lost while it did not run with the last of these: what it read since came behind."""
+        """Shorten the losses of an outage to the last datagram that can be one: CI read all later ones."""
         for at, item in enumerate(account.losses):
             if (item.cause, item.start_ns) == begin:
                 last = int(self._sent_until(item.start_ns)) + item.lost + item.more - 1
@@ -452,13 +476,13 @@ class _Counted:
                 account.losses[at] = replace(item, end_ns=min(item.end_ns, end_ns))
 
     def _restarts_ns(self, start_ns: int, end_ns: int) -> list[int]:
-        """Return when its cFS was told to restart, of the commands to it between two times."""
+        """Return the times of commands between two times that restart its cFS."""
         restarts = self._case.payloads.about_apps(executive_services.RESTART)
         mine = [item for item in restarts if self._case.rows.destination[item.row] == self._endpoint]
         return [item.time_ns for item in mine if start_ns < item.time_ns <= end_ns]
 
     def _next_sign_ns(self, instance: int, ended_ns: int) -> int:
-        """Return when a cFS that last gave a sign at a time would have given the next one."""
+        """Return when a cFS whose last packet is known would have sent the next one."""
         times = self._case.rows.time_ns[self._case.instances.of_row == instance]
         steps = np.diff(times[times <= ended_ns])
         steps = steps[steps > self._profile.to_wake_ns // 2]
@@ -480,7 +504,7 @@ class _Counted:
         return [item for item in self._case.outages if item.app in names and item.system == system]
 
     def _commanded_ns(self, start_ns: int, end_ns: int) -> list[tuple[int, int]]:
-        """Return until when CI may have read on after commands that end it, and when these were sent."""
+        """Return for each command that ends CI until when CI may have read, and when it was sent."""
         case, names = self._case, command_ingest.NAMES
         about = case.payloads.about_apps(*executive_services.ENDS_APP)
         times = [item.time_ns for item in about if item.app in names]
@@ -492,33 +516,36 @@ class _Counted:
         return np.asarray(np.searchsorted(self._sent_ns, time_ns, "right"))
 
     def _surely_sent(self, time_ns: int) -> int:
-        """Return how many were sent until a time; before the capture as after its start, negative."""
+        """Return how many datagrams were sent until a time.
+
+        Before the capture the rate at its start is assumed, and the number is negative.
+        """
         ahead_ns = time_ns - self._case.start_ns
         return int(np.sign(ahead_ns) * self._sent_until(self._case.start_ns + abs(ahead_ns)))
 
     def _emptied(self, part: slice) -> tuple[Integers, Mask]:
-        """Return until when each sample's CI surely had read all there was, and where it read all it can.
+        """Return for each sample a time until which CI had read everything, i64 ns, and whether CI was busy.
 
-        A sample is older than its datagram by up to a round of Telemetry Output, or as its clock says, and CI
-        read up to a wake-up before.
+        A sample is older than its datagram by up to a round of Telemetry Output, or by what its time stamp
+        says, and CI read up to a wake-up before that.
         """
         seen_ns, count, wake_ns = self._seen[part], self._count[part], self._profile.ci_wake_ns
         read = np.diff(count, prepend=count[0])
         times = self._made[part] if self._case.unsteady_ns else seen_ns
         steps = np.diff(times, prepend=times[0])
         busy = read > _BUSY * self._most * np.maximum(1.0, steps / wake_ns)
-        # Fewer than one wake-up can read: it was empty after the last. Else after an earlier one, or never.
+        # If it read fewer than one wake-up can, the socket was empty after the last wake-up; else earlier.
         oldest = np.minimum(seen_ns - self._profile.to_wake_ns, self._made[part]) - wake_ns - _SLACK_NS
         oldest -= np.where(read < self._most, 0, steps)
         out_ns, sent_ns = self._read_ns
-        # One that reads all it can has read what came out, and perhaps no more; a count may be made a round
-        # of Telemetry Output sooner than its clock says.
+        # A busy CI has read the datagrams that came out, and perhaps no others; a count may be made a round
+        # of Telemetry Output sooner than its time stamp says.
         late_ns = _SLACK_NS + self._profile.to_wake_ns * busy
         last = np.searchsorted(out_ns, self._made[part] - late_ns) - 1
         return np.maximum(np.where(busy, 0, oldest), sent_ns[np.maximum(last, 0)]), busy
 
     def _reset(self, before: _Sample, after: _Sample) -> bool:
-        """Tell whether it was told to set its counters to 0 between two samples of one boot."""
+        """Return whether a command reset its counters between two samples of one boot."""
         rows = self._case.rows
         resets = (rows.destination == self._endpoint) & (rows.known_id == command_ingest.COMMAND_MSG_ID)
         resets &= rows.function_code == command_ingest.RESET_COUNTERS
@@ -526,10 +553,10 @@ class _Counted:
         return before.instance == after.instance and bool(resets.any())
 
     def _most_older(self, end: int) -> int:
-        """Return the most that a first count can have fewer than were sent: CI takes one after the other.
+        """Return the most datagrams sent before the first count that can be missing in it.
 
-        Until a first sample it took no more than it can read in that time. Until the first command of the
-        capture came out it took none that was sent later: what it read was sent before the capture began.
+        Until the first sample CI read no more than it can in that time. Until the first command of the
+        capture came out, CI read only datagrams from before the capture, because it reads in order.
         """
         first = self._own[0]
         since_ns = int(self._sent_ns[0]) if len(self._sent_ns) else first.seen_ns
@@ -539,7 +566,7 @@ class _Counted:
         return min(most, int(self._sent_until(went_ns)) - until[-1].count) if until else most
 
     def _most_waited(self, before: int) -> int:
-        """Return the most that waited or were lost at a time until a first count, if it reads all it can."""
+        """Return the most datagrams waiting or lost at a time before the first count, for a busy CI."""
         first = self._own[0]
         sent_ns = self._sent_ns[self._sent_ns < first.made_ns]
         later = 2 + (first.made_ns - sent_ns) // self._profile.ci_wake_ns
@@ -547,9 +574,9 @@ class _Counted:
         return int((np.arange(1, len(read) + 1) - read).max(initial=0))
 
     def _first_count(self) -> tuple[Cause, int]:
-        """Return what lost those that were sent before a first count and are not in it, and since when.
+        """Return why datagrams sent before the first count are not in it, and since when.
 
-        Mission time begins at a known value, which gives the moment of boot: before it nobody listened.
+        Mission time starts at a known value, which gives the time of boot: before that nobody listened.
         """
         sample = self._own[0]
         since_ns = int(self._sent_ns[0]) - 1 if len(self._sent_ns) else sample.seen_ns
@@ -557,14 +584,14 @@ class _Counted:
         return ("down" if since_ns < boot_ns < sample.seen_ns else "network"), since_ns
 
     def _unseen(self) -> int | None:
-        """Return how many were sent before a first count and did not come out; None where unknown."""
+        """Return how many datagrams sent before the first count did not come out; None if not seen."""
         if self._arrived is None:
             return None
         seen_ns = self._own[0].seen_ns
         return int(self._sent_until(seen_ns) - np.searchsorted(self._arrived, seen_ns, "right"))
 
     def _ended_ns(self, last: _Sample, first: _Sample) -> int:
-        """Return until when a CI read that then started again."""
+        """Return until when CI read before it started again."""
         if last.instance != first.instance:
             ended_ns = max(last.seen_ns, self._case.instances.items[last.instance].last_ns)
         else:
@@ -572,19 +599,19 @@ class _Counted:
             ended_ns = max(between, default=(last.seen_ns, 0))[0]
         if self._arrived is None:
             return ended_ns
-        # What came out again was read: it ended where nothing does for the longest time.
+        # What came out was read: it ended where nothing came out for the longest time.
         begin_ns, arrived = last.seen_ns - SECOND, self._arrived
         inside = arrived[(arrived > begin_ns) & (arrived < first.seen_ns)]
         bounds = np.concatenate(([begin_ns], inside, [first.seen_ns]))
         hole = int(np.diff(bounds).argmax())
         if not self._all_out:
             return max(ended_ns, int(bounds[hole]))
-        # A command to restart was read, too, though nothing comes out of it.
+        # The command to restart was read too, though it does not come out.
         restarts = self._restarts_ns(int(bounds[hole]), first.seen_ns)[:1]
         return max([int(bounds[hole]), *restarts]) if hole else min(ended_ns, int(bounds[1]))
 
     def _most_read(self, own: Sequence[_Sample], until_ns: int) -> int:
-        """Return how many a CI can have read until a time: what it counted, and its best rate."""
+        """Return the most datagrams that CI can have read until a time, by its last count and best rate."""
         seconds = max(0, until_ns - own[-1].made_ns) / SECOND
         rates = (
             (later.count - sooner.count) * SECOND / max(1, later.made_ns - sooner.made_ns)
@@ -595,9 +622,9 @@ class _Counted:
 
 
 def _read_by(hops: Sequence[Hop]) -> tuple[Integers, Integers]:
-    """Return when messages came out that occur once, and until when all had been read that were sent before.
+    """Return when unique messages came out, and up to which time of sending CI had then read everything.
 
-    CI takes one after the other; a network that puts one before another shows nothing of that.
+    CI reads in order. Ways on which a network reordered messages are left out.
     """
     out, sent = [np.full(1, np.iinfo(np.int64).min)], [np.zeros(1, np.int64)]
     for hop in hops:
@@ -612,23 +639,29 @@ def _read_by(hops: Sequence[Hop]) -> tuple[Integers, Integers]:
 
 
 def _older(low: Integers, high: Integers) -> int:
-    """Return how many fewer a first count has than were sent: 0 where all it counts can be in the capture."""
+    """Return by how much a first count is below the number sent: 0 if all it counts can be in the capture."""
     return 0 if low[0] <= 0 <= high.min() else _fewer(low, high)
 
 
 def _fewer(low: Integers, high: Integers) -> int:
-    """Return the most that counts can have fewer than were sent, as long as one number fits."""
+    """Return the most by which counts can be below the numbers sent, over the first samples that agree."""
     later = np.flatnonzero(np.maximum.accumulate(low) > np.minimum.accumulate(high))
     return int(high[: later[0] if len(later) else None].min())
 
 
 class _Run(NamedTuple):
-    """Samples of one count: when seen, and the least and most that was lost until then (rules 1 to 3).
+    """Samples of one count between two restarts, and bounds of the number lost by then (rules 1 to 3).
 
-    ``drained`` tells which read fewer than a wake-up can, ``busy`` which read nearly all that they can; more
-    than ``many`` wait in a socket that gets full, and ``overflow`` at most had no room before a first count.
-    ``unread`` were sent before the first count and did not come out: lost, or a CI read them that restarted;
-    None where nothing shows what comes out.
+    Attributes:
+        seen: i64 (n,), capture times, ns.
+        low: i64 (n,), least number of datagrams lost until each sample.
+        high: i64 (n,), greatest such number.
+        drained: (n,), CI read fewer than it can at a wake-up.
+        busy: (n,), CI read nearly as many as it can.
+        many: if more than this wait, the socket gets full.
+        overflow: at most this many had no room in the socket before the first count.
+        unread: datagrams sent before the first count that did not come out: lost, or read by a CI that
+            restarted since; None if the way out is not captured.
     """
 
     seen: Integers
@@ -642,7 +675,13 @@ class _Run(NamedTuple):
 
 
 class _Level(msgspec.Struct):
-    """Samples in a row that one number of lost datagrams fits: at least ``low``, at most ``high``."""
+    """Consecutive samples that agree on the number of datagrams lost.
+
+    Attributes:
+        first: index of the first of them.
+        low: least number that fits all of them.
+        high: greatest such number.
+    """
 
     first: int
     low: int
@@ -650,7 +689,7 @@ class _Level(msgspec.Struct):
 
 
 def _levels(run: _Run, lost: int, most: int) -> tuple[list[_Level], int]:
-    """Divide a run into as few levels as fit, and count what CI read and the capture does not show."""
+    """Divide a run into as few levels as possible; return them, and how many datagrams are not captured."""
     shown_less = 0
     levels = [_Level(0, int(run.low[0]), min(int(run.high[0]), most))]
     for at in range(len(run.low)):
@@ -666,8 +705,19 @@ def _levels(run: _Run, lost: int, most: int) -> tuple[list[_Level], int]:
 
 
 def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], room: int) -> int:
-    """Go through a run, add what is lost in it to the account; return all that is lost until its end."""
-    # What a first count does not have is older than the capture.
+    """Add the losses of a run to the account.
+
+    Args:
+        account: the account.
+        run: samples between two restarts.
+        lost: number of datagrams lost before the run.
+        begin: cause and begin of losses at its first sample.
+        room: datagrams that may be lost at its end besides.
+
+    Returns:
+        The number of datagrams lost until its end.
+    """
+    # What the first count lacks may be older than the capture.
     before = account.losses[-1:]
     levels, shown_less = _levels(run, lost, 0 if begin[0] == "network" else _MODULUS)
     account.not_captured += shown_less
@@ -678,7 +728,7 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
             if level.first:
                 empty = np.flatnonzero(run.drained[: level.first])
                 last = int(empty[-1]) if len(empty) else 0
-                # Rule 5: a socket that is full held many before.
+                # Rule 5: before a full socket loses datagrams, many wait in it.
                 since = slice(last, level.first + 1)
                 full = int(run.high[since].max()) - number > run.many
                 missing_first = int(run.high[: level.first].min())
@@ -687,10 +737,10 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
                 cause = "socket" if full and not (early and number > run.overflow) else "network"
                 since_ns = int(run.seen[last])
                 if not account.losses and run.unread is not None and not account.older_until_ns:
-                    # As far as its counts tell, these were missing at the first of them already.
+                    # The counts allow that these were missing at the first sample already.
                     lost += max(0, min(run.unread, number - lost, missing_first))
                 elif early and {cause, begin[0]} == {"network"}:
-                    account.unsure += number - lost  # or a CI read them that started again since
+                    account.unsure += number - lost  # or CI read them, and has restarted since
                     lost = number
             until_ns = int(run.seen[level.first])
             if number > lost:
@@ -702,7 +752,7 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
 
 
 def _spread_evenly(rows: Places, number: int) -> Places:
-    """Return so many of some rows, evenly spread over them."""
+    """Return ``number`` of some rows, evenly spread over them."""
     return rows[np.linspace(0, len(rows) - 1, number).round().astype(np.intp)]
 
 
@@ -712,17 +762,19 @@ _OUTAGES: Final = frozenset({"down", "restart", "ci_stopped"})
 
 
 class BeforeCi:
-    """Shares out what the accounts of CI say, to the messages that were sent to it.
+    """Assigns the losses before CI to the messages that were sent to it.
 
     Args:
-        fates: what became of messages, as far as it is told.
+        case: the capture.
+        fates: what became of the messages of each stream, so far.
+        losses: losses so far; extended here.
     """
 
     def __init__(self, case: Case, fates: Sequence[Fate], losses: list[Loss]) -> None:
         self._case, self._fates, self.losses = case, fates, losses
 
     def share(self, account: Ingest) -> None:
-        """Share out all that was lost before a CI, or may have been where the capture begins amid it."""
+        """Assign the losses before a CI, and the datagrams that may be lost besides."""
         fates = self._to(account)
         for start_ns, end_ns in account.ended:
             for fate in fates:
@@ -736,14 +788,14 @@ class BeforeCi:
             fate.ends["crowded"] += fate.claim(np.flatnonzero(fate.open)[:share])
 
     def _to(self, account: Ingest) -> list[Fate]:
-        """Return what became of the streams that went to a CI."""
+        """Return the fates of the streams to a CI."""
         own = (fate for fate in self._fates if fate.stream.link.only_to_cfs)
         return [fate for fate in own if fate.stream.receiver == account.endpoint]
 
     def _before_ci(self, account: Ingest, before: Before) -> None:
-        """Share out what was lost before CI: to what did not come out, else by how much was sent."""
+        """Assign one loss: to messages that did not come out, else to streams in proportion to their size."""
         rest, fates = before.lost, self._to(account)
-        # Of those of which a counter has what was read, or all comes out, the others were not.
+        # Streams of which it is known how many CI read: by a counter, or because all that it reads comes out.
         seen = [fate for fate in fates if fate.refused or (fate.seen and not fate.keeps_newest)]
         evidence = _evidence(account, before)
         bounded = before.said or before.cause in _OUTAGES
@@ -752,15 +804,15 @@ class BeforeCi:
             rest = max(rest, sum(int((own & closed[fate.stream.rows]).sum()) for fate, own in may))
             rest -= self._answered(may)
         if before.said:
-            for fate in fates:  # nor will it come
+            for fate in fates:  # CI was stopped: what waits will never be read
                 never = fate.waits & (fate.stream.time_ns > before.since_ns)
                 fate.open |= never
                 fate.waits &= ~never
-        # What did not come out is the likelier; what is lost first may have been before the first count.
+        # First messages that did not come out; the first loss may have been before the first count.
         spans = [(seen, before.since_ns), (fates, before.since_ns), (fates, 0)][: 2 if bounded else None]
         if before is account.losses[0] and not bounded:
             spans.insert(1, (seen, 0))
-        # What an ICMP error quotes is that one.
+        # A message that an ICMP error quotes is surely lost.
         errors = self._case.unreachable.closed | self._case.unreachable.refused
         may = self._open(fates, before, before.since_ns)
         may = [(fate, own & errors[fate.stream.rows]) for fate, own in may]
@@ -774,7 +826,8 @@ class BeforeCi:
             account.losses[at] = before = replace(before, more=before.more + theirs)
         for those, since_ns in spans:
             rest -= self._spread(self._open(those, before, since_ns), before, rest, evidence)
-        # Of no stream, as those without a MsgId; what else is left came out: a cFS without telemetry read it.
+        # Datagrams of no stream, such as those without a MsgId. Others that are left were read by another
+        # cFS.
         others = np.setdiff1d(account.rows, np.concatenate([fate.stream.rows for fate in fates]))
         if rest := min(rest, int((self._case.rows.time_ns[others] <= before.end_ns).sum())):
             span = before.start_ns, before.end_ns
@@ -790,30 +843,33 @@ class BeforeCi:
         return int(((sent_ns > before.since_ns) & (sent_ns <= before.end_ns)).sum())
 
     def _answered(self, may: Sequence[_May]) -> int:
-        """Leave open what was sent between ICMP errors when none came for long; return how many."""
+        """Make messages uncertain that were sent while no ICMP error came for long; return how many."""
         closed, number = self._case.unreachable.closed, 0
         quoted = [fate.stream.time_ns[closed[fate.stream.rows]] for fate, _ in may]
         errors_ns = np.sort(np.concatenate([np.zeros(0, np.int64), *quoted]))
         long_ns = _LONG * int(np.median(np.diff(errors_ns))) if len(errors_ns) > 1 else 0
         both = (item for item in pairwise(errors_ns.tolist()) if item[1] - item[0] > 2 * long_ns)
         spans = [(start + long_ns, end - long_ns) for start, end in both]
-        for fate, own in (item for item in may if not item[0].seen):  # else CI read only what came out
+        for fate, own in (item for item in may if not item[0].seen):  # of others CI read what came out
             inside = own & overlapping(fate.stream.time_ns, fate.stream.time_ns, spans)
             number += (part := fate.claim(np.flatnonzero(inside)))
             fate.ends["crowded"] += part
         return number
 
     def _open(self, fates: Sequence[Fate], before: Before, since_ns: int) -> list[_May]:
-        """Return which messages nothing has told of were sent since a time, until all was lost."""
+        """Return the messages without a fate that were sent between a time and the end of a loss."""
         times = [fate.stream.time_ns for fate in fates]
         inside = ((sent_ns > since_ns) & (sent_ns <= before.end_ns) for sent_ns in times)
         return [(fate, fate.open & own) for fate, own in zip(fates, inside, strict=True)]
 
     def _spread(self, may: Sequence[_May], before: Before, number: int, evidence: list[str]) -> int:
-        """Tell up to so many messages of some streams lost before CI; return how many were.
+        """Make at most ``number`` messages of some streams a loss before CI; return how many.
 
         Args:
-            may: which they can be.
+            may: streams, and which messages may be lost.
+            before: the loss.
+            number: upper bound.
+            evidence: lines that show it.
         """
         windows = [np.flatnonzero(own) for _, own in may]
         most = [len(inside) for inside in windows]
@@ -821,7 +877,7 @@ class BeforeCi:
         for (fate, _), inside, share in zip(may, windows, parts, strict=True):
             if not share:
                 continue
-            # Behind the last one that came out there is no newer one that they could have given way to.
+            # Messages after the last one that came out cannot have been superseded.
             last = int(np.flatnonzero(fate.arrived)[-1]) if fate.arrived.any() else inside[-1]
             sure = inside[(inside > last) | (fate.keeps_newest & ~fate.newer[inside])][:share]
             rows = np.union1d(sure, _spread_evenly(np.setdiff1d(inside, sure), share - len(sure)))
@@ -830,14 +886,14 @@ class BeforeCi:
         return sum(parts)
 
     def outnumbered(self, account: Ingest) -> None:
-        """Tell lost before CI what did not come out and CI cannot have read (rule 9)."""
+        """Make losses before CI of messages that did not come out and that CI cannot have read (rule 9)."""
         fates = [fate for fate in self._to(account) if fate.seen]
         outs = {id(hop.out): hop.out for fate in fates for hop in fate.hops}.values()
         if not account.not_captured or not all(out.link.last_hop for out in outs):
             return
         if self._case.quality.missing:
-            return  # what CI counts more may be what the capture lacks
-        until_ns = account.last_ns - _HELD_NS  # what came out until then is in its last count
+            return  # datagrams that CI counted beyond these may be those that the capture missed
+        until_ns = account.last_ns - _HELD_NS  # its last count has all that came out by then
         came_out = sum(int((out.time_ns <= until_ns).sum()) for out in outs)
         read, streams = account.taken + account.not_captured, [fate.stream for fate in fates]
         on_bus = sum(loss.lost for loss in self.losses if loss.stream in streams and loss.kind in COUNTERS)
@@ -851,14 +907,15 @@ class BeforeCi:
                 self.losses.append(fate.loss("network", rows, [text], among=inside))
 
     def rest(self, account: Ingest) -> None:
-        """Tell lost before CI what did not come out and no pipe lost, as far as counts leave room.
+        """Make losses before CI of messages that neither came out nor a pipe lost, as far as its counts allow.
 
-        Not what the capture may have missed; and nothing where nothing counts what pipes lost.
+        Messages that the capture may have missed are left out; and without 0x803 nothing is lost so, because
+        nothing shows what pipes lost.
         """
-        # Of what an application keeps the newest of, others than lost ones did not come out.
+        # Where an application keeps only the newest, messages that did not come out need not be lost.
         all_out = [fate for fate in self._to(account) if fate.seen and not fate.keeps_newest]
         size, quality = sum(len(fate.stream) for fate in all_out), self._case.quality
-        # Where a few are known to be missed, no share is excluded: what did not come out here are few.
+        # If the capture surely missed some frames, no share is excluded.
         shows = any(item.missing for item in quality.evidence if item.kind != "periods")
         for before in account.losses if size and self._case.loss_counts else ():
             may = self._open(all_out, before, before.since_ns)
@@ -874,9 +931,9 @@ class BeforeCi:
                     fate.ends["crowded"] += fate.claim(np.flatnonzero(own)[:part])
 
     def wait(self, account: Ingest) -> None:
-        """Tell which messages may wait in CI's socket at its last count, once all else is told: the latest.
+        """Mark the latest messages without a fate as waiting in CI's socket at its last count.
 
-        CI reads in order: what was sent before one that came out does not wait.
+        CI reads in order: a message sent before one that came out does not wait.
         """
         number = account.waiting
         rows, fates = self._case.rows, self._to(account)
@@ -893,7 +950,7 @@ class BeforeCi:
                 fate.ends["late"] = int(behind.sum())
                 fate.open &= ~behind
             waiting = np.isin(fate.stream.rows, late)
-            # More than a socket holds do not wait, as long as nobody gave it more room.
+            # More than a socket usually holds can wait only if it was given more room.
             beyond = int(np.isin(fate.stream.rows, late[: -self._case.profile.socket_queue]).sum())
             fate.ends["queued"] += int(waiting.sum()) - beyond
             fate.ends["crowded"] += beyond
