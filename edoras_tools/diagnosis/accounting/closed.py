@@ -1,35 +1,34 @@
-"""What was sent where nobody took it: ways out that were closed, silent SBN peers, ports, applications.
+"""Messages that nobody could receive: closed ways out, silent peers, closed ports, stopped applications.
 
-1. What is missing while the way out of a telemetry stream was closed was not sent.
-2. A peer that cFS gave up for its silence heard nothing since its last datagram: what was sent to it is lost.
-3. One that was started again before that heard nothing from when it would have sent next until it subscribed
-   anew; what it was sent just before may have been heard.
-4. One that is silent when the capture ends may be there or not: what was sent since is unaccounted for.
+Ways out and SBN peers:
 
-Ports that nobody listened on, or that could not be reached, by ICMP errors:
+1. Telemetry that is missing while its way out was closed was not sent.
+2. A peer that cFS gave up for its silence received nothing since its last datagram: messages to it are lost.
+3. A peer that restarted earlier received nothing from when its next datagram was due until it subscribed
+   again. It may have received messages sent just before.
+4. A peer that is silent when the capture ends may still run: messages to it since are unaccounted for.
 
-5. A telemetry packet that went there is lost behind cFS; a command is lost behind the application if all that
-   came of it on its way to one robot went there.
-6. A peer of the Software Bus Network is silent while its port is closed: what its silence tells is not told
-   again.
-7. What went to a robot and is of no command of the capture has a row of its own.
+Ports that ICMP errors show as closed or unreachable:
+
+5. Telemetry to such a port is lost behind cFS. A command is lost behind the application if all copies of it
+   to one robot went to such a port.
+6. An SBN peer is silent while its port is closed: its messages are counted once, by rules 2 to 4.
+7. Datagrams to a robot that are of no captured command have a row of their own.
 
 Applications and links that did not run:
 
-8. Where it can be seen what comes out: from what arrived last before an application stopped to what arrives
-   first after it, nothing arrived. Where it does not run again, or passes nothing on then, only what may not
-   have been read yet waits.
-9. Elsewhere what was sent after its end, and before the command that starts it again, is lost, if this
-   application surely takes it: events name its pipe for the MsgId, or there is one application that stopped
-   and one such MsgId. What was sent just before either may have been taken, and so may all that is sent while
-   one restarts: no event tells when it ended.
-10. Elsewhere it is unaccounted for what was sent since the first stop and is not lost by rule 9: whether an
-    application that was started again took it, or whether it was for the one that stopped, nothing shows.
-11. What came over SBN, or was to leave over it, is lost while SBN was stopped, and while the peer that it was
-    for was away or had not subscribed to it: the timeline says when. Of what an application that keeps the
-    newest was to send, that is one message a round.
-12. What an application was to send on by Telemetry Output is lost while that sent nothing until it was
-    enabled: it did not come out, and could not.
+8. Way out captured: nothing arrived between the last message that arrived before the stop and the first one
+   after it. If the application does not run again, or sends nothing on, only messages that may still be
+   unread are waiting.
+9. Way out not captured: messages are lost that were sent between the end of the application and the command
+   that starts it, if they surely were for it. That is so if events name its pipe for the MsgId, or if only
+   one application stopped and there is only one such MsgId. During a restart no event shows when the
+   application ended, so it may have received them.
+10. Way out not captured, and rule 9 does not hold: messages since the first stop are unaccounted for.
+11. Messages from or to SBN are lost while SBN was stopped, and while their peer was away or had not
+    subscribed to them. If the application keeps only the newest, that is one message a round.
+12. Messages that an application was to send by Telemetry Output are lost while that sent nothing until it was
+    enabled.
 """
 
 from __future__ import annotations
@@ -63,16 +62,22 @@ if TYPE_CHECKING:
 
 _SILENT_WAKES: Final = 5
 _STOPS_NS: Final = 3 * SECOND
-"""After a command that stops them, packets come for so long, also over a slow network."""
+"""Packets may come this long after a command that stops them, also over a slow network."""
 _SLACK_NS: Final = SECOND // 200
-"""A capture's time is so late."""
+"""Error of capture times."""
 _FEW: Final = 3
 _BRIEF: Final = 10
-"""A stop that lasts less than this part of a gap is not why most of it is missing."""
+"""A stop that lasts less than a tenth of a gap does not explain the gap."""
 
 
 def closed_at(case: Case, stream: Stream, at: Places) -> Mask:
-    """Tell which gaps of a stream span a time in which its way out was closed."""
+    """Return which gaps contain a time in which the way out of their stream was closed: a mask (gaps,).
+
+    Args:
+        case: the capture.
+        stream: a telemetry stream.
+        at: intp (gaps,), row before each gap.
+    """
     rows = case.rows
     behind = np.minimum(at + 1, len(stream) - 1)
     starts, ends = stream.time_ns[at], stream.time_ns[behind]
@@ -81,14 +86,14 @@ def closed_at(case: Case, stream: Stream, at: Places) -> Mask:
         middle_ns = (span.start_lo + min(span.end_lo, case.end_ns)) // 2
         out |= (starts < middle_ns) & (middle_ns < ends)
     if stream.link.only_from_cfs:
-        # Telemetry Output that speaks from another port started anew, and forgot whom it sends to.
+        # Telemetry Output that sends from another port has restarted, and lost its destination.
         out |= rows.source[stream.rows[at]] != rows.source[stream.rows[behind]]
         added_ns = _commanded_ns(case, stream, telemetry_output.ADD_PACKET)
         stops_ns = _commanded_ns(case, stream, *telemetry_output.STOPS)
         for when in added_ns[:1][added_ns[:1] < stops_ns.min(initial=NEVER)]:
-            out |= (starts < when) & (when < ends)  # it may have been taken off before the capture began
+            out |= (starts < when) & (when < ends)  # it may have been removed before the capture began
         for when in stops_ns:
-            # Where it is added again, what comes behind the one gap that ends there was lost otherwise.
+            # Once the MsgId is added again, only the first gap that ends later is explained by the removal.
             again_ns = added_ns[added_ns > when].min(initial=NEVER)
             inside = (starts - _STOPS_NS < when) & (when < ends)
             inside &= (ends - starts) // _BRIEF < again_ns - when
@@ -107,18 +112,24 @@ def closed_at(case: Case, stream: Stream, at: Places) -> Mask:
 
 
 def routes_cut(case: Case, stream: Stream) -> list[StateSpan]:
-    """Return when a command had disabled the route of a stream's MsgId on its software bus."""
+    """Return the spans in which a command had disabled the route of a stream's MsgId on its software bus."""
     return case.timeline.spans(StateOwner("route", "", stream.msg_id), "cut", case.system(stream))
 
 
 def _commanded_ns(case: Case, stream: Stream, *codes: int) -> Integers:
-    """Return when Telemetry Output was told something about a stream's MsgId, or about all, in order."""
+    """Return the times of commands to Telemetry Output about a stream's MsgId, or about all: i64, ns."""
     about = (item for item in case.payloads.outputs(*codes) if item.entry in {-1, stream.msg_id})
     return np.array([item.time_ns for item in about], np.int64)
 
 
 def silenced_at(stream: Stream, at: Places, spans: Sequence[tuple[int, int]]) -> Mask:
-    """Tell which gaps of a stream span any of some times, as while Telemetry Output sent nothing."""
+    """Return which gaps of a stream contain one of some spans: a mask (gaps,).
+
+    Args:
+        stream: the stream.
+        at: intp (gaps,), row before each gap.
+        spans: begin and end, capture time in ns.
+    """
     times, behind = stream.time_ns, np.minimum(at + 1, len(stream) - 1)
     out = np.zeros(len(at), bool)
     for start_ns, end_ns in spans:
@@ -127,9 +138,9 @@ def silenced_at(stream: Stream, at: Places, spans: Sequence[tuple[int, int]]) ->
 
 
 def one_sided(case: Case, stream: Stream) -> bool:
-    """Tell whether nothing was captured of what tells cFS whether to send a stream, or not whole.
+    """Return whether the capture lacks the commands or subscriptions that decide whether a stream is sent.
 
-    Telemetry Output does what commands to cFS tell it, SBN sends to a peer that is connected and subscribes.
+    Commands to cFS control Telemetry Output; SBN sends to a peer that is connected and subscribes.
     """
     rows = case.rows
     if stream.link.peers:
@@ -140,9 +151,11 @@ def one_sided(case: Case, stream: Stream) -> bool:
 
 
 def unled_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], ...]:
-    """Return when nothing at all came on a stream's way, where nothing tells whether it was to be sent.
+    """Return spans in which nothing came on a stream's way, and the capture does not show whether it should.
 
-    And when Telemetry Output sent nothing, and fewer MsgIds after it: it was told to, if that is here or not.
+    Returns:
+        Spans without any packet where the controlling commands are not captured; and spans without any packet
+        after which fewer MsgIds came, so that Telemetry Output was commanded, captured or not.
     """
     led, output = not one_sided(case, stream), stream.link.only_from_cfs
     rows = case.rows
@@ -157,12 +170,14 @@ def unled_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], .
 
 
 def perhaps_taken_off(case: Case, stream: Stream, missing: Integers) -> Mask:
-    """Tell which gaps of a stream lack more in a row than chance explains, where no command is here.
+    """Return which gaps are too long for chance, where the controlling commands are not captured.
 
-    One that nothing tells may have taken its MsgId off the table, and put it there again.
+    A command may have removed the MsgId from Telemetry Output's table and added it again.
 
     Args:
-        missing: how many lack in each.
+        case: the capture.
+        stream: the stream.
+        missing: i64 (gaps,), number of missing messages.
     """
     others = missing.sum() - missing
     share = (others + 1) / (len(stream) + others + 1)
@@ -170,7 +185,7 @@ def perhaps_taken_off(case: Case, stream: Stream, missing: Integers) -> Mask:
 
 
 def _sent_by(case: Case, sender: int) -> Integers:
-    """Return when the Telemetry Output behind an endpoint sent something."""
+    """Return the times at which the Telemetry Output behind an endpoint sent something: i64, ns."""
     rows, output = case.rows, case.instances.output
     sent = rows.on(lambda link: link.only_from_cfs)
     mine = [port for port in distinct(rows.source[sent]).tolist() if sender in {port, output(port)}]
@@ -178,16 +193,16 @@ def _sent_by(case: Case, sender: int) -> Integers:
 
 
 def enables_ns(case: Case) -> list[int]:
-    """Return when Telemetry Output was told to send, and to whom: capture times in ns."""
+    """Return the capture times of the commands that enable Telemetry Output, ns."""
     return [item.time_ns for item in case.payloads.outputs(telemetry_output.ENABLE)]
 
 
 def silences_of(case: Case, sender: int) -> list[tuple[int, int]]:
-    """Return when the Telemetry Output behind an endpoint sent nothing, until it was enabled."""
+    """Return the spans in which the Telemetry Output behind an endpoint sent nothing until it was enabled."""
     sent_ns = _sent_by(case, sender)
     owner = case.instances.owner(sender, int(sent_ns[0]))
     boot_ns = None
-    if owner != NOBODY:  # since it began, or the capture did
+    if owner != NOBODY:  # from its boot, or from the begin of the capture
         boot_ns = case.instances.items[owner].boot_ns(case.profile)
         sent_ns = np.append(max(boot_ns, int(case.rows.time_ns[0])), sent_ns)
     return silences(sent_ns, enables_ns(case), case.profile.to_wake_ns, boot_ns)
@@ -196,15 +211,16 @@ def silences_of(case: Case, sender: int) -> list[tuple[int, int]]:
 def silences(
     sent_ns: Integers, enabled_ns: Sequence[int], wake_ns: int, boot_ns: int | None = None
 ) -> list[tuple[int, int]]:
-    """Return when a Telemetry Output sent nothing, until it was enabled: between which two of its packets.
+    """Return the spans between two packets in which a Telemetry Output sent nothing until it was enabled.
 
-    It is silent for longer than it ever waits, and one command that enables it comes just before it goes on:
-    commands that come all the time tell nothing.
+    Such a span is longer than Telemetry Output ever waits, and its first enable comes just before its end:
+    a command that is repeated all the time explains nothing.
 
     Args:
-        sent_ns: when it sent, in order.
-        enabled_ns: when commands were sent that enable it.
-        boot_ns: it began then, and is silent from then on; as the first of the times where it is one.
+        sent_ns: i64, when it sent, in order.
+        enabled_ns: when commands that enable it were sent.
+        wake_ns: period in which it sends.
+        boot_ns: its boot, from which on it is silent; may be the first of ``sent_ns``.
     """
     spans = []
     most_ns = np.full(len(sent_ns), _SILENT_WAKES * wake_ns)[1:]
@@ -218,14 +234,14 @@ def silences(
 
 
 class Unheard(msgspec.Struct):
-    """Messages of one stream that were sent to a silent peer.
+    """Messages of one stream that were sent to a silent SBN peer.
 
     Attributes:
-        peer: who, as ``66:3``.
-        uncertain: how many, when that one may still have run.
-        unaccounted: how many, to one that was silent when the capture ended.
-        lost: those to one that was given up, as indices into the stream's rows.
-        restarted: those to one that was started again before it was given up, likewise.
+        peer: the peer, as ``66:3``.
+        uncertain: number of messages sent while it may still have run.
+        unaccounted: number of messages to a peer that was silent when the capture ended.
+        lost: indices of the messages to a peer that was given up.
+        restarted: indices of the messages to a peer that restarted before it was given up.
     """
 
     peer: str
@@ -236,12 +252,12 @@ class Unheard(msgspec.Struct):
 
     @property
     def unheard(self) -> list[int]:
-        """Those that surely were not heard: what else befell them is not told again (rule 6)."""
+        """Indices of all messages that surely were not received; no other rule counts them (rule 6)."""
         return [*self.lost, *self.restarted]
 
 
 def unheard(case: Case) -> dict[int, Unheard]:
-    """Return it by the id of the stream; a stream is there if its peer was silent at all."""
+    """Return the messages to silent peers, by id of each stream whose peer was ever silent."""
     by_stream: dict[int, Unheard] = {}
     party, closed = case.network.party, case.unreachable.closed
     for ends, connection in case.network.connections.items():
@@ -254,8 +270,8 @@ def unheard(case: Case) -> dict[int, Unheard]:
             for silence in silences:
                 inside = np.flatnonzero((times > silence.start_ns) & (times < silence.until_ns)).tolist()
                 if silence.given_up:
-                    # Until its port was closed, as an error says, it may have heard them.
-                    # One that stood still reads later what its socket held.
+                    # It may have received messages until an ICMP error says that its port was closed. A peer
+                    # that stood still reads later what its socket holds.
                     shut = (row for row in inside if closed[stream.rows[row]])
                     first = next(shut, len(times) if silence.stood_still else 0)
                     item.lost += [row for row in inside if row >= first]
@@ -273,21 +289,22 @@ def unheard(case: Case) -> dict[int, Unheard]:
 UDP_PORT: Final = "port"
 PORT_CLOSED: Final[LossKind] = "port_closed"
 REFUSED: Final = "unreachable"
-"""Causes of a loss, which are the rules that tell of them."""
+"""Causes of a loss; also the names of the rules that report them."""
 _FINE, _UNCERTAIN, _REFUSED, _SHUT = range(4)
 _CAUSES: Final = {_SHUT: PORT_CLOSED, _REFUSED: REFUSED}
 
 
 class Unreached(msgspec.Struct, frozen=True):
-    """Messages of one stream that went to one endpoint that did not get all of them.
+    """Messages of one stream to an endpoint that did not receive all of them.
 
     Attributes:
-        stream: of telemetry, of commands to cFS, or of what a robot was sent.
+        stream: telemetry, commands to cFS, or datagrams to a robot.
         endpoint: number of the endpoint.
-        own: whether the stream stands in the balance by itself; else it is of no command of the capture.
-        lost: cause to those that are lost, as indices into the stream's rows.
-        uncertain: those that may be, likewise.
-        sent_ns: i64, when each of the stream's messages went to the endpoint.
+        own: whether the stream has rows of its own in the balance; false for datagrams of no captured
+            command.
+        lost: cause to the indices of lost messages.
+        uncertain: indices of messages that may be lost.
+        sent_ns: i64 (rows,), when each of the stream's messages went to the endpoint.
     """
 
     stream: Stream
@@ -299,12 +316,12 @@ class Unreached(msgspec.Struct, frozen=True):
 
     @property
     def number(self) -> int:
-        """How many are lost."""
+        """Number of lost messages."""
         return sum(len(rows) for rows in self.lost.values())
 
 
 def unreached(case: Case) -> list[Unreached]:
-    """Return it by stream, in the order of the streams."""
+    """Return the messages to closed or unreachable endpoints, in the order of the streams."""
     errors, times = case.unreachable, case.rows.time_ns
     fate_of = np.zeros(len(case.rows), np.int8)
     for mark, mask in ((_UNCERTAIN, errors.uncertain), (_REFUSED, errors.refused), (_SHUT, errors.closed)):
@@ -338,7 +355,7 @@ def unreached(case: Case) -> list[Unreached]:
 def _at(
     stream: Stream, rows: Places, fate_of: NDArray[np.int8], endpoint: int, sent_ns: Integers
 ) -> list[Unreached]:
-    """Return what some rows of a stream lost at an endpoint, if anything."""
+    """Return the losses of some rows of a stream at an endpoint: a list of one, or an empty one."""
     every = {cause: rows[fate_of[rows] == mark] for mark, cause in _CAUSES.items()}
     lost = {cause: at for cause, at in every.items() if len(at)}
     uncertain = rows[fate_of[rows] == _UNCERTAIN]
@@ -346,36 +363,36 @@ def _at(
 
 
 _LINKS: Final = frozenset({*command_ingest.NAMES, *telemetry_output.NAMES, sbn.NAME})
-"""Applications whose stops other accounts follow: CI's by its counter, Telemetry Output's by its port."""
+"""Applications whose stops show elsewhere: CI's in its counter, Telemetry Output's in its port."""
 _CLOSED: Final[Mapping[str, tuple[int, LossKind, str]]] = {
     "app": (0, "stopped", sbn.NAME),
     "peer": (1, "away", "SBN peer"),
     "subscription": (2, "unsubscribed", "SBN peer"),
     "route": (3, "route", BUS),
 }
-"""Kind of the subject that was closed to which of several is the cause, the kind of the loss, and where."""
+"""Kind of a closed subject to its order among several causes, the kind of loss, and its place."""
 _LEAST_ROUNDS: Final = 5
 _LEAST_UNANSWERED: Final = 5
-"""So many messages of which none is passed on show that a command that stops an application did."""
+"""If this many messages are sent and none comes out, a command to stop the application was effective."""
 _USUAL_STEPS: Final = 20
 _SILENT_STEPS: Final = 3
-"""What passes nothing on for so many of its longest steps did not run."""
+"""An application that sends nothing on for this many of its longest steps did not run."""
 _FASTER: Final = 1.25
-"""Messages that come faster than rounds by this give way to newer ones."""
+"""If messages come faster than rounds by this factor, newer ones supersede older ones."""
 
 
 class Outage(NamedTuple):
-    """A time in which an application did not run.
+    """A time in which an application did not run. Capture times in ns.
 
     Attributes:
         app: its name.
-        start_ns: told to stop, or said to have.
-        end_ns: said to have started again; None where it was not.
-        ended_ns: it surely took nothing from then on,
-        asked_ns: until then, where it started again: it was told to, or could take what CI had not read.
+        start_ns: the command to stop it, or the event that it stopped.
+        end_ns: the event that it started again; None if there is none.
+        ended_ns: from this time on it surely received nothing.
+        asked_ns: until this time it surely received nothing: then it was commanded to start.
         witness: commands and events that show it.
-        system: number of the cFS that it is of.
-        restarted: whether it was restarted, and not stopped.
+        system: number of its cFS.
+        restarted: whether it was restarted; else it was stopped.
     """
 
     app: str
@@ -389,7 +406,7 @@ class Outage(NamedTuple):
 
 
 def outages(case: Case) -> list[Outage]:
-    """Return every stop and restart that is sure, or was asked for and shows, the earliest first."""
+    """Return all stops and restarts that events, or a command and silence, show; in order of time."""
     timeline, items = case.timeline, []
     for system, subject in timeline.subjects:
         if subject.kind != "app":
@@ -404,7 +421,7 @@ def outages(case: Case) -> list[Outage]:
                     items.append(Outage(subject.name, *times, span.change.witness, system, restarted))
         first = timeline.of(subject, system)[0]
         if first.state == "running" and first.sure and len(first.rows) > 1:
-            # It was told to start: it was stopped before the capture began, or never ran.
+            # It was commanded to start: it was stopped before the capture began, or never ran.
             times = case.start_ns - 1, first.not_after_ns, case.start_ns - 1, first.not_before_ns
             items.append(Outage(subject.name, *times, first.witness, system))
     return sorted(items, key=lambda item: item.start_ns)
@@ -429,10 +446,14 @@ def _falls_silent(case: Case, app: str, span: StateSpan) -> bool:
 
 
 class Stops:
-    """What was sent while applications did not run or peers did not listen, and what nobody can follow.
+    """Messages into cFS that were sent while applications did not run or peers did not listen.
+
+    Args:
+        case: the capture.
+        fates: fates of the messages; ``stop`` is set for those that a stop explains.
 
     Attributes:
-        losses: of what surely was lost so.
+        losses: the losses.
     """
 
     def __init__(self, case: Case, fates: Sequence[Fate]) -> None:
@@ -444,7 +465,7 @@ class Stops:
         for fate in sorted(self._fates, key=lambda item: not item.seen):
             if fate.seen:
                 for item in gone:
-                    # Where nobody wakes an application, its pipe loses some, or it keeps the newest.
+                    # Without a scheduler an application is not woken: its pipe fills, or it keeps the newest.
                     if fate.keeps_newest or item.app not in executive_services.SCHEDULERS:
                         self._mark(fate, item)
                 self._mark_closed(fate)
@@ -457,19 +478,19 @@ class Stops:
                 self._unfollowed(fate, own)
 
     def mark(self, fate: Fate, rows: Mask, kind: LossKind, hop: str, text: str) -> None:
-        """Mark messages that one more cause lost, but for those that a counter has as lost at a pipe."""
+        """Mark messages as lost by a cause, unless a counter shows that a pipe lost them."""
         if rows.any():
             fate.stop[rows] = self._causes.setdefault((kind, hop, text), len(self._causes))
 
     def _mark(self, fate: Fate, item: Outage) -> None:
-        """Mark the messages that an application that was stopped did not take (rule 8)."""
+        """Mark the messages that a stopped application did not receive (rule 8)."""
         times = fate.stream.time_ns
         back = times[fate.arrived & (times > item.start_ns + WAITS_NS)]
         until_ns = int(back[0]) if len(back) else NEVER
         left_ns = READY_NS + 1 if item.end_ns is None else self._case.end_ns - item.end_ns
         if until_ns == NEVER and not 0 <= left_ns <= READY_NS:
             self._await_no_more(fate, item)
-        # What arrived last was taken before it stopped.
+        # It received the last message that arrived before it stopped.
         last_ns = times[fate.arrived & (times <= item.start_ns + WAITS_NS)].max(initial=0)
         inside = fate.open & (fate.stop < 0)
         inside &= (times > max(item.start_ns - WAITS_NS, last_ns)) & (times < until_ns)
@@ -479,16 +500,16 @@ class Stops:
                 self._hold(fate, fate.open & (times > item.start_ns) & (times < item.end_ns))
         if item.app in executive_services.SCHEDULERS:
             inside &= ~fate.newer  # nobody woke the application: it kept the newest
-            if NEVER in {until_ns, last_ns or NEVER}:  # what that was, the capture does not show
+            if NEVER in {until_ns, last_ns or NEVER}:  # the capture does not show which was the newest
                 self._hold(fate, inside)
                 inside = np.zeros(len(times), bool)
         back_ns = NEVER if item.end_ns is None or until_ns <= item.end_ns + TAIL_NS else item.end_ns
-        again = times > back_ns  # it runs, and passes nothing on
+        again = times > back_ns  # it runs again, and sends nothing on
         self.mark(fate, inside & ~again, "stopped", item.app, item.witness)
         self.mark(fate, inside & again, "restart_failed", item.app, item.witness)
 
     def _await_no_more(self, fate: Fate, item: Outage) -> None:
-        """Open what would come out yet, if the application had not stopped: all that was read by then."""
+        """Remove the fate "waiting" from messages that a stopped application will never send on."""
         case, stream = self._case, fate.stream
         most = case.profile.ci_datagrams_per_wake
         if any(own.unread > most for own in case.ingests_at(stream.receiver)):
@@ -500,14 +521,16 @@ class Stops:
         fate.waits &= ~never
 
     def _held(self, fate: Fate, item: Outage, inside: Mask, until_ns: int) -> Mask:
-        """Return which messages an application that keeps the newest surely did not take.
+        """Return which messages an application that keeps the newest surely did not receive.
 
-        What it takes at once when it is back gave way. What was on its way to it when it was told to end, and
-        when it was back, it may have taken, as others that gave way.
+        Messages that it received together when it was back were superseded. It may have received those that
+        were on their way when it was stopped, and when it was back.
 
         Args:
-            inside: messages that did not come out of it around its stop.
-            until_ns: when the first one was sent that came out behind it.
+            fate: fates of the stream.
+            item: the outage.
+            inside: mask of the messages around the stop that did not come out.
+            until_ns: when the first message was sent that came out after the stop.
         """
         times, over_network = fate.stream.time_ns, not fate.stream.link.only_to_cfs
         round_ns = queues.application_pipe(self._case.profile, over_network=over_network).round_ns
@@ -524,12 +547,12 @@ class Stops:
 
     @staticmethod
     def _hold(fate: Fate, unsure: Mask) -> None:
-        """Count messages that an application may have held when it ended, or lost."""
+        """Give messages the fate "held": the application may have received them before it ended."""
         fate.open &= ~unsure
         fate.ends["held"] += int(unsure.sum())
 
     def _mark_closed(self, fate: Fate) -> None:
-        """Mark the messages that came over SBN, or were to leave over it, when that was closed (rule 11)."""
+        """Mark the messages that came over SBN, or were to leave over it, while it was closed (rule 11)."""
         case, stream = self._case, fate.stream
         system, peer = case.system(stream), case.network.identity_of.get
         ways = [(Way(stream.msg_id, stream.link, system, to_cfs=True), np.ones(len(stream), bool))]
@@ -556,9 +579,14 @@ class Stops:
                 self.mark(fate, inside, kind, hop, text)
 
     def _untaken(self, fate: Fate, hop: Hop, newest: Mask) -> Mask:
-        """Tell which messages an application sends on, as many before the first one as nobody took by 0x803.
+        """Return which messages an application sends on, corrected by the count of messages nobody received.
 
-        That count has them where the first one is the first of its MsgId: until then it had no route.
+        Before the first message that came out, the MsgId had no route: 0x803 counted what was published.
+
+        Args:
+            fate: fates of the stream.
+            hop: its way out.
+            newest: mask of the messages that it would send on by its rounds; changed here.
         """
         case, out = self._case, hop.out
         track, first_ns = case.tracks.get(case.owner(out)), int(out.time_ns[0])
@@ -573,9 +601,9 @@ class Stops:
         return newest
 
     def _hold_one(self, fate: Fate, inside: Mask, newest: Mask) -> Mask:
-        """Hold one message more and one fewer than rounds tell, where no count behind them has how many.
+        """Give the fate "held" to one message of each kind, where no sequence count shows the exact number.
 
-        An application is woken at other times, too.
+        Rounds give the number of messages only to within one.
         """
         unsure = np.zeros(len(inside), bool)
         rows, arrived = np.flatnonzero(inside), np.flatnonzero(fate.arrived)
@@ -586,11 +614,11 @@ class Stops:
         return unsure
 
     def _mark_unread(self, fate: Fate) -> None:
-        """Mark the messages that came over SBN while that surely did not run, where none can be followed."""
+        """Mark messages that came over SBN while it surely did not run; their way out is not captured."""
         case, stream = self._case, fate.stream
         spans = case.timeline.spans(StateOwner("app", sbn.NAME), "stopped", case.system(stream))
         times = stream.time_ns
-        for span in spans if stream.link.peers else ():  # its socket is open a moment before it speaks
+        for span in spans if stream.link.peers else ():  # its socket is open a moment before it sends
             inside = fate.open & (fate.stop < 0) & (times > span.start_hi)
             inside &= times < span.end_lo - case.profile.sbn_wake_ns
             self.mark(fate, inside, "stopped", sbn.NAME, span.change.witness)
@@ -607,7 +635,7 @@ class Stops:
             self.mark(fate, inside, "disabled", telemetry_output.NAME, text)
 
     def tell(self) -> None:
-        """Make losses of what was marked, and did not come out by the counts there."""
+        """Turn the marked messages into losses, but not those that may be lost behind the application."""
         causes = list(self._causes)
         for fate in self._fates:
             open_ = fate.open & ~fate.passed
@@ -615,7 +643,7 @@ class Stops:
                 rows = np.flatnonzero(open_ & (fate.stop == place))
                 fate.claim(rows)
                 number = fate.counted_in_stop[place]
-                # The capture may have missed so many in a row that came out, but none that 0x803 counted.
+                # At both ends some may have come out unseen, as many as the capture ever missed in a row.
                 most = min(self._case.quality.longest_run * fate.seen, max(0, len(rows) - number) // 2)
                 inner = rows[most : len(rows) - most]
                 fate.ends["missed"] += len(rows) - len(inner)
@@ -633,7 +661,7 @@ class Stops:
         reported = [item for item in case.reported_losses if item.msg_id == fate.stream.msg_id]
         pipes = {item.pipe for item in reported if item.at_pipe and not item.at_output}
         surely = [item for item in own if any(pipe.startswith(item.app) for pipe in pipes)]
-        # What is known to be for an application tells that another MsgId need not be for it.
+        # If an application has messages of its own in rule 8, this MsgId need not be for it.
         own = surely or [item for item in own if item.app not in {hop for _, hop, _ in self._causes}]
         if not own:
             return
@@ -653,12 +681,14 @@ class Stops:
 
 
 def _newest(fate: Fate, hop: Hop, wake_ns: int) -> Mask:
-    """Tell which messages an application that keeps the newest would send: the last of each of its rounds.
+    """Return which messages an application that keeps the newest sends: the last of each of its rounds.
 
-    Where it counts what it sends, as many as are missing there, spread evenly.
+    If its output has sequence counts, as many as are missing there, spread evenly.
 
     Args:
-        wake_ns: SBN sends once in so long, so that rounds seem long and short in turn.
+        fate: fates of the stream.
+        hop: its way out.
+        wake_ns: period in which SBN sends, which makes rounds look long and short in turn.
     """
     out = hop.out
     times, out_ns = fate.stream.time_ns, out.time_ns
@@ -681,11 +711,14 @@ def _newest(fate: Fate, hop: Hop, wake_ns: int) -> Mask:
 
 
 def _delay(times: Integers, out_ns: Integers, hop: Hop) -> int:
-    """Return how long before what it sends an application took its messages, ns: the newest it had, no later.
+    """Return how long an application takes from receiving a message to sending it on, ns.
+
+    It sends the newest message that it has, so the message after that one came later.
 
     Args:
-        times: when its messages were sent.
-        out_ns: when what it sends was captured.
+        times: i64, when its messages were sent.
+        out_ns: i64, when its output was captured.
+        hop: the pairs of both.
     """
     came = hop.in_rows < len(times) - 1
     at, sent = hop.in_rows[came], out_ns[hop.out_rows[came]]

@@ -1,19 +1,19 @@
-"""The values that arrive, held against those that were sent.
+"""Compare the values that come out of cFS with those that went in.
 
-What an application passes on to its robot, or publishes anew, is what it was sent: the public ones of EDORAS
-change nothing. So of what comes out and is none of what went in:
+The public EDORAS applications send on the values that they receive, unchanged. So a message that comes out
+and matches none that went in is one of these:
 
-1. If its value was sent before, it came *again*: it is older than another one that arrived, or that was sent
-   three times meanwhile; or it is the same datagram once more.
-2. Else it stands for a message that went in and did not come out: the latest one that was sent before it,
-   between the same two that did come out. It has *changed*.
-3. Several with one value, though others went in, are *constant*.
-4. A capture that missed what went in looks alike, but then nothing that went in is left over there, other
-   than by chance. So all have to stand for one, and be more than chance and the capture's quality allow.
-5. Where nothing at all that reaches a robot was sent, all of it has changed, if it is as long as a command.
-6. What a full socket of CI held, and what waits for its rounds, may be *late* by so much; more is told.
-
-A message that comes out with a later one before it is older than that, too.
+1. *again*: its value was sent before. It is older than another message that arrived; or three others were
+   sent meanwhile; or it is the same datagram once more. A message behind a later one is older than that one,
+   too.
+2. *changed*: it stands for a message that did not come out: the latest one sent before it, between the same
+   two messages that did come out.
+3. *constant*: several came out with one value, though different values went in.
+4. A capture that missed messages going in looks the same, but then no message that went in is left over. So
+   every such message must stand for one that did not come out, and they must be more than chance and the
+   quality of the capture explain.
+5. If nothing that reaches a robot was sent, all of it has changed, provided that it is as long as a command.
+6. *late*: it took longer than CI's socket and the rounds on its way explain.
 """
 
 from __future__ import annotations
@@ -41,35 +41,35 @@ if TYPE_CHECKING:
 
 _ENCAPSULATION: Final = 4
 _LEAST: Final = 3
-"""So many others have to be sent meanwhile, or to arrive, before a value is called old or all wrong."""
+"""This many others must be sent meanwhile, or arrive, before a value is called old, or all values wrong."""
 _BY_CHANCE: Final = 0.0001
 _SHARES: Final = tuple(2.0**-power for power in range(1, 14))
-"""Of its frames the capture may have missed so many."""
+"""Shares of its frames that the capture may have missed."""
 _OFTEN: Final = 1.5
-"""Where a round ends something is left over more often than elsewhere."""
+"""A message is left over more often than on average where a round ends."""
 _SELDOM: Final = 0.02
 _DRAINS_NS: Final = 12 * SECOND
-"""What CI's socket held at the begin has come out so long after."""
+"""The backlog of CI's socket at the begin of the capture has come out after this time."""
 _SLACK_NS: Final = SECOND
 _LACKING: Final = 0.02
-"""A capture that lacks so much of what it should have does not show what waited."""
+"""A capture that missed more than this share of its frames does not show which messages waited."""
 
 
 class WayContent(msgspec.Struct, frozen=True):
-    """What arrived as something else than was sent, on one way out of cFS.
+    """Messages that came out with other values than were sent, on one way out of cFS.
 
     Attributes:
-        into: where it went in.
-        out: where it came out.
-        of: how many came out whose values can be compared.
-        changed: rows of the table, with a value that was never sent.
-        constant: rows, likewise, and it is always the same one.
-        again: rows, with a value that had been sent, and that is old.
-        late: rows, with a value that was sent once and took too long.
-        rounds_ns: how long it may take.
-        longest_ns: how long the last of those that are old or late took.
-        replaced: id of each hop to the messages, places in its ``into``, that others may stand for, and which
-            of these are sure.
+        into: stream that went in.
+        out: stream that came out.
+        of: number of messages that came out and whose values can be compared.
+        changed: rows of the table with a value that was never sent.
+        constant: rows of the table with a value that was never sent and is always the same.
+        again: rows of the table with an old value.
+        late: rows of the table with a value that was sent once and took too long.
+        rounds_ns: longest time that a message usually takes.
+        longest_ns: longest time that an old or late message took.
+        replaced: id of each hop to the messages that others may stand for, as indices into its ``into``, and
+            a mask of those of which that is sure.
     """
 
     into: Stream
@@ -85,7 +85,7 @@ class WayContent(msgspec.Struct, frozen=True):
 
 
 def judge_contents(case: Case) -> list[WayContent]:
-    """Return every way out on which something else arrived than was sent."""
+    """Return all ways out on which other values came out than were sent."""
     ways = by_key((hop for hop in case.hops if hop.rewritten), lambda hop: hop.out.way)
     every = [_judge(case, hops) for hops in ways.values()]
     every += [_none_sent(case, robot) for robot in case.robots if robot.way not in ways]
@@ -93,10 +93,10 @@ def judge_contents(case: Case) -> list[WayContent]:
 
 
 def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
-    """Judge a way out by which something arrived that was sent."""
+    """Judge a way out on which at least one message came out as it was sent."""
     rows, robot = case.rows, hops[0].out.link.last_hop
     out = np.unique(np.concatenate([hop.out.rows for hop in hops]))
-    out = out[rows.claimed[out] == 0]  # an envelope that lies has a rule of its own
+    out = out[rows.claimed[out] == 0]  # an envelope with a wrong length has a rule of its own
     when, sent_ns = rows.time_ns[out], np.full(len(out), -1)
     late, inverted = np.zeros((2, len(out)), bool)
     for hop in hops:
@@ -110,7 +110,7 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
     late &= ~inverted & ~_stood_still(case, sent_ns, when)
     others = not robot and 2 * late.sum() > (sent_ns >= 0).sum()
     if others or case.quality.missing > _LACKING * case.quality.checked:
-        late[:] = False  # other messages had the same values, or what waited before them was not captured
+        late[:] = False  # other messages had the same values, or the queue before them was not captured
     odd = (sent_ns < 0) & (when > case.start_ns + _rounds(case, hops[0])) & ~_older(sent_ns, when)
     last_ns = _sent_before(rows, [hop.into for hop in hops], out, robot=robot)
     copy = odd & _once_more(rows, out)
@@ -134,14 +134,14 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
 
 
 def _older(sent_ns: Integers, when: Integers) -> Mask:
-    """Tell what came out of the backlog with which the capture began: the first that was sent here waited."""
+    """Return which messages are of the backlog at the begin of the capture: a mask (n,)."""
     sent = np.flatnonzero(sent_ns >= 0)
     waited = len(sent) > 0 and when[sent[0]] - sent_ns[sent[0]] > _SLACK_NS
     return (np.arange(len(when)) < sent[0]) if waited else np.zeros(len(when), bool)
 
 
 def _none_sent(case: Case, robot: Stream) -> WayContent | None:
-    """Judge what reached a robot where none of it was sent: all is wrong, if it is as long as a command."""
+    """Judge datagrams to a robot none of which was sent: all are wrong if they are as long as a command."""
     rows = case.rows
     length = int(np.median(rows.length[robot.rows]))
     into = [
@@ -155,7 +155,7 @@ def _none_sent(case: Case, robot: Stream) -> WayContent | None:
         return None
     went_ns = np.sort(np.concatenate([stream.time_ns for stream in into]))
     step_ns = int(np.median(np.diff(went_ns))) if len(went_ns) > 1 else SECOND
-    # Where they were sent already when the capture began, older ones come first.
+    # If commands were being sent when the capture began, older ones come out first.
     already = int(went_ns[0]) - case.start_ns <= 2 * step_ns
     own = robot.rows[robot.time_ns > went_ns[0] + already * _DRAINS_NS]
     own = own[np.arange(1, len(own) + 1) <= np.searchsorted(went_ns, rows.time_ns[own])]
@@ -166,7 +166,7 @@ def _none_sent(case: Case, robot: Stream) -> WayContent | None:
 
 
 def _same(rows: Rows, changed: Places) -> tuple[Places, Places]:
-    """Divide what has changed: what differs, and what always is the same."""
+    """Divide changed rows into those with different values and those with one value."""
     _, which, count = np.unique(rows.body_print[changed], return_inverse=True, return_counts=True)
     same = count[which] > 1
     return changed[~same], changed[same]
@@ -176,7 +176,7 @@ _KINDS: Final = "body_print", "value_print", "stamped_print", "shared_print"
 
 
 def _sent_before(rows: Rows, into: Sequence[Stream], out: Places, *, robot: bool) -> Integers:
-    """Return when the value of each row that came out was sent last: i64, -1 where it never was."""
+    """Return when the value of each row that came out was last sent: i64 (n,), -1 if never."""
     last_ns = np.full(len(out), -1)
     for stream in into:
         for kind in _KINDS if robot else _KINDS[:1]:
@@ -188,7 +188,7 @@ def _sent_before(rows: Rows, into: Sequence[Stream], out: Places, *, robot: bool
 
 
 def _old(case: Case, hops: Sequence[Hop], out: Places, sent_ns: Integers, last_ns: Integers) -> Mask:
-    """Tell which of what comes out is older than others that came or were due; often the same: all of it."""
+    """Return which messages are older than others that came or were due; and all of a frequent value."""
     when = case.rows.time_ns[out]
     newest = np.maximum.accumulate(np.append(-1, sent_ns))[:-1]
     went_ns = np.sort(np.concatenate([hop.into.time_ns for hop in hops]))
@@ -201,7 +201,7 @@ def _old(case: Case, hops: Sequence[Hop], out: Places, sent_ns: Integers, last_n
 
 
 def _once_more(rows: Rows, out: Places) -> Mask:
-    """Tell which rows are a datagram that came before."""
+    """Return which rows are a datagram that came out before: a mask (n,)."""
     numbered, when = rows.identification[out] != 0, rows.time_ns[out]
     whole = np.where(numbered, rows.bytes_print[out] ^ rows.identification[out].astype(np.uint64) * MIX, 0)
     return np.asarray(latest_equal(whole, when + 1, whole, when) >= 0)
@@ -210,11 +210,17 @@ def _once_more(rows: Rows, out: Places) -> Mask:
 def _replaced(
     case: Case, hops: Sequence[Hop], out: Places, odd: Mask, old: Mask
 ) -> tuple[dict[int, tuple[Places, Mask]], Places]:
-    """Return which messages that did not come out others may stand for, and the rows that have changed.
+    """Pair messages that did not come out with others that came out in their place.
 
     Args:
-        odd: of what came out, what was never sent.
-        old: what was, and came before.
+        case: the capture.
+        hops: hops of one way out.
+        out: rows that came out.
+        odd: mask of ``out``: values that were never sent.
+        old: mask of ``out``: values that were sent, and are old.
+
+    Returns:
+        ``WayContent.replaced``, and the rows that have changed.
     """
     rows, rest, chance = case.rows, out[odd | old], 0.0
     pairs: dict[int, tuple[Places, Places]] = {}
@@ -236,14 +242,21 @@ def _replaced(
     if (unpaired > first).any() or not _believed(case, len(changed), len(out), chance):
         changed = changed[:0]
     stands = np.union1d(changed, out[old])
-    # What a command that is cut off should have brought, nobody can say.
+    # Nothing shows the values of a command that the capture cut off.
     cut = [pairs[id(hop)][1][~hop.known[pairs[id(hop)][0]]] for hop in hops]
     changed = np.setdiff1d(changed, np.concatenate(cut))
     return {key: (places, np.isin(own, stands)) for key, (places, own) in pairs.items()}, changed
 
 
 def _believed(case: Case, number: int, of: int, chance: float) -> bool:
-    """Tell whether so many are more than the capture may have missed where by chance something is left."""
+    """Return whether so many changed values are more than chance and missed frames explain.
+
+    Args:
+        case: the capture.
+        number: number of changed values.
+        of: number of messages that came out.
+        chance: share of places where a message is left over anyway.
+    """
     if number < _LEAST:
         return False
     beside = [item for (_, kind), item in case.quality.sums.items() if kind != "inputs"]
@@ -257,7 +270,7 @@ def _believed(case: Case, number: int, of: int, chance: float) -> bool:
 
 
 def _rounds(case: Case, hop: Hop) -> int:
-    """Return how long a message may wait for rounds on its way through cFS."""
+    """Return how long a message may wait for the rounds on its way through cFS, ns."""
     profile = case.profile
     waits = [profile.ci_wake_ns if hop.into.link.only_to_cfs else profile.sbn_wake_ns * profile.sbn_polls]
     if not hop.out.link.last_hop:
@@ -267,13 +280,13 @@ def _rounds(case: Case, hop: Hop) -> int:
 
 
 def _expected(case: Case, hop: Hop) -> Integers:
-    """Return until when each message that goes in has to come out, behind what waits in CI's socket."""
+    """Return the latest time at which each message should come out, behind CI's queue: i64, ns."""
     profile, rows, waits_ns = case.profile, case.rows, _rounds(case, hop)
     every = np.sort(rows.time_ns[rows.destination == hop.into.receiver])
     own = np.searchsorted(every, hop.into.time_ns, "right") - 1
     step = profile.ci_wake_ns / profile.ci_datagrams_per_wake if hop.into.link.only_to_cfs else 0
     place, arrived, first = np.arange(len(every)) * step, every - every[0], hop.in_rows.argmin()
-    # The first that came out waited behind what was sent before the capture began, and came out before it.
+    # The first message to come out waited behind the backlog from before the capture.
     read_ns, head = hop.out.time_ns[hop.out_rows[first]] - waits_ns, own[hop.in_rows[first]]
     if hop.out_rows[first]:
         arrived[head] = max(arrived[head], read_ns - every[0])
@@ -282,6 +295,6 @@ def _expected(case: Case, hop: Hop) -> Integers:
 
 
 def _stood_still(case: Case, sent_ns: Integers, when: Integers) -> Mask:
-    """Tell which were under way while cFS or an application did not run, or the interface was away."""
+    """Return which messages were under way while cFS, an application or the interface was down: a mask."""
     spans = [(span.start_lo, span.end_hi) for span in case.timeline.every(*NOT_RUNNING)]
     return case.is_away(sent_ns, when) | overlapping(sent_ns, when, spans)

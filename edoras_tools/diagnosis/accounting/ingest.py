@@ -907,7 +907,7 @@ class BeforeCi:
                 self.losses.append(fate.loss("network", rows, [text], among=inside))
 
     def rest(self, account: Ingest) -> None:
-        """Make losses before CI of messages that neither came out nor a pipe lost, as far as its counts allow.
+        """Make losses before CI of messages that did not come out and that no pipe lost, if counts allow it.
 
         Messages that the capture may have missed are left out; and without 0x803 nothing is lost so, because
         nothing shows what pipes lost.
