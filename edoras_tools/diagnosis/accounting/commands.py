@@ -106,6 +106,7 @@ class Commands:
         for fate in fates:
             self._by_packet.setdefault((fate.stream.link.label, fate.stream.msg_id), []).append(fate)
         self._spans = {key: _spans(own) for key, own in self._by_packet.items()}
+        # Steps 2 and 3: what was lost before CI, and what cFS refused.
         for fate in fates:
             self._damaged(fate)
             self._count(fate)
@@ -116,6 +117,7 @@ class Commands:
         for account in case.ingests:
             before_ci.share(account)
         self._refuse(counted=False)
+        # Step 4: what was sent while nobody received it. Step 5: what may have caused counts of the bus.
         stops = Stops(case, fates)
         for fate in fates:
             self._not_taken(fate, stops)
@@ -123,6 +125,7 @@ class Commands:
             pipes.claim(fate)
         counts, claims = case.loss_counts, [*telemetry.claims, *pipes.claims]
         hold_back(case, claims)
+        # All claims on the counters are settled together: first surely missing messages, then possible ones.
         leftover = Leftover(case, self.fates, pipes)
         leftover.take_named()
         shared = settle_known(counts, claims, leftover.rivals())
@@ -133,6 +136,7 @@ class Commands:
             open_[claim.flow] += claim.open
         settle_first(counts, claims, may_be_missed(case, open_))
         self._tails = {item.flow: sum(item.taken.values()) for item in claims if item.rank == Rank.POSSIBLE}
+        # The counts become losses. What is still missing may be lost where no counter is, or before CI.
         pipes.tell()
         stops.tell()
         self.losses += stops.losses
@@ -141,6 +145,7 @@ class Commands:
         for account in case.ingests:
             before_ci.rest(account)
             before_ci.wait(account)
+        # Steps 6 and 7: every message has a fate now. Counts that are left are of messages not captured.
         self._end(fates, shared)
         for account in case.ingests:
             before_ci.outnumbered(account)
@@ -150,6 +155,7 @@ class Commands:
         leftover.trade(telemetry.claims)
         telemetry.tell()
         self._name([item for item in case.refused if item.by_type])
+        # Step 8, and what concerns few messages: refusals, streams that can only be compared by number.
         doubt(case, telemetry, fates, self.losses)
         leftover.tell()
         self.uncaptured = leftover.uncaptured
