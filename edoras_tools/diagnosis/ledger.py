@@ -1,18 +1,18 @@
-"""The ledger: what became of every message, and where. Whatever is printed is a selection or a sum of it.
+"""The ledger: the fate of every message, by hop. Each printed figure is a selection or a sum of its entries.
 
 Rules:
 
-1. The unit is an arrival: a datagram that came to a hop, each copy by itself, or a count that was published.
-   Everything that arrives at a hop goes on to the next one or has one entry there: ``lost`` by a cause,
-   ``unaccounted`` for (surely missing, and nothing shows why), ``uncertain`` (lost, or only not seen),
-   ``shared`` (at most so many are among the losses of an entry that is of several), ``superseded``,
-   ``waiting``, or ``not_captured``.
-2. What comes out of a hop goes into the next one of its way. So a row for each hop follows from the entries
-   alone: ``in + duplicated = out + all entries there``, and no figure is counted twice.
-3. Every entry names where its figure is from. What nothing decides is never an entry of ``lost``.
-4. A message is lost where all its arrivals were. Where ``n`` arrivals more came to a cFS than the capture
-   shows, or a network made as many copies, up to ``n`` of those that were lost may be copies of messages
-   that arrived: so many fewer messages are proven lost.
+1. The unit is one arrival: a datagram that reached a hop (each copy counts), or a published sequence count.
+   An arrival either goes on to the next hop or ends at this one, in exactly one entry: ``lost`` (the capture
+   shows the cause), ``unaccounted`` (certainly missing, cause unknown), ``uncertain`` (lost, or only not
+   captured), ``shared`` (upper bound of a part in losses that several traffics share), ``superseded``
+   (replaced by a newer message), ``waiting`` (possibly still under way), or ``not_captured``.
+2. The arrivals that leave a hop are the arrivals that enter the next hop. So the entries alone give the row
+   of each hop, ``in + duplicated = out + all entries there``, and no arrival is counted twice.
+3. Each row names the source of its figures. If no evidence decides a fate, the arrival is never ``lost``.
+4. A message is lost only if all its arrivals are lost. If a cFS received ``n`` more datagrams than the
+   capture shows, or a network made ``n`` copies, then up to ``n`` lost arrivals may be copies of messages
+   that arrived. The number of messages proven lost is lower by that.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.verdict import Verdict
 
 HowEnded = Literal["lost", "superseded", "waiting", "not_captured", "unaccounted", "uncertain", "shared"]
-"""How an arrival can end at a hop."""
+"""The fates of an arrival that does not go on to the next hop."""
 ENDINGS: Final[tuple[HowEnded, ...]] = get_args(HowEnded)
 ENDING_TEXTS: Final[Mapping[str, str]] = {
     "superseded": "gave way to a newer one",
@@ -55,22 +55,22 @@ ENDING_TEXTS: Final[Mapping[str, str]] = {
     "uncertain": "may be lost, or only not seen",
     "shared": "may be among losses that a counter has of several MsgIds",
 }
-"""Endings of the ledger that are no losses, for people."""
+"""Ending to its text for people; the text of a loss depends on its cause (``CAUSES``)."""
 _SUMMED: Final = ("came", "out", "duplicated", "late", "out_of_order", "copies", "sure_copies", *ENDINGS[1:])
 CI_HOP: Final = "CI"
 APPLICATION: Final = "application"
 PEER: Final = "SBN peer"
 CAPTURE: Final = "capture"
 UNHEARD: Final = "sbn_timeout"
-"""Cause of the loss of what was sent to a peer that timed out: the rule that tells of it."""
+"""Cause of losses to an SBN peer that timed out; also the name of the rule that reports it."""
 PEER_RESTARTED: Final = "sbn_peer_restart"
-"""Cause of the loss of what was sent to a peer that was started again: the rule that tells of it."""
+"""Cause of losses to an SBN peer that restarted; also the name of the rule that reports it."""
 TO_SOCKET: Final = "to_socket"
 DAMAGED: Final = "damaged"
-"""Cause of the loss of what the network damaged: the rule that tells of it."""
+"""Cause of losses of datagrams with a wrong checksum; also the name of the rule that reports it."""
 ON_PURPOSE: Final = "/edoras/faults: done on purpose"
 NOT_COUNTED: Final = "not observable: "
-"""How the text begins that says what would have counted a figure."""
+"""Start of the text in ``Row.counted`` that names the counter which is not in the capture."""
 SEEN: Final = "datagrams in the capture"
 _COUNT: Final = "sequence count"
 _NOT_LOST: Final = "what the software bus did not lose"
@@ -88,12 +88,12 @@ _BEHIND_PIPE: Final = frozenset({"after", "unknown", "fragments"})
 
 
 class LossCause(NamedTuple):
-    """Why messages were lost, in words.
+    """The texts of one cause of loss.
 
     Attributes:
-        text: where or why, as a person reads it first.
-        listed: the same of each message, with a place for the hop; empty where an entry says it itself.
-        rules: those that explain it where no verdict names it; else it is the rule of that name.
+        text: place or reason of the loss, as the first screen prints it.
+        listed: sentence for one lost message, with ``{hop}`` for the hop; empty if entries have their own.
+        rules: rules whose verdicts explain the cause without naming it; if empty, the rule of its name.
     """
 
     text: str
@@ -143,11 +143,11 @@ CAUSES: Final[Mapping[str, LossCause]] = {
         rules=("crossing_loss", "lost_before_ci", "unexplained_gap", UNHEARD),
     ),
 }
-"""Causes that are no rules with verdicts that tell all."""
+"""Cause to its texts, for each cause that the name of a rule alone does not explain."""
 
 
 def cause_text(cause: str) -> str:
-    """Return where or why messages were lost, as a person reads it first."""
+    """Return the place or reason of a loss for the first screen; the cause itself if it has no text."""
     return CAUSES[cause].text if cause in CAUSES else cause
 
 
@@ -158,14 +158,14 @@ _UNREACHED: Final = {
 
 
 class LedgerTraffic(msgspec.Struct, frozen=True):
-    """Messages that are followed together.
+    """The messages that are counted together: one MsgId on one link.
 
     Attributes:
         route: index of the configured route, or ``NO_ROUTE``.
-        link: label of the link on which the messages are seen; empty where they are not.
-        msg_id: cFE MsgId; None where it is not known which.
-        instance: the cFS, as people are told of it; None where unknown.
-        topic: topic, where no route is configured for it.
+        link: label of the link that the capture shows them on; empty if they are not in the capture.
+        msg_id: cFE MsgId; None if unknown.
+        instance: label of the cFS instance; None if unknown.
+        topic: topic name, for messages without a configured route.
     """
 
     route: int = NO_ROUTE
@@ -176,7 +176,7 @@ class LedgerTraffic(msgspec.Struct, frozen=True):
 
     @property
     def key(self) -> tuple[Any, ...]:
-        """What is equal in all rows of one traffic."""
+        """The fields that identify the traffic; equal in all its rows."""
         return self.route, self.link, self.msg_id, self.instance, self.topic
 
 
@@ -184,15 +184,15 @@ class LedgerEntry(NamedTuple):
     """Arrivals of one traffic that ended at one hop in one way.
 
     Attributes:
-        traffic: the messages.
-        hop: place.
-        ending: how they ended.
-        number: arrivals.
-        cause: why, of those that are lost.
-        text: the same for people.
-        times_ns: when the first and the last of them was sent, or the loss began and ended.
-        among: the messages that they are, or are some of: of a stream, or as rows of the capture; None where
-            nothing tells.
+        traffic: traffic that the arrivals belong to.
+        hop: name of the hop where they ended.
+        ending: fate that all of them share.
+        number: count of arrivals.
+        cause: key of ``CAUSES`` or name of a rule; empty unless they are lost.
+        text: sentence for people about the cause.
+        times_ns: first and last time of sending, or begin and end of the loss, capture time in ns.
+        among: candidates, of which these arrivals are some or all: messages of a stream, or rows of the
+            capture; None if unknown.
     """
 
     traffic: LedgerTraffic
@@ -206,29 +206,29 @@ class LedgerEntry(NamedTuple):
 
 
 class Row(LedgerTraffic, frozen=True):
-    """What became of the messages of one traffic at one hop: a sum of entries.
+    """The sum of all entries of one traffic at one hop.
 
     Attributes:
-        hop: place.
-        came: arrivals that went in.
-        out: arrivals that came out.
-        duplicated: of those, how many more than once.
-        lost: cause to arrivals.
-        superseded: arrivals that gave way to a newer one.
-        waiting: arrivals that may be on their way still.
-        not_captured: arrivals that could not be followed: nothing here shows what became of them.
-        unaccounted: arrivals that are missing without a cause that the capture shows.
-        uncertain: arrivals that may be lost, or only not captured.
-        shared: the most that are among the losses of a row that is of several: see ``among``.
-        among: link, MsgId and hop of each row that a loss may be of, where it is not known of which.
-        counted: figure to where it was counted.
-        name: cFE's name for the packet, if it has one.
-        onward: label of the link and MsgId of each packet as which it came out of the application.
-        late: of those that came out, how many much later than others.
-        out_of_order: of those, how many behind one that went in later.
-        copies: at most so many of what was lost on its way are copies; told in its first row.
-        sure_copies: at least so many.
-        spacecraft: its number, where there are several.
+        hop: name of the hop.
+        came: arrivals that entered the hop.
+        out: arrivals that left the hop.
+        duplicated: copies that the hop added: ``came + duplicated = out`` + all that ended here.
+        lost: cause to number of arrivals.
+        superseded: arrivals that a newer message replaced.
+        waiting: arrivals that may still be under way.
+        not_captured: arrivals that the capture cannot follow.
+        unaccounted: arrivals that are certainly missing, without a visible cause.
+        uncertain: arrivals that are lost, or only not captured.
+        shared: upper bound of this traffic's part in a row of losses that several traffics share.
+        among: link label, MsgId and hop of each traffic that may own this row's losses; empty if one does.
+        counted: name of a figure to the source of that figure.
+        name: cFE's name of the packet; empty if it has none.
+        onward: link label and MsgId of each packet that the application makes of these messages.
+        late: arrivals that a relay held over 100 ms longer than its quickest one.
+        out_of_order: arrivals that left a relay after one that had entered it later.
+        copies: largest number of copies among the losses at all hops; only in the first row of a traffic.
+        sure_copies: smallest number of them, likewise.
+        spacecraft: number of the spacecraft; None if there is only one.
     """
 
     hop: str = ""
@@ -254,21 +254,25 @@ class Row(LedgerTraffic, frozen=True):
 
     @property
     def all_lost(self) -> int:
-        """Arrivals lost, of all causes."""
+        """Arrivals lost, by all causes together."""
         return sum(self.lost.values())
 
     @property
     def proven(self) -> int:
-        """Arrivals that surely did not come out, whatever the cause."""
+        """Arrivals that are proven missing, with or without a cause."""
         return self.all_lost + self.unaccounted
 
     @property
     def observed(self) -> bool:
-        """Whether something counts what is lost there; if not, 0 means nothing."""
+        """Whether the capture has a counter of the losses here; without one, ``lost`` = 0 proves nothing."""
         return bool(self.lost) or not self.counted.get("lost", "").startswith(NOT_COUNTED)
 
     def as_json(self, topic: str | None) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --json``."""
+        """Return the row in the shape of ``doctor --json``.
+
+        Args:
+            topic: configured topic of the route; the row's own topic stands if it is empty.
+        """
         return {
             "topic": topic or self.topic or None,
             "name": self.name or None,
@@ -297,11 +301,11 @@ class _Hop(msgspec.Struct):
     """A hop of a way.
 
     Attributes:
-        name: its name.
-        came: arrivals that went in.
-        duplicated: of those that came out, how many more than once.
-        about: what its row says besides figures.
-        entries: what ended there.
+        name: name of the hop.
+        came: arrivals that entered it.
+        duplicated: copies that it added.
+        about: more attributes of its ``Row``, by name.
+        entries: fates of the arrivals that ended here.
     """
 
     name: str
@@ -312,16 +316,16 @@ class _Hop(msgspec.Struct):
 
     @property
     def ended(self) -> int:
-        """Arrivals that ended there."""
+        """Arrivals that ended here."""
         return sum(entry.number for entry in self.entries)
 
     @property
     def out(self) -> int:
-        """Arrivals that came out; more may have been refused than datagrams here show."""
+        """Arrivals that left; 0 if cFS counted more refusals than the capture has datagrams."""
         return max(0, self.came + self.duplicated - self.ended)
 
     def row(self, traffic: LedgerTraffic) -> Row:
-        """Return the sums of its entries."""
+        """Return the sum of the entries as one row."""
         sums: dict[str, Any] = dict.fromkeys(ENDINGS[1:], 0)
         lost: Counter[str] = Counter()
         for entry in self.entries:
@@ -342,14 +346,14 @@ class _Hop(msgspec.Struct):
 
 
 class LedgerWay:
-    """The hops of one traffic in order, with what ended at each.
+    """The hops of one traffic in order, with the entries of each.
 
     Args:
         entered: arrivals at the first hop.
-        doubtful: arrivals besides, if the network doubled them and not the capture.
+        doubtful: more arrivals, of datagrams captured twice: copies by the network, or by the capture alone.
 
     Attributes:
-        copies: of what was lost, at least and at most so many are copies, also of what the capture lacks.
+        copies: smallest and largest number of copies among the losses.
     """
 
     def __init__(self, traffic: LedgerTraffic, entered: int = 0, doubtful: int = 0) -> None:
@@ -358,19 +362,26 @@ class LedgerWay:
         self._hops: list[_Hop] = []
 
     def hop(self, name: str, sources: Mapping[str, str], *, duplicated: int = 0, **about: Any) -> None:
-        """Go on to the next hop; ``about`` has more of its row's attributes."""
+        """Add the next hop, which all arrivals enter that are left.
+
+        Args:
+            name: name of the hop.
+            sources: figure to the source of that figure (``Row.counted``).
+            duplicated: copies that the hop adds.
+            about: more attributes of its ``Row``.
+        """
         self._hops.append(_Hop(name, self.left, duplicated, {"counted": sources, **about}))
         if len(self._hops) == 1:
             self.end("uncertain", self._doubtful)
 
     def end(self, ending: HowEnded, number: int, cause: str = "", **about: Any) -> None:
-        """Let so many end at the last hop; ``about`` has more of the entry's attributes."""
+        """Add an entry at the last hop, unless the number is 0; ``about`` has more of its attributes."""
         if number:
             hop = self._hops[-1]
             hop.entries.append(LedgerEntry(self.traffic, hop.name, ending, number, cause, **about))
 
     def lose(self, losses: Iterable[Loss], kinds: frozenset[str]) -> None:
-        """Let end at the last hop what was lost by some kinds of loss."""
+        """Add an entry at the last hop for each loss of the named kinds."""
         for loss in losses:
             if loss.kind in kinds:
                 cause = CAUSES.get(loss.kind)
@@ -381,41 +392,41 @@ class LedgerWay:
 
     @property
     def left(self) -> int:
-        """Arrivals that come out of the last hop, as far as entries say."""
+        """Arrivals that leave the last hop, after the entries made so far."""
         return self._hops[-1].out if self._hops else self._entered
 
     @property
     def counted_by(self) -> str:
-        """What counted the arrivals that come out of the last hop."""
+        """The source of the number of arrivals that leave the last hop."""
         return str(self._hops[-1].about["counted"].get("out", SEEN)) if self._hops else SEEN
 
     @property
     def onward(self) -> tuple[tuple[str, int], ...]:
-        """Link and MsgId of each packet as which they came out of the application."""
+        """Link label and MsgId of each packet that left the last hop, where the application is that hop."""
         return tuple(self._hops[-1].about.get("onward", ())) if self._hops else ()
 
     def close(self, out: int) -> None:
-        """Let so many come out of the last hop, and have come to each what left it or ended there."""
+        """Set the arrivals that left the last hop, and compute ``came`` of each hop backwards from it."""
         for hop in reversed(self._hops):
             hop.came = out = out + hop.ended - hop.duplicated
 
     def entries(self) -> Iterator[LedgerEntry]:
-        """Yield all entries, in order of the way."""
+        """Yield all entries, hop by hop."""
         for hop in self._hops:
             yield from hop.entries
 
     def rows(self) -> list[Row]:
-        """Return a row a hop."""
+        """Return one row for each hop."""
         rows = [hop.row(self.traffic) for hop in self._hops]
         sure, most = self.copies
         return [replace(row, copies=most, sure_copies=sure) for row in rows[:1]] + rows[1:]
 
 
 class MessageLedger:
-    """What became of all traffic of a capture.
+    """The fates of all traffic of a capture.
 
     Attributes:
-        ways: one for each stream, in their order, and then for what is of none.
+        ways: one way for each stream, in the order of the streams; then the traffic that has no stream.
     """
 
     def __init__(self, case: Case) -> None:
@@ -423,15 +434,15 @@ class MessageLedger:
         self.ways = list(_ways(case))
 
     def way(self, stream: Stream) -> LedgerWay:
-        """Return the way of a stream's messages."""
+        """Return the way of a stream; the stream has to be one of the case."""
         return next(way for item, way in zip(self._streams, self.ways, strict=False) if item is stream)
 
     def rows(self) -> list[Row]:
-        """Return a row for each traffic and hop."""
+        """Return one row for each traffic and hop."""
         return [row for way in self.ways for row in way.rows()]
 
     def losses(self) -> Iterator[LedgerEntry]:
-        """Yield what is lost, in the order of the ways."""
+        """Yield the entries that end ``lost``, in the order of the ways."""
         for way in self.ways:
             yield from (entry for entry in way.entries() if entry.ending == "lost")
 
@@ -477,10 +488,10 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
 
 
 def _sent(case: Case, fate: Fate) -> LedgerWay:
-    """Return the way of what goes into cFS: to CI or SBN, over the software bus, through the application."""
+    """Return the way of a stream into cFS: CI or SBN, software bus, application."""
     stream, losses = fate.stream, list(case.losses_of(fate.stream))
     faults, relayed = case.done_to(stream), case.commands.relayed.get(id(stream))
-    # What a proxy did to a MsgId is told once, whoever else gets that MsgId.
+    # Several receivers may share a MsgId: the proxy's faults stand in the first stream only.
     first = next(item for item in case.streams if case.done_to(item) is faults)
     dropped, doubled = (faults.dropped, min(faults.doubled, len(stream))) if first is stream else ([], 0)
     traffic = LedgerTraffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
@@ -510,36 +521,36 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
 
 
 def _lost_copies(case: Case, fate: Fate, doubled: int) -> tuple[int, int]:
-    """Return of how many arrivals that were lost others may have come out: at least, and at most.
+    """Return how many lost arrivals are copies of messages that arrived: the least and the most.
 
-    Of equal messages of which some came out, those that did not are their copies as far as there are copies.
+    Where some of several equal messages came out, the others are copies, up to the number of copies.
 
     Args:
-        doubled: how many a proxy made, besides those that the capture shows.
+        doubled: copies that a proxy made and the capture does not show.
     """
     stream, relayed = fate.stream, case.commands.relayed.get(id(fate.stream))
     copied = np.isin(stream.rows, case.prepared.duplicates) | find_echoes(case.rows, stream.rows)
-    for span in stream.spans if len(stream.spans) > 1 else ():  # each at a rate of its own
+    for span in stream.spans if len(stream.spans) > 1 else ():  # each span has its own rate
         copied[span.rows] |= find_echoes(case.rows, stream.rows[span.rows])
     number = relayed.figures["duplicated"] if relayed else int(copied.sum())
-    if not fate.seen:  # else those that are lost are datagrams of the capture
+    if not fate.seen:  # else each lost message is a datagram of the capture
         doubled += sum(item.not_captured for item in case.ingests_at(stream.receiver))
     if len(fate.hops) != 1 or doubled:
         return 0, number + doubled
     _, first, which = np.unique(fate.hops[0].prints, return_index=True, return_inverse=True)
-    if len(stream) - len(first) == number:  # then each value is one message
+    if len(stream) - len(first) == number:  # then equal values mean one message
         copied = ~np.isin(np.arange(len(stream)), first)
     if int(copied.sum()) != number:
         return 0, number
     copies, came, absent = (np.bincount(which, some) for some in (copied, fate.arrived, ~fate.arrived))
     ended = sum(fate.ends.values()) + fate.waiting - fate.ends["unaccounted"]
-    # What came out of equal ones may all be of one message.
+    # Of equal messages, all that came out may be copies of one.
     sure = int(np.maximum(0, copies - np.maximum(0, came - 1)).sum()) - ended
     return max(0, sure), int(np.minimum(absent, copies).sum())
 
 
 def _by_relay(way: LedgerWay, relayed: LostInRelay, losses: Sequence[Loss]) -> list[Loss]:
-    """Go on through a relay with both its sides in the capture; return what else was lost."""
+    """Add the hop of a relay that was captured on both sides; return the losses at other hops."""
     way.hop(relayed.hop, {"in": SEEN, "out": SEEN}, **relayed.figures)
     own = [loss for loss in losses if loss.hop == relayed.hop]
     way.lose(own, frozenset({"network"}))
@@ -548,7 +559,7 @@ def _by_relay(way: LedgerWay, relayed: LostInRelay, losses: Sequence[Loss]) -> l
 
 
 def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
-    """Go on to what shows what became of what the software bus did not lose."""
+    """Add the hops behind the software bus: Telemetry Output for its commands, else the application."""
     if not (fate.seen or fate.reached is not None or fate.commanded is not None):
         way.end("uncertain", min(fate.ends["earlier"] + fate.ends["unaccounted"], way.left))
     if fate.commanded is not None and fate.ends["unaccounted"] + fate.ends["elsewhere"]:
@@ -566,7 +577,7 @@ def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
 
 
 def _damaged(case: Case) -> Iterator[LedgerWay]:
-    """Yield what came to cFS damaged so that nothing else of its MsgId is in the capture."""
+    """Yield a way for each MsgId of which only damaged datagrams went to a cFS of the capture."""
     rows = case.damaged_of(None)
     to_cfs = rows.on(lambda link: link.to_cfs and link.packets)
     to_cfs &= (rows.msg_id != NO_MSG_ID) | ~rows.on(lambda link: link.peers)
@@ -580,7 +591,7 @@ def _damaged(case: Case) -> Iterator[LedgerWay]:
 
 
 def _lose_damaged(way: LedgerWay, rows: Rows) -> None:
-    """Let end at the last hop datagrams that came damaged."""
+    """Add a ``lost`` entry at the last hop for each damaged datagram."""
     for when in rows.time_ns.tolist():
         way.end("lost", 1, DAMAGED, text=CAUSES[DAMAGED].listed, times_ns=(when, when))
 
@@ -588,7 +599,7 @@ def _lose_damaged(way: LedgerWay, rows: Rows) -> None:
 def _taken_in(
     case: Case, fate: Fate, way: LedgerWay, all_out: Mapping[str, str], losses: Sequence[Loss]
 ) -> None:
-    """Go on to what reads datagrams: CI, or SBN where it did not read all."""
+    """Add the hop of the reader: CI, or the SBN socket if SBN did not read every datagram."""
     stream = fate.stream
     if stream.link.only_to_cfs:
         accounts = case.ingests_at(stream.receiver)
@@ -606,7 +617,7 @@ def _taken_in(
 
 
 def _applied(case: Case, fate: Fate, way: LedgerWay) -> None:
-    """Go on through the application, to what was seen to come out of it."""
+    """Add the hop of the application, where the capture shows its output."""
     outs = [hop.out for hop in fate.hops]
     ways = ", ".join("the robot link" if out.link.last_hop else case.name(out.msg_id) for out in outs)
     onward = tuple(dict.fromkeys((out.link.label, out.msg_id) for out in outs))
@@ -622,7 +633,7 @@ def _applied(case: Case, fate: Fate, way: LedgerWay) -> None:
 
 
 def _published(case: Case, stream: Stream) -> LedgerWay:
-    """Return the way of what cFS publishes: through Telemetry Output's pipe or a peer's, to the capture."""
+    """Return the way of a stream that cFS publishes: pipe of Telemetry Output or a peer, then the capture."""
     owner, losses, telemetry = case.owner(stream), case.losses_of(stream), case.telemetry
     instance = case.label(owner) if owner != NOBODY else None
     way = LedgerWay(LedgerTraffic(stream.route, stream.link.label, stream.msg_id, instance))
@@ -649,7 +660,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     _lose_damaged(way, case.damaged_of(stream).take(slice(telemetry.ended(stream, "damaged"))))
     way.end("not_captured", telemetry.ended(stream, "away"))
     way.end("uncertain", sum(telemetry.ends[id(stream)][how] for how in ("uncertain", "untold", "astray")))
-    # Seen here, and lost on the way to the next capture.
+    # Losses of captured messages: they were lost on the way to the next capture.
     undelivered = (case.rows.undelivered | case.prepared.perhaps_astray)[stream.rows]
     own = ((item.lost, item.among) for item in losses if item.among and item.among.stream is stream)
     astray = (lost for lost, of in own if of.missing is None and undelivered[of.rows].all())
@@ -658,14 +669,14 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
 
 
 def _told_before(case: Case, stream: Stream) -> int:
-    """Return how many that a way out did not take are told lost of what they were made of."""
+    """Return how many messages the streams that this one was made of already count as lost behind the bus."""
     made_of = {id(hop.into): hop.into for hop in case.hops if hop.out is stream}.values()
     losses = chain.from_iterable(map(case.losses_of, made_of))
     return sum(loss.lost for loss in losses if loss.kind in _BEHIND_BUS)
 
 
 def _to_peer(case: Case, way: LedgerWay, stream: Stream, silent: Unheard) -> None:
-    """Go on to an SBN peer that did not hear all that was sent to it."""
+    """Add the hop of an SBN peer that was silent or down while messages were sent to it."""
     way.hop(f"{PEER} {silent.peer}", {"in": SEEN, "out": "what it was sent while it was not silent"})
     for cause, rows, when in (
         (UNHEARD, silent.lost, "while it was silent"),
@@ -679,7 +690,7 @@ def _to_peer(case: Case, way: LedgerWay, stream: Stream, silent: Unheard) -> Non
 
 
 def _to_port(case: Case, way: LedgerWay, item: Unreached) -> None:
-    """Go on to an endpoint that did not get all that was sent to it."""
+    """Add the hop of an endpoint that ICMP errors show to be closed or unreachable."""
     endpoint = case.endpoints[item.endpoint]
     sources = {"in": SEEN, "lost": "ICMP errors", "out": "datagrams without an ICMP error"}
     way.hop(f"{UDP_PORT} {endpoint}", sources, onward=way.onward)
@@ -690,7 +701,13 @@ def _to_port(case: Case, way: LedgerWay, item: Unreached) -> None:
 
 
 def _by_proxy(way: LedgerWay, dropped: Sequence[tuple[int, bytes]], number: int, doubled: int) -> None:
-    """Go on through a proxy that dropped so many of some and doubled others; they are not in the capture."""
+    """Add the hop of a proxy.
+
+    Args:
+        dropped: time in ns and bytes of each datagram that the proxy dropped; none is in the capture.
+        number: how many of these belong to this way.
+        doubled: copies that the proxy sent.
+    """
     sources = dict.fromkeys(("in", "lost", "duplicated"), ON_PURPOSE) | {"out": SEEN}
     way.hop(PROXY_HOP, sources, duplicated=doubled)
     text = f"dropped on purpose by the {PROXY_HOP}"
@@ -702,7 +719,7 @@ def _by_proxy(way: LedgerWay, dropped: Sequence[tuple[int, bytes]], number: int,
 
 
 def _all_dropped(case: Case) -> Iterator[LedgerWay]:
-    """Yield what a proxy dropped and of which nothing else is in the recording."""
+    """Yield a way for each MsgId of which a proxy dropped datagrams and the recording has no stream."""
     streams = {id(case.done_to(stream)) for stream in case.streams}
     for (code, _, msg_id), item in case.proxied.items():
         if item.dropped and id(item) not in streams:
@@ -715,7 +732,7 @@ def _all_dropped(case: Case) -> Iterator[LedgerWay]:
 
 
 def _unseen(case: Case, loss: Loss) -> LedgerWay:
-    """Return the way of a loss whose traffic is not in the capture."""
+    """Return the way of a loss that only a counter shows: its traffic is not in the capture."""
     msg_id = None if loss.msg_id == NO_MSG_ID else loss.msg_id
     way = LedgerWay(LedgerTraffic(msg_id=msg_id, instance=case.label(loss.instance)), loss.lost)
     way.hop(loss.hop, _BY_BUS, among=loss.rivals)
@@ -724,7 +741,7 @@ def _unseen(case: Case, loss: Loss) -> LedgerWay:
 
 
 def _of_no_stream(case: Case, item: Verdict, number: int) -> LedgerWay:
-    """Return the way of messages that were judged by themselves: the datagrams of that time."""
+    """Return the way of refused messages that belong to no stream: the datagrams of the verdict's span."""
     rows = case.rows
     end = np.searchsorted(rows.time_ns, item.end_ns, side="right")
     own = np.arange(np.searchsorted(rows.time_ns, item.start_ns), end)
@@ -743,19 +760,19 @@ def _of_no_stream(case: Case, item: Verdict, number: int) -> LedgerWay:
 
 
 def _refuse(way: LedgerWay, item: Verdict, number: int, among: Among | Places) -> None:
-    """Let end at the last hop what cFS refused."""
+    """Add a ``lost`` entry at the last hop for messages that cFS refused."""
     text = f"{item.rule} at {item.hop or 'cFS'}"
     way.end("lost", number, item.rule, text=text, times_ns=(item.start_ns, item.end_ns), among=among)
 
 
 def _span_of(case: Case, among: Among) -> dict[str, Any]:
-    """Return messages, and when the first and the last of them were sent, as an entry has them."""
+    """Return ``among`` and ``times_ns`` (first and last message) as attributes of an entry."""
     times = case.rows.time_ns[among.stream.rows[among.rows]]
     return {"among": among, "times_ns": (int(times.min()), int(times.max()))}
 
 
 def summed(rows: Iterable[Row]) -> tuple[Row, ...]:
-    """Return the rows of several chapters of a capture, each of one traffic at one hop put together."""
+    """Return the rows of several chapters of a capture, with the rows of one traffic at one hop added up."""
     sums: dict[tuple[Any, ...], Row] = {}
     for row in rows:
         key = row.route, row.link, row.msg_id, row.instance, row.hop
