@@ -1,4 +1,13 @@
-"""Everything that the rules judge by, worked out once from what was recorded."""
+"""The evidence of one capture, which all rules share.
+
+Rules:
+
+1. The constructor prepares the rows: in order of time, without the capture's own copies, with set clocks
+   corrected. Nothing changes them later.
+2. Every result is computed when it is first asked for, and kept. Only the verdicts and ``advice`` grow.
+3. Messages of a stream are indices into ``Stream.rows``, whose values index ``Case.rows``. Times are
+   capture times in ns.
+"""
 
 from __future__ import annotations
 
@@ -92,7 +101,7 @@ if TYPE_CHECKING:
 _MOST: Final = 0.5
 _SLACK_NS: Final = 50 * MILLISECOND
 _FRAGMENT_BYTES: Final = 1480
-"""What a fragment holds on Ethernet."""
+"""IP payload bytes of one fragment on Ethernet."""
 _CLEAN_NS: Final = 10 * SECOND
 _HIGHER: Final = 1.1
 _TIME: Final = attrgetter("time_ns")
@@ -100,22 +109,21 @@ OfLink = TypeVar("OfLink")
 
 
 class Capture(msgspec.Struct, frozen=True):
-    """What is known of the capture itself.
+    """Facts about the capture itself, apart from its datagrams.
 
     Attributes:
-        drops: frames that the kernel or a full queue lost before they were captured; None where the capture
-            does not tell.
-        warnings: what its source has to say.
-        zero_ns: its first datagram, where what is judged begins later; None where that is the first.
-        cut: datagrams that were left out for their time.
-        outages: when the interface was away.
-        host: what the kernel of the recording host counted, oldest first.
-        evidence: what links saw in it themselves.
-        unwrappers: what took packets out of what carried them, and what its counts say.
-        lacking: datagrams of which the first fragment is in it, and no later one.
-        shared: datagrams that were left out, for another capture read with this one has them.
-        astray: time (ns) and fingerprint of each that never came to the place of another capture on its way,
-            and whether that is sure.
+        drops: frames that the kernel or a full queue lost before capture; None if the capture has no count.
+        warnings: warnings of the source, one sentence each.
+        zero_ns: time of the first datagram of the file, if the examined part begins later; else None.
+        cut: number of datagrams outside the examined time.
+        outages: spans in which the interface was away.
+        host: counters of the recording host's kernel, oldest first.
+        evidence: link to the evidence that it collects by itself.
+        unwrappers: link to the object that unpacked packets from their carriers.
+        lacking: datagrams whose first fragment was captured, and no later one.
+        shared: number of datagrams left out because another capture, read beside this one, has them.
+        astray: time in ns, fingerprint and certainty of each datagram that did not reach the place of the
+            next capture on its path.
     """
 
     drops: int | None = None
@@ -131,58 +139,58 @@ class Capture(msgspec.Struct, frozen=True):
     astray: tuple[tuple[int, int, bool], ...] = ()
 
     def evidence_of(self, link: Link, kind: type[OfLink]) -> OfLink | None:
-        """Return what a link saw in it, or took packets out with; None where that is of no such kind."""
+        """Return a link's evidence, else its unwrapper, if it is an instance of ``kind``; else None."""
         state = self.evidence.get(link, self.unwrappers.get(link))
         return state if isinstance(state, kind) else None
 
     def samples(self) -> list[SampleStream]:
-        """Return the samples of each writer that announces its topic."""
+        """Return one entry for each writer whose samples a link collected by itself."""
         return [item for own in self.evidence.values() for item in own.samples()]
 
     def spans(self) -> list[tuple[int, int]]:
-        """Return from when to when links saw something themselves."""
+        """Return the spans (start, end), ns, in which links collected evidence by themselves."""
         return [span for own in self.evidence.values() for span in own.spans()]
 
     def rows(self) -> list[Any]:
-        """Return what links saw themselves, each a ``ledger.Row``."""
+        """Return the balance rows (``ledger.Row``) that links counted by themselves."""
         return [row for own in self.evidence.values() for row in own.rows(self.drops)]
 
     def missing(self) -> list[Any]:
-        """Return what links themselves saw to be lost, each a ``missing.Missing``."""
+        """Return the lost messages (``missing.Missing``) that links found by themselves."""
         return [item for own in self.evidence.values() for item in own.missing(self.drops)]
 
     @property
     def away(self) -> list[tuple[int, int]]:
-        """From when to when the interface was away; the largest time where it was not back."""
+        """Outages of the interface (start, end), ns; the end is ``NEVER`` if it did not come back."""
         return [(item.start_ns, item.end_ns or NEVER) for item in self.outages]
 
 
 class Case:
-    """A capture, laid out for judgement.
+    """One capture with all that follows from it.
 
     Attributes:
-        prepared: what was left out, put in order or counted once before anything was judged.
-        rows: a row a datagram.
-        jumps: clocks that were set meanwhile; times are as if they had not been.
-        instances: the cFS instances.
-        unsteady_ns: by how much capture times are wrong in no order.
-        payloads: counters, events, subscriptions, TO commands.
-        endpoints: what ``source`` and ``destination`` of the rows index.
+        prepared: result of ``prepare``: the rows, and counts of the datagrams that it left out.
+        rows: table with one row for each datagram.
+        jumps: steps of clocks that were set during the capture; the times of the rows have none of them.
+        instances: boots of cFS that the packets come from.
+        unsteady_ns: random error of the capture times, ns.
+        payloads: counters, events, subscriptions and commands that the packets hold.
+        endpoints: endpoints that ``source`` and ``destination`` of the rows index.
         samples: (link, MsgId) to some CDR messages by length.
-        passed_states: states of robots that left cFS.
+        passed_states: robot states that left cFS as telemetry.
         context: mission, types and options.
-        assumed: the constants of cFS that were given: its usual ones where nobody said others.
-        capture: what is known of the capture itself.
-        proxied: what a proxy did on purpose.
-        verdicts: what the rules have said so far.
-        refused: messages that came to nothing by what they are, each judged by itself.
-        advice: what helps against losses at queues, once it was asked for; see ``diagnosis.advice``.
-        ingests: the account of every CI.
-        outages: every stop and restart of an application that is sure, or shows.
-        unheard: what was sent to SBN peers that were silent, by the id of its stream.
-        unreached: what went to ports that were closed, or that could not be reached.
-        contents: what arrived as something else than was sent.
-        ledger: what became of all traffic, once the rules about single messages were asked.
+        assumed: constants of cFS from the mission and the options, else the defaults.
+        capture: facts about the capture itself.
+        proxied: (link, direction, MsgId) to the faults that a proxy injected.
+        verdicts: verdicts of the rules that ran so far.
+        refused: verdicts about messages that cFS refused because of what they contain.
+        advice: cache of ``diagnosis.advice``, by queue.
+        ingests: accounts of CI, one for each CI.
+        outages: stops and restarts of applications that are certain, or visible in the traffic.
+        unheard: id of a stream to its messages that were sent to a silent SBN peer.
+        unreached: messages to ports that were closed or not reachable.
+        contents: messages that arrived with another content than they were sent with.
+        ledger: fates of all messages; the rules about single messages have to run before.
     """
 
     ingests = cached_property(ingest.ingests)
@@ -203,9 +211,9 @@ class Case:
         self.prepared = prepare(recorder, self.proxied, capture.astray, shared=capture.shared > 0)
         payloads = self.prepared.payloads
         rows, self.jumps, self.instances = steadied(self.prepared.rows, payloads.events, recorder.endpoints)
-        if self.jumps:  # what seemed to begin anew went on
+        if self.jumps:  # a step of a clock looked like a restart: follow the sequence counts again
             rows, payloads = followed(rows), payloads.timed(rows.time_ns)
-        if (np.diff(rows.time_ns) < 0).any():  # a few ms out of order, beside a clock that was set
+        if (np.diff(rows.time_ns) < 0).any():  # a few ms out of order near a set clock
             order = np.argsort(rows.time_ns, kind="stable")
             rows, payloads = rows.take(order), payloads.over(order, len(rows))
             self.instances = Instances(rows, payloads.events, recorder.endpoints)
@@ -231,7 +239,7 @@ class Case:
 
     @cached_property
     def constants(self) -> Constants:
-        """The constants of cFS, and which of them the capture shows."""
+        """The constants of cFS, with those that were learned from the capture."""
         overflows = any(track.growth("pipe_overflows") for track in self.tracks.values())
         return learn_constants(
             self.assumed, self.rows, self.streams, self.hops, self.reported_losses, overflows=overflows
@@ -239,68 +247,75 @@ class Case:
 
     @property
     def profile(self) -> SimProfile:
-        """The constants of cFS: learned from the capture, else assumed."""
+        """The constants of cFS to calculate with: learned from the capture, else assumed."""
         return self.constants.profile
 
     def origin(self, *names: str | int) -> Literal["told", "assumed"]:
-        """Return what constants rest on that the capture does not show: told by a mission or an option."""
+        """Return the origin of constants that the capture does not show.
+
+        Args:
+            names: names of constants, or MsgIds.
+
+        Returns:
+            ``told`` if the mission or an option sets all of them, else ``assumed``.
+        """
         return "told" if self.assumed.stated.issuperset(names) else "assumed"
 
     @property
     def mission(self) -> Mission:
-        """The mission; it may say nothing."""
+        """The mission; it may be empty."""
         return self.context.mission
 
     @cached_property
     def start_ns(self) -> int:
-        """The first datagram."""
+        """Capture time of the first datagram, ns; 0 without datagrams."""
         return int(self.rows.time_ns.min()) if len(self.rows) else 0
 
     @property
     def zero_ns(self) -> int:
-        """What times that people are told count from."""
+        """The zero, in ns, of all times that people read."""
         return self.start_ns if self.capture.zero_ns is None else self.capture.zero_ns
 
     @cached_property
     def end_ns(self) -> int:
-        """The last datagram."""
+        """Capture time of the last datagram, ns; 0 without datagrams."""
         return int(self.rows.time_ns.max()) if len(self.rows) else 0
 
     @cached_property
     def streams(self) -> list[Stream]:
-        """What was seen of each MsgId on each link."""
+        """The streams: packets of one MsgId on one link, to one CI, from one cFS, or between SBN peers."""
         return find_streams(self.rows, self.instances)
 
     @cached_property
     def resets(self) -> list[Reset]:
-        """Restarts of a cFS whose clock went on."""
+        """Restarts of a cFS whose clock did not restart."""
         return find_resets(self.rows, self.streams)
 
     @cached_property
     def tracks(self) -> dict[int, Track]:
-        """The counters of each instance."""
+        """Instance to the history of its software bus counters (0x803)."""
         return tracks(self.rows, self.payloads, self.instances)
 
     @cached_property
     def reported_losses(self) -> dict[ReportedLoss, LossEvents]:
-        """Whom events about loss name."""
+        """Losses that events report (MsgId, pipe, sender), with these events."""
         return reported_losses(self.payloads.events, self.instances)
 
     def events_about(
         self, instance: int, msg_id: int, kind: PipeKind
     ) -> list[tuple[ReportedLoss, LossEvents]]:
-        """Return what events say of losses of a MsgId at pipes of an instance."""
+        """Return the losses of a MsgId at pipes of an instance that events report."""
         about, every = (instance, msg_id, kind), self.reported_losses.items()
         return [(item, events) for item, events in every if (item.instance, item.msg_id, item.kind) == about]
 
     @cached_property
     def holes(self) -> list[tuple[int, int]]:
-        """From when to when nothing was captured though all went on sending and the interface was there."""
+        """Spans (start, end), ns, without a datagram, though the senders and the interface were running."""
         return self._holes[0]
 
     @cached_property
     def _holes(self) -> tuple[list[tuple[int, int]], ...]:
-        """Holes that are sure, and those that may be."""
+        """The certain holes, then the possible ones."""
         away = self.capture.away
         return tuple(
             [item for item in holes if not any(start < item[1] and item[0] < end for start, end in away)]
@@ -309,42 +324,50 @@ class Case:
 
     @property
     def away(self) -> list[tuple[int, int]]:
-        """From when to when nothing could be captured."""
+        """Spans (start, end), ns, in which the capture could not record: outages and certain holes."""
         return sorted([*self.capture.away, *self.holes])
 
     @cached_property
     def quality(self) -> Quality:
-        """What bounds the datagrams that the capture missed."""
+        """The upper bounds of the share of datagrams that the capture missed."""
         evidence = self.rows, self.payloads, self.instances, self.streams, self.hops, self.tracks
         quality = assess_quality(*evidence, self.blind, self.capture.drops)
-        # Where frames are cut, no answer tells what was missed; what CI counts more does.
+        # Cut frames cannot be matched with their answers, but CI's surplus over the capture still counts.
         cut = self.rows.has(Finding.CAPTURE_CUT).any() and not quality.lacks_answered
         own = [item for item in self.ingests if item.not_captured and cut]
         counts = ((item.endpoint, item.taken + item.not_captured, item.not_captured) for item in own)
         more = [Evidence("ci_counts", *item) for item in counts]
         once = len(self.rows) - (twice := self.prepared.copies)
-        if once < twice and not self.prepared.perhaps_astray.any():  # as of two that count the same
+        if once < twice and not self.prepared.perhaps_astray.any():  # Lincoln-Petersen
             more.append(Evidence("copies", NOBODY, twice, once**2 // (4 * twice)))
         return replace(quality, evidence=(*quality.evidence, *more))
 
     @cached_property
     def confidence(self) -> float:
-        """The confidence for one of many streams: that one lacks more than by itself is no wonder."""
+        """The confidence for one stream of many (Bonferroni): among many, one outlier is no surprise."""
         return 1 - (1 - CONFIDENCE) / len(self.streams)
 
     def frames(self, stream: Stream) -> int:
-        """Return how many frames the longest datagram of a stream came in; 1 if none came in fragments."""
+        """Return how many frames the longest datagram of a stream takes; 1 if none was fragmented."""
         pieces = stream.rows[self.rows.has(Finding.FRAGMENT, stream.rows)]
         return max(1, -(-int(self.rows.length[pieces].max(initial=0)) // _FRAGMENT_BYTES))
 
     def may_lack(self, size: int, number: int) -> int:
-        """Return how many of so many that a stream of a size lacks the capture may have missed."""
+        """Return how many missing messages of a stream the capture itself may have missed, at most.
+
+        Args:
+            size: number of messages in the stream.
+            number: number of messages that are missing.
+        """
         excluded = self.quality.excludes(number / size)
         return 0 if excluded else min(number, self.quality.may_have_missed(size, self.confidence))
 
     @cached_property
     def shut(self) -> list[tuple[Flow, int, int]]:
-        """What looks like a link's on ports that nobody named; how much of it reached nobody, or may."""
+        """Flows to ports that no option names, if ICMP errors report these ports closed.
+
+        Each has two numbers: datagrams that certainly reached nobody, and those that perhaps did not.
+        """
         errors = self._errors.errors()
         errors = errors.take(errors.closed)
         which = np.where(errors.identification != 0, errors.identification, errors.time_ns)
@@ -365,26 +388,26 @@ class Case:
 
     @property
     def unnamed(self) -> list[Unnamed]:
-        """The same, where errors do not say that it reached nobody."""
+        """Ports that no option names, with traffic that looks like a link's, but for wholly ``shut`` ones."""
         closed = {id(flow) for flow, number, more in self.shut if number + more >= flow.datagrams}
         return unnamed(flow for flow in self.prepared.flows if id(flow) not in closed)
 
     @cached_property
     def unreachable(self) -> Unreachable:
-        """What ICMP errors say of datagrams that reached nobody."""
+        """The datagrams that reached nobody, as ICMP errors show."""
         return find_unreachable(self.rows, self._errors, self.endpoints, self.prepared.translated)
 
     @cached_property
     def network(self) -> Network:
-        """The Software Bus Network."""
+        """The peers of the Software Bus Network and their connections."""
         return Network(self.rows, self.instances, self.assumed, self.blind)
 
     @cached_property
     def timeline(self) -> Timeline:
-        """The states of everything over time."""
+        """The states of each cFS, application, link, peer and of the capture over time."""
         software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps, self.resets)
         changes = list(software.changes())
-        # What commands and events tell of an application is not told by its peers again.
+        # Commands and events are better witnesses of a subject than the SBN peers.
         subjects = {(item.system, item.subject) for item in changes}
         network = network_changes(self.rows, self.payloads, self.instances, self.network)
         changes += [item for item in network if (item.system, item.subject) not in subjects]
@@ -393,17 +416,17 @@ class Case:
 
     @cached_property
     def robots(self) -> list[Stream]:
-        """What was sent to each robot."""
+        """The streams to robots."""
         return find_robots(self.rows)
 
     @cached_property
     def hops(self) -> list[Hop]:
-        """Streams that come out again as others."""
+        """Pairs of streams: the messages of the first leave cFS again as messages of the second."""
         return find_hops([*self.streams, *self.robots], self.rows, self)
 
     @cached_property
     def damaged(self) -> dict[int, Rows]:
-        """Datagrams that the network damaged, by the id of the stream that lacks them; 0: of no stream."""
+        """Id of a stream to its datagrams with a wrong checksum; 0 for datagrams that belong to no stream."""
         rows, hosts = self.prepared.damaged, self.instances.hosts
         places: dict[int, list[int]] = {}
         for place, when in enumerate(rows.time_ns.tolist()):
@@ -419,27 +442,27 @@ class Case:
         return defaultdict(lambda: none, {key: rows.take(np.array(own)) for key, own in places.items()})
 
     def damaged_of(self, stream: Stream | None) -> Rows:
-        """Return the datagrams of a stream, or of none, that the network damaged."""
+        """Return the damaged datagrams of a stream; with None those that belong to no stream."""
         return self.damaged[0 if stream is None else id(stream)]
 
     def arrival(self, stream: Stream) -> Hashable:
-        """Return all that decides what may come out of a stream; None where nobody took it."""
+        """Return a key for ``follows``: equal for streams that enter at one place; None if unsubscribed."""
         is_taken = stream.msg_id not in self._not_taken
         return (stream.link.code, stream.receiver, stream.processor) if is_taken else None
 
     def departure(self, stream: Stream) -> Hashable:
-        """Return all that decides what a stream may have been before."""
+        """Return a key for ``follows``: equal for streams that leave at one place."""
         return stream.link.code, stream.sender, self._leaves(stream)
 
     def _leaves(self, out: Stream) -> str:
-        """Return the name of the cFS that a stream leaves."""
+        """Return the name of the cFS that a stream leaves, as ``66:1``; empty if unknown."""
         if not out.link.only_from_cfs:
             return self.network.identity_of.get(out.sender, "")
         owner = self.instances.owner(out.sender, int(out.time_ns[0]))
         return self.instances.items[owner].name if owner != NOBODY else ""
 
     def follows(self, into: Stream, out: Stream) -> bool:
-        """Tell whether what arrives as one stream may leave as another: of the same cFS, not its sibling."""
+        """Return whether packets that arrive as ``into`` may leave as ``out``, by the same cFS."""
         if self._of_another(into, out):
             return False
         if into.link.only_to_cfs or out.link.last_hop:
@@ -451,7 +474,7 @@ class Case:
 
     @cached_property
     def _not_taken(self) -> set[int]:
-        """MsgIds of what CI or SBN handed to the software bus, and that nobody had subscribed to."""
+        """MsgIds that CI or SBN put on the software bus without any subscriber."""
         return {
             item.msg_id
             for item in self.reported_losses
@@ -459,7 +482,7 @@ class Case:
         }
 
     def _of_another(self, into: Stream, out: Stream) -> bool:
-        """Tell whether one goes to an address, and the other leaves one with a receiver of its own."""
+        """Return whether ``out`` leaves another address than ``into`` enters, which has its own receiver."""
         hosts, name = self.instances.hosts, self.network.identity_of.get
         return (
             hosts[into.receiver] != hosts[out.sender]
@@ -468,13 +491,13 @@ class Case:
 
     @cached_property
     def _receiving(self) -> set[tuple[Link, str | None, int]]:
-        """Link, SBN identity and address of each receiver."""
+        """Link, SBN identity and number of the address of each receiver."""
         hosts, name = self.instances.hosts, self.network.identity_of.get
         return {(item.link, name(item.receiver), int(hosts[item.receiver])) for item in self.streams}
 
     @cached_property
     def never_whole(self) -> dict[tuple[Endpoint, int], list[int]]:
-        """Sender and MsgId to the times of telemetry of which later fragments never came."""
+        """Sender and MsgId to the times, ns, of datagrams whose later fragments never came."""
         times: dict[tuple[Endpoint, int], list[int]] = {}
         for item in self.capture.lacking:
             for start in (0, SBN_HEADER.size):
@@ -484,35 +507,35 @@ class Case:
         return times
 
     def ingests_at(self, endpoint: int) -> list[ingest.Ingest]:
-        """Return the account of the CI at an endpoint, if it is counted."""
+        """Return the accounts of the CI at an endpoint; none if nothing counts there."""
         return [item for item in self.ingests if item.endpoint == endpoint]
 
     @cached_property
     def listeners(self) -> dict[int, int]:
-        """Endpoint of a CI to the number of its cFS, where its counts tell."""
+        """Endpoint of a CI to the number of its cFS, for each CI whose own counts are here."""
         return {item.endpoint: item.system for item in self.ingests if not item.by_kernel}
 
     @property
     def quiet(self) -> list[tuple[int, int]]:
-        """From when to when nothing at all was captured, and nothing tells why."""
+        """Spans (start, end), ns, without any datagram, for no visible reason: possible holes."""
         return self._holes[1]
 
     @property
     def blind(self) -> list[tuple[int, int]]:
-        """From when to when nothing was captured, for whatever reason."""
+        """Spans (start, end), ns, without any datagram, for whatever reason."""
         return sorted([*self.away, *self.quiet])
 
     def is_away(self, starts: Integers, ends: Integers) -> Mask:
-        """Tell which spans of time hold some of an outage of the capturing interface."""
+        """Return which spans overlap a time in which the capture could not record: bool (n,)."""
         return overlapping(starts, ends, self.away)
 
     def rounds(self, stream: Stream, span: Span) -> Comb:
-        """Return the rounds in which a stream's MsgId comes meanwhile."""
+        """Return the rounds in which a stream's MsgId arrives during a span."""
         times = self.times(stream)
         return comb(times[(times >= span.start_ns) & (times <= span.end_ns)])
 
     def times(self, stream: Stream) -> Integers:
-        """Return when a stream's MsgId comes out of its pipe, whoever made it: they share what may wait."""
+        """Return when a stream's MsgId left its pipe, i64 ns, of all publishers: they share its limit."""
         if stream.way not in self._times:
             own = stream.sender, stream.msg_id
             alike = [
@@ -524,13 +547,13 @@ class Case:
         return self._times[stream.way]
 
     def done_to(self, stream: Stream) -> Proxied:
-        """Return what a proxy did on purpose to the datagrams of a stream."""
+        """Return the faults that a proxy injected into a stream's MsgId on its link."""
         to_cfs = stream.link.only_to_cfs or (stream.link.peers and not stream.counted)
         return self.proxied.get((stream.link.code, to_cfs, stream.msg_id), UNTOUCHED)
 
     @cached_property
     def peers_unseen(self) -> bool:
-        """Whether a cFS hands on what another one made, and how that came to it was not captured."""
+        """Whether a cFS sends packets of another cFS on, while the capture has no SBN datagrams."""
         on_sbn = self.rows.on(lambda link: link.peers).any()
         return not on_sbn and any(
             stream.link.only_from_cfs and stream.instance not in {NOBODY, self.owner(stream)}
@@ -538,11 +561,11 @@ class Case:
         )
 
     def upstream(self, stream: Stream) -> Hop | None:
-        """Return the hop by which a stream's packets came unchanged, if they did."""
+        """Return the hop that feeds a stream with unchanged packets; None if there is none."""
         return next((hop for hop in self.hops if hop.out is stream and not hop.rewritten), None)
 
     def owner(self, stream: Stream) -> int:
-        """Return the instance whose pipe a telemetry stream comes out of."""
+        """Return the instance whose pipe a telemetry stream comes out of; ``NOBODY`` if unknown."""
         start_ns = int(stream.time_ns[0])
         if stream.link.only_from_cfs:
             return self.instances.owner(stream.sender, start_ns)
@@ -559,16 +582,16 @@ class Case:
         return sbn.peer_pipe(Peer(int(spacecraft), int(processor))) if processor else "pipe of an SBN peer"
 
     def into_system(self, stream: Stream, system: int) -> bool:
-        """Tell whether a stream into cFS arrives at a system, as far as that is known."""
+        """Return whether a stream into cFS may arrive at a system; True if nothing is known of it."""
         members = [at for at, other in enumerate(self.instances.systems) if other == system]
         return not members or any(self.goes_to(stream, at) for at in members)
 
     def system(self, stream: Stream) -> int:
-        """Return the number of the system that a stream into cFS arrives at; 0 where that is not known."""
+        """Return the number of the system that a stream into cFS arrives at; 0 if unknown."""
         return next((item for item in self.instances.systems if self.into_system(stream, item)), 0)
 
     def goes_to(self, stream: Stream, instance: int) -> bool:
-        """Tell whether a stream into cFS arrives at an instance, as far as that is known."""
+        """Return whether a stream into cFS may arrive at an instance."""
         if instance == NOBODY:
             return True
         item, system = self.instances.items[instance], self.instances.systems[instance]
@@ -582,17 +605,17 @@ class Case:
 
     @cached_property
     def telemetry(self) -> Telemetry:
-        """What is missing from sequence counts."""
+        """The gaps in the sequence counts of telemetry, with their fates."""
         return self.commands.telemetry
 
     @cached_property
     def commands(self) -> Commands:
-        """What became of everything that went into cFS."""
+        """The fates of all messages that went into cFS."""
         return Commands(self, Telemetry(self))
 
     @cached_property
     def loss_counts(self) -> dict[int, Counts]:
-        """The growth of each instance's loss counters, less what has been told of it."""
+        """Instance to the growth of its loss counters; each loss takes its share out of it."""
         items, profile = self.instances.items, self.profile
         return {
             at: Counts.of(track, items[at].boot_ns(profile), self._told_later(at, track.times[-1]))
@@ -601,7 +624,7 @@ class Case:
         }
 
     def _told_later(self, instance: int, last_ns: int) -> dict[PipeKind, list[int]]:
-        """Return when events told of losses at pipes, by kind, behind an instance's last 0x803."""
+        """Return kind of loss at a pipe to the times, ns, of events after an instance's last 0x803."""
         times: dict[PipeKind, list[int]] = {}
         for item, events in self.reported_losses.items():
             if item.at_pipe and item.instance == instance:
@@ -611,22 +634,22 @@ class Case:
 
     @cached_property
     def losses(self) -> list[Loss]:
-        """All that was lost, each message in one of them."""
+        """All losses; each lost message belongs to exactly one."""
         return [*self.telemetry.losses, *self.commands.losses]
 
     def unheard_of(self, stream: Stream) -> list[int]:
-        """Return what of a stream surely was not heard, as indices into its rows."""
+        """Return the messages of a stream that a silent SBN peer certainly missed, as indices of its rows."""
         silent = self.unheard.get(id(stream))
         return silent.unheard if silent else []
 
     def losses_of(self, stream: Stream) -> list[Loss]:
-        """Return what was lost of a stream."""
+        """Return the losses of a stream."""
         return self._losses_of.get(id(stream), [])
 
     def shown_hz(self, stream: Stream, assumed_hz: float) -> float:
-        """Return the highest rate, Hz, at which a stream lost nothing for ten seconds; 0 if it is not higher.
+        """Return the highest rate, Hz, at which a stream lost nothing for 10 s; 0 if none counts.
 
-        Where it is, the constants are others than the assumed ones; not if it lost some at no higher rate.
+        A rate counts if it is above the assumed rate and below every rate at which the stream lost some.
         """
         lost = [(item.start_ns, item.end_ns) for item in self.losses_of(stream)]
         rates: tuple[list[float], list[float]] = [], []
@@ -644,51 +667,58 @@ class Case:
 
     @cached_property
     def has_telemetry(self) -> bool:
-        """Whether anything that a cFS sends is in the capture."""
+        """Whether the capture has any packet that a cFS sent."""
         return bool(self.instances.items or self.rows.on(lambda link: link.only_from_cfs).any())
 
     @cached_property
     def perhaps_doubled(self) -> Counter[tuple[int, int, int]]:
-        """How many messages into cFS came twice, or were captured twice, by link, receiver and MsgId."""
+        """(link code, receiver, MsgId) to messages into cFS that were sent twice, or captured twice."""
         rows = self.prepared.doubled
         return Counter(zip(rows.link.tolist(), rows.destination.tolist(), rows.msg_id.tolist(), strict=True))
 
     def route(self, msg_id: int, link: Link | None = None) -> Route | None:
-        """Return the configured route of a MsgId, on a link or on any."""
+        """Return the configured route of a MsgId, on a link or on any; None without one."""
         table = self.context.any_route_of if link is None else self.context.routes_on(link)
         index = int(table[msg_id]) if 0 <= msg_id < len(table) else NO_ROUTE
         return self.mission.routes[index] if index != NO_ROUTE else None
 
     def topic(self, msg_id: int) -> str | None:
-        """Return the topic of a MsgId: a configured one, or that of its struct; None of several or none."""
+        """Return the topic of a MsgId: of its route, else of its struct; None if neither or not unique."""
         owner = self.route(msg_id) or self.own_struct(msg_id)
         return owner.topic if owner else None
 
     def own_struct(self, msg_id: int) -> Bound | None:
-        """Return the struct of a layout that packets of a MsgId hold; None where each holds its own."""
+        """Return the struct that all packets of a MsgId hold; None if none or several are configured."""
         own = self.context.structs.own(msg_id)
         return own[0] if len(own) == 1 else None
 
     def name(self, msg_id: int) -> str:
-        """Return how people are told of a MsgId: ``0x1827 (/cmd_vel)``."""
+        """Return the text for a MsgId: ``0x1827 (/cmd_vel)``."""
         if msg_id == NO_MSG_ID:
             return "an unknown MsgId"
         text = self.topic(msg_id) or self.packet_name(msg_id)
         return f"0x{msg_id:04x} ({text})" if text else f"0x{msg_id:04x}"
 
     def packet_name(self, msg_id: int) -> str:
-        """Return cFE's name for a MsgId, or its structs' of a layout; nothing where it has neither."""
+        """Return cFE's name of a MsgId, else the names of its structs; empty without any."""
         name = message_name(self.mission.msg_ids.standard(msg_id))
         return name or ", ".join(item.name for item in self.context.structs.own(msg_id))
 
     def of_known(self, msg_id: int) -> int:
-        """Return what a MsgId of version 1 that facts of cFS name is here."""
+        """Return the MsgId of this mission for one of message version 1, in which cFS facts are written."""
         return self.mission.msg_ids.of_known(msg_id)
 
     def said(
         self, start_ns: int, end_ns: int, *apps: str, event_ids: Iterable[int] = ()
     ) -> list[EventRecord]:
-        """Return the events of applications, or of all, in a span of time."""
+        """Return the events in a span of time, in order.
+
+        Args:
+            start_ns: earliest capture time.
+            end_ns: latest capture time.
+            apps: names of applications; none for all.
+            event_ids: numbers of events; none for all.
+        """
         ids = frozenset(event_ids)
         if (own := self._events.get((apps, ids))) is None:
             own = [item for item in self.payloads.events if not apps or item.app in apps]
@@ -697,39 +727,39 @@ class Case:
 
     @cached_property
     def _names(self) -> dict[str, str]:
-        """Names that applications have elsewhere to those that this cFS gives them in its events."""
+        """Usual name of an application to its name in the events of this cFS, where they differ."""
         heard = {item.app for item in self.payloads.events}
         both = command_ingest.NAMES, telemetry_output.NAMES
         return {usual: other for usual, other in both if other in heard and usual not in heard}
 
     def called(self, text: str) -> str:
-        """Return a text with applications named as this cFS does."""
+        """Return a text with the usual names of applications replaced by those of this cFS."""
         for usual, other in self._names.items():
             text = text.replace(usual, other)
         return text
 
     def suppressed(self, span: tuple[int, int]) -> EventRecord | None:
-        """Return the event by which Telemetry Output says that its socket failed, and it sends no more."""
+        """Return the event, near a span, that reports Telemetry Output's socket failed; None without one."""
         events = self.said(span[0] - SECOND, span[1] + SECOND, *telemetry_output.NAMES)
         return next((item for item in events if telemetry_output.SUPPRESSED.phrase in item.message), None)
 
     def silences_of(self, sender: int) -> list[tuple[int, int]]:
-        """Return when the Telemetry Output behind an endpoint sent nothing, until it was enabled."""
+        """Return the spans, ns, in which the Telemetry Output of an endpoint was silent until enabled."""
         if sender not in self._silences:
             self._silences[sender] = closed.silences_of(self, sender)
         return self._silences[sender]
 
     def span(self, rows: Sequence[int] | Places) -> tuple[int, int]:
-        """Return the capture times of the first and of the last of some rows, which are in order of time."""
+        """Return the capture times, ns, of the first and the last of some rows; they are in order of time."""
         return int(self.rows.time_ns[rows[0]]), int(self.rows.time_ns[rows[-1]])
 
     def at(self, time_ns: int) -> str:
-        """Return a time as people are told of it: seconds into the capture."""
+        """Return the text of a time: seconds into the capture."""
         return f"{max(0, time_ns - self.zero_ns) / SECOND:.1f} s"
 
     @cached_property
     def _target(self) -> str:
-        """``--target`` for the only CI of the capture, unless it is the usual one here; and its headers."""
+        """Options of ``inject`` for the only CI of the capture: address and headers, where not the usual."""
         to_ci = self.rows.on(lambda link: link.only_to_cfs)
         places = {self.endpoints[item] for item in np.unique(self.rows.destination[to_ci]).tolist()}
         usual = Endpoint("127.0.0.1", command_ingest.PORT)
@@ -741,15 +771,15 @@ class Case:
         return f"{target}{headers}" + f" --set msg-id-version={version}" * (version != 1)
 
     def inject(self, name: str, *arguments: str) -> str:
-        """Return what to type to send a named command to the CI of the capture."""
+        """Return the command line that sends a named command to the CI of the capture."""
         return inject_line(name, *arguments) + self._target
 
     def label(self, instance: int) -> str:
-        """Return how people are told of an instance."""
+        """Return the label of an instance for people; ``cFS`` for ``NOBODY``."""
         return "cFS" if instance == NOBODY else self.instances.label(instance)
 
     def receiver_label(self, stream: Stream) -> str | None:
-        """Return how people are told of the cFS that a stream goes into; None where there is but one."""
+        """Return the label of the cFS that a stream goes into; None if it is the only one, or unknown."""
         systems = self.instances.systems
         into = [index for index in range(len(systems)) if self.goes_to(stream, index)]
         if len(set(systems)) < 2 or len({systems[index] for index in into}) != 1:
@@ -758,11 +788,11 @@ class Case:
 
     @cached_property
     def host(self) -> HostDrops:
-        """What the kernel of the recording host dropped while the capture ran."""
+        """Drops that the kernel of the recording host counted during the capture."""
         return host_drops(self.capture.host, self.start_ns, self.end_ns)
 
     def drops_text(self) -> tuple[str, ...]:
-        """Return what has to be said before cFS is blamed."""
+        """Return the caveat, if any, that the capture itself lost frames."""
         if not self.capture.drops:
             return ()
         return (f"the capture itself lost {self.capture.drops:,} frames: some of this may be its own",)
