@@ -1,37 +1,40 @@
 """How much the capture itself may have missed, where it has holes, and what the host's kernel dropped.
 
-A capture that drops frames at random drops some of those that other evidence proves to have been sent. So
-datagrams are checked of which something else in the capture says that they passed the tap:
+A capture that drops frames at random also drops some frames that other evidence proves to have been sent. So
+this file checks datagrams that must have passed the tap because of something else in the capture:
 
-1. *Identifications*. A Linux host numbers its IPv4 packets to one address one by one, and skips numbers only
-   where a clock tick lies between two. If the packets before and after a number were captured within a
-   millisecond, the packet between them passed too. Only even numbers are checked, by odd ones, so no packet
-   is both evidence and checked.
-2. *Inputs*. What an application sends was made of a command that it got. Values that occur once tell which.
-3. *Counts of CI*. Between two times of rest, CI counted so many datagrams that the tap saw before; or as
-   many until one as the tap saw in all.
-4. *Sequence counts*. A message that cFS counted left it, while the bus counted no loss.
-5. *Periods*. Who sends to cFS at an even rate sent at each of its periods, but for a pause.
-6. *Copies*. Where most datagrams were captured twice, each is checked by its other one.
+1. *Identifications*. A Linux host numbers its IPv4 packets to one address in sequence. It skips numbers only
+   if a clock tick lies between two packets. If the packets before and after a number were captured within a
+   millisecond, the packet with that number passed too. Odd numbers check even ones, so that no packet is both
+   evidence and checked.
+2. *Inputs*. An application made each of its messages from a command. A value that occurs once identifies it.
+3. *Counts of CI*. Between two times at which CI's socket is empty, CI counts exactly the datagrams that the
+   tap saw. The same holds from the start if CI's count equals that of the tap.
+4. *Sequence counts*. While the bus counts no loss, each message that cFS counted also left it.
+5. *Periods*. A sender with an even rate sends in each of its periods, except in a pause.
+6. *Copies*. If most datagrams were captured twice, each copy checks the other.
 
-Whether a datagram is checked never depends on whether it was captured, so those that are missing are a fair
-sample. Evidence of one kind about datagrams of one sending host is a group. Groups are not added up: two
-kinds may check the same datagram, which is no more evidence than one. A network that loses datagrams on their
-way to the tap makes a group look worse than the capture is, never better, and so does traffic that was left
-out on purpose. So every group bounds from above what the capture missed, and the lowest bound holds. It is
-assumed that a tap drops frames whoever sent them.
+How the check works:
 
-Where CI counted fewer than the tap saw, something behind the tap lost commands, and could hide as many that
-the capture lacks: the counts of that CI check nothing. Times at which nothing was captured are left out; they
-are no share. Frames that were captured twice are counted once before.
+7. Whether a datagram is checked never depends on whether it was captured. So the missing ones are a fair
+   sample.
+8. Evidence of one kind about datagrams of one host is a group. Groups are never added up, because two kinds
+   may check the same datagram.
+9. A network that loses datagrams before the tap, or traffic that was left out on purpose, can only make a
+   group look worse than the capture is. So each group gives an upper bound, and the lowest bound holds. This
+   assumes that a tap drops frames regardless of their sender.
+10. If CI counted fewer datagrams than the tap saw, commands were lost behind the tap, and these may hide
+    datagrams that the capture missed. Then the counts of that CI check nothing.
+11. Times without any capture are excluded: they are no random share. Frames captured twice count once.
 
-The capture has a hole if nothing was captured although everybody went on sending:
+The capture has a hole if nothing was captured although all senders went on:
 
-1. Nothing at all was captured for longer than Telemetry Output and SBN ever wait, or for more than a round
-   where all that follows shows a hole.
-2. What cFS counts went on meanwhile: most of its streams miss counts there.
-3. Others who sent steadily were not captured either: those who command, or a second SBN peer. A network that
-   fails between two of them does not hide both.
+12. Nothing was captured for one round of Telemetry Output or longer.
+13. cFS went on: most of its streams miss sequence counts there.
+14. Other steady senders are missing too: a commander, or a second SBN peer. A failed network between two of
+    them does not hide both.
+15. If one of these two rules fails, the hole is only possible. Then counts are missing, and either rule 13
+    holds, or the pause is longer than Telemetry Output and SBN ever wait.
 """
 
 from __future__ import annotations
@@ -68,9 +71,9 @@ EvidenceKind = Literal["identifications", "inputs", "ci_counts", "sequence_count
 CONFIDENCE: Final = 0.999
 _ANSWERED: Final = frozenset({"inputs", "ci_counts"})
 _ALONE: Final = _ANSWERED | {"sequence_counts", "copies"}
-"""Kinds that check a datagram also where others that were sent beside it are missing."""
+"""Kinds that can check a datagram even if its neighbours are missing."""
 _HIDING: Final = frozenset({"identifications", "ci_counts"})
-"""Kinds that show too few: by bursts, or by what was lost behind the tap, which hides as many."""
+"""Kinds that may show too few missing: because of bursts, or of losses behind the tap."""
 _CHANCE: Final = 0.01
 _TICK_NS: Final = MILLISECOND
 """The shortest clock tick of a Linux kernel."""
@@ -78,29 +81,29 @@ _ALIKE: Final = 0.5
 _MOSTLY_ONCE: Final = 0.9
 _START_NS: Final = 2 * SECOND
 _REST_NS: Final = 1500 * MILLISECOND
-"""CI has read what was sent so long ago, unless its socket is full."""
+"""CI reads a datagram within this time, unless its socket is full."""
 _LEAST_COUNTED: Final = 20
 _EVEN: Final = 0.2
-"""What comes so much of a period early or late still comes at an even rate."""
+"""A step may differ from the period by this share of it."""
 _MOST_PERIODS: Final = 10
-"""Who sends nothing for more of its periods paused."""
+"""A sender that is silent for more periods has paused."""
 _LATE_NS: Final = 100 * MILLISECOND
 _ROUNDS_NS: Final = 2 * SECOND
-"""A message is lost on the bus, or leaves, within so long."""
+"""Within this time a message leaves cFS, or is lost on the bus."""
 _MOST_MISSING: Final = 64
-"""A count that steps further is that of another time."""
+"""A larger step of a sequence count belongs to another run of the sender."""
 _DEVIATIONS: Final = 12
 _BISECTIONS: Final = 60
 
 
 class Evidence(NamedTuple):
-    """Datagrams that were sent past the tap, as something else than their own capture shows.
+    """Datagrams that must have passed the tap, and how many of them were not captured.
 
     Attributes:
-        kind: the kind of evidence.
-        sender: the host that sent them, as a number of ``Instances.hosts``.
-        checked: the number of datagrams.
-        missing: the number of these that the capture lacks.
+        kind: kind of evidence, as in the rules above.
+        sender: number of the sending host, as in ``Instances.hosts``.
+        checked: number of datagrams.
+        missing: number of these that were not captured.
     """
 
     kind: EvidenceKind
@@ -110,11 +113,11 @@ class Evidence(NamedTuple):
 
 
 class Quality(msgspec.Struct, frozen=True, dict=True):
-    """A bound of what a capture missed at random.
+    """Upper bounds for the datagrams that a capture missed at random.
 
     Attributes:
-        evidence: what was checked.
-        drops: frames that the kernel or the recorder dropped by their own count; None where nothing counted.
+        evidence: results of all checks.
+        drops: frames that the kernel or the recorder counted as dropped; None without a counter.
     """
 
     evidence: tuple[Evidence, ...] = ()
@@ -126,12 +129,12 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def lacks_answered(self) -> bool:
-        """Whether datagrams were missed that surely came to the tap: they were answered, or counted there."""
+        """Whether a missing datagram surely reached the tap: it was answered, or CI counted it."""
         return any(item.missing for item in self._answers)
 
     @cached_property
     def sums(self) -> dict[tuple[int, str], tuple[int, int]]:
-        """Sender and kind to the numbers of datagrams checked and missing."""
+        """(sender, kind) to the numbers of datagrams checked and missing."""
         sums: dict[tuple[int, str], tuple[int, int]] = {}
         for item in self.evidence:
             checked, missing = sums.get((item.sender, item.kind), (0, 0))
@@ -140,11 +143,12 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def groups(self) -> list[tuple[int, int]]:
-        """The numbers of datagrams checked and missing, in each group of evidence that bounds by itself.
+        """The numbers of datagrams (checked, missing) of each group that gives a fair bound.
 
-        Frames that are dropped in bursts take their neighbours with them, which then check nothing: where
-        answers show that datagrams were missed, only what is checked alone bounds. And what was lost behind
-        the tap hides as many from counts of CI: neither bounds where periods of that sender show more.
+        A burst of drops also takes the neighbours that would check a datagram. So if answers prove that
+        datagrams were missed, only kinds that need no neighbours count. Losses behind the tap hide missing
+        datagrams from CI's counts. So ``_HIDING`` kinds do not count if the periods of that sender show
+        more missing.
         """
 
         def is_fair(sender: int, kind: str, checked: int, missing: int) -> bool:
@@ -162,52 +166,52 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def checked(self) -> int:
-        """The number of datagrams that were checked in the group that bounds best: k."""
+        """The number of datagrams checked in the group with the lowest bound: k."""
         return self._best[0]
 
     @property
     def missing(self) -> int:
-        """The number of these that the capture lacks: m."""
+        """The number of these that were not captured: m."""
         return self._best[1]
 
     @property
     def counts(self) -> bool:
-        """Whether drops were counted, and not all evidence of the tap's own host shows more.
+        """Whether the count of drops can be trusted: the answers do not all show more datagrams missing.
 
-        What a host numbered or counted may be lost before it comes to the tap; what was answered was there.
+        Only answered datagrams contradict it: others may be lost before they reach the tap.
         """
         answered = [item.missing for item in self._answers]
         return self.drops is not None and (not answered or min(answered) <= self.drops)
 
     @property
     def known_zero(self) -> bool:
-        """Whether drops were counted, and there were none."""
+        """Whether a trusted count of drops is 0."""
         return self.counts and not self.drops
 
     def upper_share(self, confidence: float = CONFIDENCE) -> float:
-        """Return the largest share of its frames that the capture can have missed, 0 to 1.
+        """Return the largest share of frames that the capture can have missed, 0 to 1.
 
         Args:
-            confidence: the probability that a capture that misses more would show more missing.
+            confidence: probability that a capture which misses a larger share shows more missing datagrams.
         """
         return 0.0 if self.known_zero else largest_share(*self._best, self._each(confidence))
 
     def may_have_missed(self, count: int, confidence: float = CONFIDENCE) -> int:
-        """Return how many of so many datagrams the capture can have missed at most."""
+        """Return the largest number of ``count`` datagrams that the capture can have missed."""
         each = self._each(confidence)
         number = min((largest_number(count, *group, each) for group in self.groups), default=count)
         return min(number, self.drops or 0) if self.counts else number
 
     @property
     def longest_run(self) -> int:
-        """The most in a row that it can have missed, where it surely missed some; else 0."""
+        """The longest run of datagrams that it can have missed at random; 0 if no miss is sure."""
         share = self.upper_share() if self.lacks_answered else 0.0
         return ceil(log(1 - CONFIDENCE) / log(min(share, _MOSTLY_ONCE))) if share else 0
 
     def excludes(self, share: float, confidence: float = CONFIDENCE) -> bool:
-        """Tell whether the capture cannot have missed such a share: it would lack one of those checked.
+        """Return whether the capture cannot have missed this share: one of the checked would be missing.
 
-        One that surely missed some excludes none: which of those that are missing these are, nothing tells.
+        If the capture surely missed datagrams, no share is excluded: any missing datagram may be one of them.
         """
         each, groups = self._each(confidence), () if self.lacks_answered else self.groups
         return self.known_zero or any(
@@ -215,7 +219,7 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         )
 
     def _each(self, confidence: float) -> float:
-        """Return how surely each group has to bound where the best is chosen by what they say."""
+        """Return the confidence for each group, because the best of several groups is chosen (Bonferroni)."""
         return 1 - (1 - confidence) / max(len(self.groups), 1)
 
 
@@ -229,16 +233,17 @@ def assess_quality(
     holes: Sequence[tuple[int, int]] = (),
     drops: int | None = None,
 ) -> Quality:
-    """Return what bounds the losses of a capture.
+    """Return the bounds for the datagrams that a capture missed.
 
     Args:
-        rows: each datagram once, in order of time.
-        payloads: of these rows.
-        streams: of these rows.
-        hops: streams that come out again as others.
-        tracks: instance to the counters of its software bus.
-        holes: from when to when nothing was captured, ns.
-        drops: as in ``Quality``.
+        rows: table with each datagram once, in order of time.
+        payloads: contents of these rows.
+        instances: instances of cFS that made these rows.
+        streams: streams of these rows.
+        hops: pairs of streams of which the second has the messages of the first.
+        tracks: instance to the history of its bus counters.
+        holes: spans (start, end), ns, in which nothing was captured.
+        drops: count as in ``Quality``.
     """
     evidence = [
         *check_identifications(rows, instances.hosts),
@@ -251,10 +256,10 @@ def assess_quality(
 
 
 def check_identifications(rows: Rows, hosts: NDArray[np.int32]) -> Iterator[Evidence]:
-    """Yield for each sender and receiver how many identifications lie between two captured ones, and lack.
+    """Yield for each sender and receiver the identifications between two captured ones (rule 1).
 
     Args:
-        hosts: endpoint to the number of its address.
+        hosts: i32, number of the address of each endpoint.
     """
     own = np.flatnonzero((rows.identification != 0) & ~rows.streamed)
     _, pair = numbered(hosts.take(rows.source[own]), hosts.take(rows.destination[own]))
@@ -265,20 +270,20 @@ def check_identifications(rows: Rows, hosts: NDArray[np.int32]) -> Iterator[Evid
 
 
 def _between(time_ns: Integers, identification: NDArray[np.uint16]) -> tuple[int, int]:
-    """Return how many even numbers have both neighbours within a tick, and how many of these are missing."""
+    """Return the numbers of even identifications (checked, missing) with both neighbours within a tick."""
     if len(time_ns) < 2:
         return 0, 0
     run = np.concatenate(([0], np.cumsum(np.diff(time_ns) >= _TICK_NS)))
     ahead = identification.astype(np.int64) - identification[np.flatnonzero(np.diff(run, prepend=-1))][run]
     ahead = (ahead + (1 << 15)) % (1 << 16) - (1 << 15)
-    # Two senders on one host overtake each other on the way to the tap.
+    # Packets of two senders on one host may overtake each other on the way to the tap.
     order = np.argsort((run << 16) + ahead, kind="stable")
     run, ahead, time_ns, odd = run[order], ahead[order], time_ns[order], identification[order] % 2 == 1
     different = np.concatenate(([True], (np.diff(ahead) != 0) | (np.diff(run) != 0)))
     run, ahead, time_ns, odd = run[different], ahead[different], time_ns[different], odd[different]
 
     def both(places: int, step: int) -> int:
-        """Count pairs so many places apart whose numbers are so many apart, within a tick."""
+        """Count pairs of odd numbers ``places`` rows and ``step`` numbers apart, within a tick."""
         near = (run[places:] == run[:-places]) & (np.abs(time_ns[places:] - time_ns[:-places]) < _TICK_NS)
         return int((near & odd[:-places] & (ahead[places:] - ahead[:-places] == step)).sum())
 
@@ -289,11 +294,11 @@ def _between(time_ns: Integers, identification: NDArray[np.uint16]) -> tuple[int
 def check_inputs(
     rows: Rows, hops: Sequence[Hop], hosts: NDArray[np.int32], holes: Sequence[tuple[int, int]] = ()
 ) -> Iterator[Evidence]:
-    """Yield for each way in how many messages came out, and how many of these were not captured before.
+    """Yield for each stream into cFS the messages made from its commands (rule 2).
 
     Args:
-        hosts: endpoint to the number of its address.
-        holes: from when to when nothing was captured, ns.
+        hosts: i32, number of the address of each endpoint.
+        holes: spans (start, end), ns, in which nothing was captured.
     """
     start_ns = int(rows.time_ns[0]) if len(rows) else 0
     best: dict[int, Evidence] = {}
@@ -312,7 +317,7 @@ def check_inputs(
             into = members[0].into
             sender = int(hosts[rows.source[into.rows[0]]])
             evidence = Evidence("inputs", sender, int(usable.sum()), int((usable & ~captured).sum()))
-            # What comes out on several ways checks what goes in once.
+            # A stream whose messages come out on several ways is checked by one of these.
             if evidence.checked > (best[id(into)].checked if id(into) in best else 0):
                 best[id(into)] = evidence
     yield from best.values()
@@ -321,10 +326,10 @@ def check_inputs(
 def check_ci_counts(
     rows: Rows, payloads: Payloads, instances: Instances, holes: Sequence[tuple[int, int]] = ()
 ) -> Iterator[Evidence]:
-    """Yield for each CI how many datagrams it counted between times of rest, and how many lack.
+    """Yield for each CI the datagrams that it counted between times at which its socket was empty (rule 3).
 
     Args:
-        holes: from when to when nothing was captured, ns.
+        holes: spans (start, end), ns, in which nothing was captured.
     """
     to_ci = np.flatnonzero(rows.on(lambda link: link.only_to_cfs))
     samples = payloads.ingest
@@ -350,12 +355,19 @@ def check_ci_counts(
 def _rests(
     sent_ns: Integers, made_ns: Integers, total: Integers, holes: Sequence[tuple[int, int]]
 ) -> tuple[Integers, Integers]:
-    """Return what CI counted, and what was captured, between two samples at which it had read everything."""
+    """Return what CI counted, and what was captured, between samples at which its socket was empty: i64.
+
+    Args:
+        sent_ns: times of the datagrams to this CI, in order.
+        made_ns: times of the samples, in order.
+        total: count of CI at each sample.
+        holes: spans (start, end), ns, in which nothing was captured.
+    """
     before = np.searchsorted(sent_ns, made_ns - _REST_NS)
-    # Nothing waits in its socket where it read as many since its last count as came.
+    # The socket is empty if CI read, since its last sample, as many datagrams as arrived.
     usual = np.diff(total, prepend=total[:1]) == np.diff(before, prepend=before[:1])
     rest = np.flatnonzero(usual & (before == np.searchsorted(sent_ns, made_ns + _LATE_NS)))
-    # A count of just as many as were captured in all began with the first of them.
+    # If the count equals the number captured so far, CI counted from the first captured datagram on.
     start = rest[(total[rest] == before[rest]) & (before[rest] >= _LEAST_COUNTED)][-1:]
     if len(start):
         return total[start], before[start]
@@ -372,11 +384,11 @@ def check_sequence_counts(
     tracks: Mapping[int, Track],
     holes: Sequence[tuple[int, int]] = (),
 ) -> Iterator[Evidence]:
-    """Yield for each stream how many messages were counted while the bus lost none, and how many lack.
+    """Yield for each stream the sequence counts while the bus counted no loss (rule 4).
 
     Args:
-        tracks: instance to the counters of its software bus.
-        holes: from when to when nothing was captured, ns.
+        tracks: instance to the history of its bus counters.
+        holes: spans (start, end), ns, in which nothing was captured.
     """
     for stream in streams:
         track = tracks.get(stream.instance)
@@ -400,11 +412,11 @@ def check_sequence_counts(
 def check_periods(
     rows: Rows, streams: Sequence[Stream], hosts: NDArray[np.int32], holes: Sequence[tuple[int, int]] = ()
 ) -> Iterator[Evidence]:
-    """Yield for what is sent to cFS at an even rate how many periods passed, and how many of these lack it.
+    """Yield for each stream into cFS with an even rate its periods, and those without a message (rule 5).
 
     Args:
-        hosts: endpoint to the number of its address.
-        holes: from when to when nothing was captured, ns.
+        hosts: i32, number of the address of each endpoint.
+        holes: spans (start, end), ns, in which nothing was captured.
     """
     for stream in streams:
         for span in () if stream.link.only_from_cfs else stream.spans:
@@ -420,7 +432,7 @@ def check_periods(
 
 
 def _quiet(track: Track, start_ns: Integers, end_ns: Integers) -> Mask:
-    """Tell in which times samples on both sides say that the bus lost nothing."""
+    """Return in which spans the bus counters did not grow, by a sample on either side: bool (n,)."""
     times = np.array(track.times, np.int64)
     lost = np.array(track.totals["pipe_overflows"]) + np.array(track.totals["msg_limits"])
     low = np.searchsorted(times, start_ns, "right") - 1
@@ -430,7 +442,7 @@ def _quiet(track: Track, start_ns: Integers, end_ns: Integers) -> Mask:
 
 
 def overlapping(start_ns: Integers, end_ns: Integers, holes: Sequence[tuple[int, int]]) -> Mask:
-    """Tell which times overlap one of some spans: bool."""
+    """Return which times overlap one of the spans ``holes``, ns: bool (n,)."""
     out = np.zeros(len(start_ns), bool)
     for begin, end in holes:
         out |= (start_ns < end) & (end_ns > begin)
@@ -438,7 +450,7 @@ def overlapping(start_ns: Integers, end_ns: Integers, holes: Sequence[tuple[int,
 
 
 def binomial_tail(missing: int, checked: int, share: float) -> float:
-    """Return the probability that at most ``missing`` of ``checked`` are missed, each with a probability."""
+    """Return the probability of at most ``missing`` misses in ``checked`` trials of probability ``share``."""
     if share <= 0 or missing >= checked:
         return 1.0
     if share >= 1:
@@ -448,7 +460,7 @@ def binomial_tail(missing: int, checked: int, share: float) -> float:
         return 1.0
     top = lgamma(checked + 1) - lgamma(missing + 1) - lgamma(checked - missing + 1)
     top += missing * log(share) + (checked - missing) * log1p(-share)
-    # Each term is made of the one above it; what lies further down is less than the last digit.
+    # Each term follows from the one above it; terms further down are smaller than the last digit.
     lower = np.arange(missing, max(missing - 2 * reach, 0), -1)
     ratios = np.log(lower) - np.log(checked - lower + 1) + log1p(-share) - log(share)
     return min(1.0, float(np.exp(top + np.cumsum(ratios)).sum()) + exp(top))
@@ -456,7 +468,7 @@ def binomial_tail(missing: int, checked: int, share: float) -> float:
 
 @cache
 def largest_share(checked: int, missing: int, confidence: float = CONFIDENCE) -> float:
-    """Return the upper end of the one-sided interval of Clopper and Pearson for a share, 0 to 1."""
+    """Return the upper end of the one-sided Clopper-Pearson interval for the missing share, 0 to 1."""
     if missing >= checked:
         return 1.0
     low, high = missing / checked, 1.0
@@ -471,10 +483,10 @@ def largest_share(checked: int, missing: int, confidence: float = CONFIDENCE) ->
 
 @cache
 def largest_number(count: int, checked: int, missing: int, confidence: float = CONFIDENCE) -> int:
-    """Return how many of so many datagrams can be missed, where others were checked, by Fisher's exact test.
+    """Return how many of ``count`` unchecked datagrams can be missing, by Fisher's exact test.
 
-    If each is missed by chance, those that are missed lie among the checked and the others as their numbers
-    say: that so few lie among the checked would be less likely than the confidence allows.
+    If datagrams are missed at random, the missing ones spread over checked and unchecked datagrams in
+    proportion. The result is the largest number that the confidence does not exclude.
     """
 
     def is_unlikely(number: int) -> bool:
@@ -484,7 +496,14 @@ def largest_number(count: int, checked: int, missing: int, confidence: float = C
 
 
 def hypergeometric_tail(most: int, checked: int, others: int, drawn: int) -> float:
-    """Return the probability that at most ``most`` of so many drawn, none twice, are among the checked."""
+    """Return the probability of at most ``most`` checked datagrams in a draw without replacement.
+
+    Args:
+        most: largest number of checked datagrams among those drawn.
+        checked: number of checked datagrams.
+        others: number of unchecked datagrams.
+        drawn: number of datagrams drawn from both.
+    """
 
     def ways(of: int, number: int) -> float:
         return lgamma(of + 1) - lgamma(number + 1) - lgamma(of - number + 1)
@@ -493,29 +512,29 @@ def hypergeometric_tail(most: int, checked: int, others: int, drawn: int) -> flo
     if top < least:
         return 0.0
     highest = ways(checked, top) + ways(others, drawn - top) - ways(checked + others, drawn)
-    number = np.arange(top, least, -1)  # each term is made of the one above it
+    number = np.arange(top, least, -1)  # each term follows from the one above it
     more = np.log(number) + np.log(others - drawn + number)
     ratios = more - np.log(checked - number + 1) - np.log(drawn - number + 1)
     return exp(highest) + float(np.exp(highest + np.cumsum(ratios)).sum())
 
 
 _LEAST_NS: Final = 1500 * MILLISECOND
-"""Telemetry Output wakes up three times in so long."""
+"""Telemetry Output wakes up three times in this time."""
 _ROUND_NS: Final = 500 * MILLISECOND
 _AROUND_NS: Final = 30 * SECOND
 _IDLE_NS: Final = SECOND
 _LEAST_ROWS: Final = 2
 _LEAST_STREAMS: Final = 3
-"""Fewer packets that miss at one time are no hole; nor are they one for sure in fewer streams."""
+"""Least number of missing packets for a hole, and of streams that miss some for a certain hole."""
 _MOST: Final = 64
-"""Holes that are told, the longest."""
+"""Largest number of holes that are looked for; the longest gaps come first."""
 
 
 def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """Return from when to when the capture has holes, and may have; rows are in order of time.
+    """Return the certain holes of a capture, then the possible ones (rules 12 to 15): (start, end) in ns.
 
-    It may have one where nothing at all was captured for long, or most of what cFS sends is missing, and no
-    other shows that it went on sending.
+    Args:
+        rows: table of datagrams, in order of time.
     """
     steps = np.diff(rows.time_ns)
     long = np.flatnonzero(steps >= _ROUND_NS)
@@ -537,7 +556,7 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
 
 
 def _counted_streams(rows: Rows) -> list[Places]:
-    """Return the rows of each stream that cFS counts."""
+    """Return the rows of each stream from cFS with sequence counts."""
     own = np.flatnonzero(rows.counted & rows.on(lambda link: link.from_cfs))
     keys = (rows.link, rows.source, rows.destination, rows.processor_id, rows.msg_id)
     _, which = numbered(*(key[own].astype(np.int64) for key in keys))
@@ -545,7 +564,7 @@ def _counted_streams(rows: Rows) -> list[Places]:
 
 
 def _steady(times: Integers, start_ns: int, end_ns: int) -> bool:
-    """Tell whether someone sent before and after a time, and far more often than once in so long."""
+    """Return whether a sender was active around a span, with a period much shorter than the span."""
     at = int(np.searchsorted(times, start_ns, "right"))
     before, after = times[:at], times[at:]
     before, after = before[before > start_ns - _AROUND_NS], after[after < end_ns + _AROUND_NS]
@@ -557,7 +576,7 @@ def _steady(times: Integers, start_ns: int, end_ns: int) -> bool:
 
 
 def _missing_at(rows: Rows, streams: Sequence[Places], start_ns: int) -> tuple[int, int, int]:
-    """Return how many streams miss counts at a time, how many are there around it, how many packets miss."""
+    """Return how many streams miss counts after a time, the number of streams, and of missing packets."""
     missing = number = packets = 0
     for own in streams:
         at = int(np.searchsorted(rows.time_ns[own], start_ns, "right"))
@@ -569,13 +588,13 @@ def _missing_at(rows: Rows, streams: Sequence[Places], start_ns: int) -> tuple[i
 
 
 class HostDrops(NamedTuple):
-    """Increases of the kernel's counters.
+    """Increases of the kernel's counters during a capture.
 
     Attributes:
-        by_port: datagrams dropped by full sockets, by UDP port; only ports that dropped some.
-        reassembly_failures: IP packets whose fragments did not all come.
+        by_port: UDP port to datagrams that its full socket dropped; only ports with drops.
+        reassembly_failures: IP packets that could not be put together from their fragments.
         interface_drops: frames that interfaces dropped on receipt.
-        ports: UDP ports that a socket was open on.
+        ports: UDP ports with an open socket.
     """
 
     by_port: dict[int, int]
@@ -585,12 +604,12 @@ class HostDrops(NamedTuple):
 
 
 def host_drops(readings: Sequence[HostCounters], start_ns: int, end_ns: int) -> HostDrops:
-    """Return what was dropped between two times, as closely as the readings tell.
+    """Return the kernel's drops between two times, from the readings closest around them.
 
     Args:
-        readings: oldest first.
-        start_ns: ns since 1970; the last reading before it is the one that counting begins at.
-        end_ns: the first reading after it is the one that counting ends at.
+        readings: readings of the counters, oldest first.
+        start_ns: begin, ns since 1970; the last reading at or before it is the base.
+        end_ns: end, ns since 1970; the first reading at or after it is the last one used.
     """
     before = [item for item in readings if item.time_ns <= start_ns] or list(readings[:1])
     after = next((at for at, item in enumerate(readings) if item.time_ns >= end_ns), len(readings) - 1)
