@@ -1,8 +1,14 @@
-"""The same message on two links: what crossed cFS, how long that took, and what never came out.
+"""Matches messages on two links: which ones crossed cFS, how long they took, and which never came out.
 
-A packet that cFS only hands on is the same bytes on both; a message that an application reads and writes anew
-has another MsgId and the same body. Only where no bodies are alike are values compared, as the types of a
-mission have them: what the bytes tell holds with any mission.
+Rules:
+
+1. A packet that cFS only forwards has the same bytes on both links.
+2. A message that an application reads and sends on has another MsgId and the same body.
+3. Values are compared, with the mission's types, only if no bodies are equal. So a result from bytes does not
+   depend on the mission.
+4. Each stream that comes out has one MsgId that goes in: the one with most equal fingerprints. Only a robot
+   may get messages of several MsgIds.
+5. A message that came out is matched with the latest equal message that went in before it.
 """
 
 from __future__ import annotations
@@ -30,31 +36,31 @@ if TYPE_CHECKING:
     from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
 _LONGEST_NS: Final = 120 * SECOND
-"""No message is under way for longer: a full socket at CI is read within a minute and a half."""
+"""Longest time under way: CI reads a full socket within a minute and a half."""
 _EARLY_NS: Final = 20 * MILLISECOND
-"""By so much a message may come out before it went in: times of two interfaces, or of a busy host."""
+"""Largest error between two capture times: a message may seem to come out this much before it went in."""
 _ALIKE: Final = 0.5
 _LEAST_DIFFERENT: Final = 3
 _NEARLY_ALL: Final = 0.9
 _BODIES: Final = "body_print", "body_print"
 _VALUES: Final = "value_print", "value_print"
 _TO_ROBOT: Final = _BODIES, _VALUES, ("value_print", "stamped_print"), ("shared_print", "shared_print")
-"""A robot is sent bare numbers, their bytes or values as the configured type has them, or a struct."""
+"""Fingerprints (in, out) for a robot: it gets the body of a message, its values, or a struct of its own."""
 _REWRITTEN: Final = _BODIES, ("stamped_print", "stamped_print"), _VALUES
-"""What streams of different MsgIds are compared by: fingerprints of what goes in and of what comes out."""
+"""Fingerprints (in, out) for streams of different MsgIds."""
 _TIED: Final = 8
-"""So many ways in that are equally likely are looked at."""
+"""Largest number of equally likely streams in, for one stream out."""
 _COUNT: Final = "count"
 _OF_PACKETS: Final = ("packet_print", "packet_print"), (_COUNT, _COUNT)
-"""Of one MsgId: the packets, and the counts of those that the capture cut."""
+"""Fingerprints (in, out) for streams of one MsgId: whole packets, or counts if the capture cut packets."""
 _COMPARED: Final = (*_REWRITTEN, *_TO_ROBOT[2:], *_OF_PACKETS)
-"""All of these, the strictest first; ``_BODIES`` is before any other."""
+"""All pairs of fingerprints, the strictest first: ``_BODIES`` before any other."""
 _PAIRS: Final = 1 << 20
-"""Equal fingerprints that are held against each other at once."""
+"""Largest number of pairs that are compared at once, which bounds the memory."""
 
 
 class Latency(msgspec.Struct, frozen=True):
-    """How long messages took, in ms."""
+    """Delays of messages: their number, 50 % and 99 % quantiles and maximum, in ms."""
 
     count: int
     p50: float
@@ -67,25 +73,25 @@ class Latency(msgspec.Struct, frozen=True):
 
 
 class Hop(NamedTuple):
-    """Messages of one stream that came out again as another.
+    """A pair of streams: messages of the first left cFS as messages of the second.
 
     Attributes:
-        into: where they go in.
-        out: where they come out; the robot, where its link is ``OTHER``.
-        rewritten: an application read them and wrote them anew; else they are the same packets.
-        prints: u64, a row of ``into`` each: the fingerprint by which it was looked for; 0 where it has none.
-        arrived: bool, likewise: it came out.
-        perhaps: bool, likewise: it did not, but an equal one came out that is none of these.
-        single: bool, one for each that is ``known``: no other of them has its fingerprint.
-        origin: i64, a row of ``out`` each: the place in ``into`` that it came from, -1 where there is none.
-        sole: bool, likewise: its fingerprint occurs once coming out, and not twice going in.
-        doubled: how often one came out that already had.
-        latency: of those whose values occur once.
-        delays_ns: i64, the delay of each of those.
-        out_ns: i64, and when each came out.
-        last_ns: the longest that one took.
-        in_rows: intp, the messages that came out, as indices into the rows of ``into``.
-        out_rows: intp, and what each is, as an index into those of ``out``, ascending.
+        into: stream into cFS.
+        out: stream out of cFS, or to a robot.
+        rewritten: whether an application wrote the messages anew; else the packets are the same.
+        prints: u64 (rows of ``into``,), fingerprint that was searched for; 0 if the row has none.
+        arrived: bool (rows of ``into``,), the message came out.
+        perhaps: bool (rows of ``into``,), it did not, but an equal message came out that has no origin.
+        single: bool (rows of ``into`` with a fingerprint,), no other row of ``into`` has this fingerprint.
+        origin: i64 (rows of ``out``,), index of the matched row of ``into``; -1 without one.
+        sole: bool (rows of ``out``,), the fingerprint comes out once, and goes in at most once.
+        doubled: number of messages that came out again after an equal one that was matched.
+        latency: delays of messages whose fingerprint goes in once; None without any.
+        delays_ns: i64, the delay of each of these.
+        out_ns: i64, the time at which each of these came out.
+        last_ns: longest delay of all that came out.
+        in_rows: intp, messages that came out, as indices into the rows of ``into``.
+        out_rows: intp, the matched row of ``out`` for each of ``in_rows``, ascending.
     """
 
     into: Stream
@@ -107,58 +113,61 @@ class Hop(NamedTuple):
 
     @property
     def known(self) -> Mask:
-        """Which have a fingerprint, so that they can be found again."""
+        """The messages with a fingerprint, which alone can be matched: bool (rows of ``into``,)."""
         return np.asarray(self.prints != 0)
 
     @property
     def is_copy(self) -> bool:
-        """Whether Telemetry Output was told to send commands as well, which go on to an application."""
+        """Whether the second stream is only a copy: Telemetry Output also sends the commands themselves."""
         return self.into.is_command and not self.rewritten and self.out.link.only_from_cfs
 
     @property
     def of(self) -> int:
-        """How many went in that can be found again."""
+        """Number of messages that went in and have a fingerprint."""
         return int(self.known.sum())
 
     @property
     def matched(self) -> int:
-        """How many of those came out."""
+        """Number of messages that came out."""
         return int(self.arrived.sum())
 
     @property
     def first(self) -> tuple[int, int]:
-        """When the first came out, and when it had gone in, ns since 1970."""
+        """Times of the first message: when it came out, and when it went in, ns since 1970."""
         return int(self.out.time_ns[self.out_rows[0]]), int(self.into.time_ns[self.in_rows[0]])
 
     @property
     def absent(self) -> Mask:
-        """Which of those did not."""
+        """The messages with a fingerprint that did not come out: bool (rows of ``into``,)."""
         return self.known & ~self.arrived
 
 
 class Crossing(Protocol):
-    """Tells which streams may be what others were further on; each is asked once for streams of one kind.
+    """Knows which streams may leave cFS as which others.
 
     Attributes:
-        unsteady_ns: by how much capture times are wrong in no order.
+        unsteady_ns: random error of the capture times, ns.
     """
 
     unsteady_ns: int
 
     def arrival(self, stream: Stream) -> Hashable:
-        """Return all that matters of a stream that goes in; None where nothing of it comes out."""
+        """Return a key of a stream in; equal keys give equal answers of ``follows``; None if none follows."""
 
     def departure(self, stream: Stream) -> Hashable:
-        """Return all that matters of a stream that comes out."""
+        """Return a key of a stream out; equal keys give equal answers of ``follows``."""
 
     def follows(self, into: Stream, out: Stream) -> bool:
-        """Tell whether one stream's receiver is the sender of another."""
+        """Return whether the cFS that receives ``into`` may be the one that sends ``out``."""
 
 
 def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list[Hop]:
-    """Find every pair of streams of which one is the other, further on.
+    """Return every pair of streams of which the second has messages of the first (rules 1 to 4).
 
-    Each way out has one MsgId that goes in, by CI or by SBN, but for a robot's: several may command it.
+    Args:
+        streams: streams into cFS, out of cFS and to robots.
+        rows: table of datagrams.
+        crossing: knows which streams may follow which.
     """
     goes_in = [item for item in streams if item.link.to_cfs and item.link.packets]
     ways_in = _Ends(goes_in, rows, crossing.arrival, [item.receiver for item in goes_in])
@@ -170,7 +179,7 @@ def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list
         for at, (place, (came_by, went_by)) in sorted(_ways_in(ways_in, ways_out, crossing.follows).items()):
             into, out = ways_in.streams[place], ways_out.streams[at]
             came, went = ways_in.of(place, came_by), ways_out.of(at, went_by)
-            is_packet = out.counted and came_by in dict(_OF_PACKETS)  # whatever two capture clocks say
+            is_packet = out.counted and came_by in dict(_OF_PACKETS)  # exact, so clocks may differ more
             early_ns = max(_EARLY_NS, crossing.unsteady_ns, SECOND * is_packet)
             hops.append(_match(into, out, came, went, early_ns))
             for also, item in enumerate(
@@ -186,19 +195,19 @@ def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list
 
 
 class _Ends:
-    """Streams that go in, or that come out, in columns: an element each.
+    """The n streams into cFS, or out of it, as columns.
 
     Attributes:
-        msg_id: i64.
-        command: bool.
-        instance: i64.
-        peers: bool, between SBN peers.
-        last_hop: bool, to a robot.
-        span_ns: i64 (2, n), times of the first and of the last row.
-        end: i64, the endpoint at cFS.
-        cut: bool, the capture cut some packet.
-        same: i64, equal for the same stream on both sides.
-        party: i64, equal where all is that decides what may follow what; -1: nothing may.
+        msg_id: i64 (n,), cFE MsgId.
+        command: bool (n,), packets are commands.
+        instance: i64 (n,), index of the instance.
+        peers: bool (n,), link is between SBN peers.
+        last_hop: bool (n,), link goes to a robot.
+        span_ns: i64 (2, n), times of the first and the last row.
+        end: i64 (n,), number of the endpoint at cFS.
+        cut: bool (n,), the capture cut some packets.
+        same: i64 (n,), id of the stream object, to compare both sides.
+        party: i64 (n,), number of the key from ``Crossing``; -1 if nothing follows the stream.
     """
 
     def __init__(
@@ -230,24 +239,29 @@ class _Ends:
         return np.where(self._rows.counted[at], self._rows.sequence_count[at].astype(np.uint64) + 1, 0)
 
     def of(self, place: int, kind: str) -> Prints:
-        """Return the fingerprints of a stream's rows, u64: of a column, or its counts; 0 tells nothing."""
+        """Return the fingerprints of a stream's rows, u64 (rows,); 0 for none.
+
+        Args:
+            place: index of the stream.
+            kind: column of the table, or ``_COUNT`` for sequence counts.
+        """
         return self._prints(kind, self.streams[place].rows)
 
     def prints(self, kind: str, some: Mask) -> tuple[Places, Prints]:
-        """Return the fingerprints of some streams but 0, stream by stream: whose, and which."""
+        """Return the nonzero fingerprints of some streams: index of the stream, and u64 value, of each."""
         mine = slice(None) if some.all() else some[self._owner]
         owner, prints = self._owner[mine], self._prints(kind, self._at[mine])
         places = np.flatnonzero(prints)
         owner, prints = owner[places], prints[places]
         if kind != _COUNT:
             return owner, prints
-        # A count says nothing but within one MsgId of one cFS.
+        # A count is meaningful only within one MsgId of one instance.
         return owner, prints + (self.msg_id[owner] << 16 | self.instance[owner] << 48).astype(np.uint64)
 
     def keys(self, owner: Places, values: Prints, *, into: bool) -> tuple[Places, Prints]:
-        """Return what equal fingerprints are looked up by: whose, and which.
+        """Return lookup keys of fingerprints: index of the stream, and u64 key, of each.
 
-        Of what goes from an SBN peer to an SBN peer only the streams of one endpoint may be the same.
+        Streams that come from an SBN peer and go to an SBN peer match only at one endpoint of cFS.
         """
         peers = self.peers[owner]
         plain, ended = np.where(into & peers, 1, 0), np.where(peers, self.end[owner] + 2, 1)
@@ -259,14 +273,14 @@ class _Ends:
 def _ways_in(
     into: _Ends, out: _Ends, follows: Callable[[Stream, Stream], bool]
 ) -> dict[int, tuple[int, tuple[str, str]]]:
-    """Return the likeliest way in of each way out, and the fingerprints that are alike; by their places."""
+    """Return the likeliest stream in for each stream out, by index, with the fingerprints that match."""
     party = _Parties(into, out, follows)
     parts: list[Sequence[NDArray[Any]]] = []
     undecided = np.ones(len(out.streams), bool)
     for kinds in _COMPARED:
         parts += _scored(into, out, party, kinds, undecided)
         for _, at, _, score, _ in parts if kinds == _BODIES else ():
-            undecided[at[score >= _ALIKE]] = False  # what has equal bodies is not looked for by anything else
+            undecided[at[score >= _ALIKE]] = False  # rule 3
     if not parts:
         return {}
     place, at, order, score, near = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -297,14 +311,14 @@ def _ways_in(
 
 
 def share_out(alike: dict[int, list[int]], came: Integers, went: Integers) -> dict[int, int]:
-    """Give each way out one of the ways in that are equally likely: another one each, as far as there are.
+    """Return one of the equally likely candidates for each stream out, with different MsgIds if possible.
 
-    Those with equal values on both sides go by the order of their MsgIds; else the first is the likeliest.
+    Streams that compete for the same candidates get them in the order of MsgIds; else the first is taken.
 
     Args:
-        alike: way out to candidates.
-        came: MsgId of each candidate.
-        went: MsgId of each way out.
+        alike: index of a stream out to its candidates, the likeliest first.
+        came: i64, MsgId of each candidate.
+        went: i64, MsgId of each stream out.
     """
     queue = sorted(alike, key=lambda comes: (len(alike[comes]), int(went[comes])))
     ways: dict[int, int] = {}
@@ -318,12 +332,12 @@ def share_out(alike: dict[int, list[int]], came: Integers, went: Integers) -> di
 
 
 def _kind(places: Places) -> NDArray[np.uint8]:
-    """Return a number below 64 for each stream; every 64th has the same."""
+    """Return the bit number, 0 to 63, of each stream; every 64th stream shares one."""
     return (places % 64).astype(np.uint8)
 
 
 class _Parties:
-    """Answers for many pairs of streams whether one may follow the other, and asks once for each kind."""
+    """Answers for many pairs of streams whether one may follow the other; it asks once for each key."""
 
     def __init__(self, into: _Ends, out: _Ends, follows: Callable[[Stream, Stream], bool]) -> None:
         self._into, self._out, self._follows = into, out, follows
@@ -331,12 +345,11 @@ class _Parties:
         self._known: dict[int, bool] = {}
 
     def usable(self, kinds: tuple[str, str]) -> tuple[Mask, Prints]:
-        """Tell of which streams that go in something may come out, and which of them each way out may be.
-
-        Of very many it is not asked.
+        """Return which streams in and out are worth comparing; all of them if there are too many pairs.
 
         Returns:
-            bool, and a bit for each that it may be, by ``_kind``.
+            bool (streams in,), something may come out; u64 (streams out,), bits of the possible streams in,
+            by ``_kind``.
         """
         shape = len(self._into.streams), len(self._out.streams)
         able, fit = self._into.party >= 0, np.zeros(shape[1], np.uint64)
@@ -349,7 +362,7 @@ class _Parties:
         return np.isin(np.arange(shape[0]), place[fits]), fit
 
     def follows(self, place: Places, at: Places) -> Mask:
-        """Tell for pairs of places, of which none is of a party where nothing follows."""
+        """Return which pairs of streams (in, out), by index, may follow: bool; no ``party`` may be -1."""
         pair = self._into.party[place] * self._width + self._out.party[at]
         first, which = numbered(pair)
         for row in first.tolist():
@@ -362,12 +375,14 @@ class _Parties:
 def _scored(
     into: _Ends, out: _Ends, party: _Parties, kinds: tuple[str, str], undecided: Mask
 ) -> Iterator[Sequence[NDArray[Any]]]:
-    """Yield the likeliest ways in of each way out by one kind of fingerprints, and those that may be it.
+    """Yield the likeliest streams in for each stream out, by one kind of fingerprint.
 
-    Some of the rest may be, where what came first had gone in before the capture began: ``_likely`` tells.
+    Pairs with a robot stay even with a low score: its first messages may have gone in before the capture
+    began (``_likely``).
 
     Yields:
-        of pairs of streams: the places of both and of the fingerprints, how alike, how near the MsgIds are.
+        columns, one element a pair: index in, index out, index in ``_COMPARED``, score 0 to 1, and nearness
+        of the MsgIds (0 is nearest).
     """
     order = _COMPARED.index(kinds)
     goes, fit = party.usable(kinds)
@@ -378,7 +393,7 @@ def _scored(
     once = np.flatnonzero(some)[numbered(owner[some], values[some])[0]]
     owner, values, meeting = owner[once], values[once], meeting[once]
     different = np.bincount(owner, minlength=len(fit))
-    # Where too few differ to tell, nothing is alike; a robot gets no equal value by chance.
+    # Too few different values prove nothing, except at a robot, which gets no equal value by chance.
     enough = np.bincount(owner[meeting], minlength=len(fit)) >= _ALIKE * different
     some = ((enough & (different >= _LEAST_DIFFERENT)) | out.last_hop)[owner] & meeting
     if not some.any():
@@ -418,7 +433,7 @@ def _scored(
 
 
 def _may_follow(into: _Ends, out: _Ends, place: Places, at: Places, kinds: tuple[str, str]) -> Mask:
-    """Tell which pairs of places these fingerprints can make the same, as far as MsgIds and times go."""
+    """Return which pairs (in, out) of streams these fingerprints can match, by MsgIds and times: bool."""
     in_time = (out.span_ns[1, at] >= into.span_ns[0, place]) & (
         out.span_ns[0, at] <= into.span_ns[1, place] + _LONGEST_NS
     )
@@ -426,11 +441,11 @@ def _may_follow(into: _Ends, out: _Ends, place: Places, at: Places, kinds: tuple
     between = into.peers[place] & out.peers[at]
     if kinds in _OF_PACKETS:
         one = into.instance[place], out.instance[at]
-        # What is left of a packet differs with the headers before it; one cFS gives a count once.
+        # The rest of a cut packet depends on its outer headers; but a cFS uses each count only once.
         cut = (one[0] == one[1]) & (one[0] != NOBODY) & (into.cut[place] | out.cut[at])
         anyone = (one[0] == one[1]) | (one[0] == NOBODY) | (one[1] == NOBODY)
         fits = same & ~robot & ~between & anyone & (cut == (kinds[0] == _COUNT))
-        # SBN's pipes leave out what SBN itself has put on the bus.
+        # SBN never sends on what SBN itself has put on the bus.
         return np.asarray(in_time & fits & (into.same[place] != out.same[at]))
     command = into.command[place]
     other = ~same & (command != out.command[at]) & (~between | (into.end[place] == out.end[at]))
@@ -439,11 +454,11 @@ def _may_follow(into: _Ends, out: _Ends, place: Places, at: Places, kinds: tuple
 
 
 def _likely(came: Prints, went: Prints) -> bool:
-    """Tell whether a robot gets what goes in: what it got before the first that did had gone in before.
+    """Return whether a robot gets these messages, though its first ones went in before the capture began.
 
     Args:
-        came: fingerprints of what goes in, of all MsgIds that may command it.
-        went: of what comes out.
+        came: u64, fingerprints of all messages in, of all MsgIds that may command it.
+        went: u64, fingerprints of the messages that it got, in order.
     """
     arrived = np.isin(went, came[came != 0])
     every, behind = (distinct(some[some != 0]) for some in (went, went[arrived.argmax() :]))
@@ -453,7 +468,13 @@ def _likely(came: Prints, went: Prints) -> bool:
 
 
 def _match(into: Stream, out: Stream, came: Prints, went: Prints, early_ns: int) -> Hop:
-    """Give every message that came out the latest equal one that had gone in and not come out yet."""
+    """Return the pair of two streams, with their messages matched (rule 5).
+
+    Args:
+        came: u64 (rows of ``into``,), fingerprints; 0 for none.
+        went: u64 (rows of ``out``,), fingerprints; 0 for none.
+        early_ns: largest time by which a message may seem to come out before it went in.
+    """
     in_ns, out_ns = into.time_ns, out.time_ns
     from_ = paired(came, in_ns - early_ns, went, out_ns)
     from_[out_ns - in_ns[from_] > _LONGEST_NS] = -1
@@ -490,7 +511,7 @@ def _match(into: Stream, out: Stream, came: Prints, went: Prints, early_ns: int)
 
 
 def latency_of(delay_ns: Integers) -> Latency | None:
-    """Return the figures of some delays; None where there are none."""
+    """Return number, quantiles and maximum of some delays, i64 ns; None without any."""
     if not len(delay_ns):
         return None
     p50, p99, most = (round(value / 1e6, 3) for value in quantiles(delay_ns, 0.5, 0.99, 1.0))

@@ -1,8 +1,11 @@
-"""Times in which a whole cFS stood still: stopped by its host, starved, or stuck in one task.
+"""Finds the times in which a whole cFS stood still: stopped by its host, starved, or stuck in one task.
 
-Nothing at all came of it, although it sent steadily before and after; no sequence count is missing, so it
-published nothing; and what came first behind was made then, so no network held it back. An output that was
-switched off, a boot, or a capture that saw nothing is no such time.
+Rules, all of which must hold:
+
+1. The capture has no packet of this cFS in that time, although it sent steadily before and after.
+2. Its streams miss almost no sequence counts there, so it published nothing.
+3. The first packets behind were made after that time, so no network delayed them.
+4. Telemetry Output was not switched off, cFS did not boot, and the capture had no outage.
 """
 
 from __future__ import annotations
@@ -24,14 +27,14 @@ if TYPE_CHECKING:
 
 _LEAST_NS: Final = SECOND
 _FACTOR: Final = 2
-"""Nothing for so many of the longest of its usual pauses: it stood still."""
+"""A silence of this many of its longest usual pauses is a stall."""
 _LEAST_STREAMS: Final = 3
 _DUE: Final = 1.2
-"""What comes more often than a pause is long was due in it."""
+"""A stream was due in a pause that is this many times longer than its period."""
 _EDGE: Final = 8
-"""The first and the last of so many parts of a pause may be of the time around it."""
+"""The first and the last eighth of a pause may belong to the time around it."""
 _BEHIND: Final = 8
-"""So many messages of a stream show when what waited was made."""
+"""Number of messages, from the last one before the pause on, whose mission times are checked."""
 _CFS: Final = StateOwner("cfs")
 _OFF: Final = (
     (StateOwner("output"), ("disabled", "suppressed")),
@@ -47,15 +50,15 @@ _OFF: Final = (
 def stalls(
     rows: Rows, streams: Sequence[Stream], instances: Instances, timeline: Timeline
 ) -> Iterator[Change]:
-    """Yield when each cFS stood still, and when it went on.
+    """Yield the beginning and the end of each stall of each cFS.
 
     Args:
-        timeline: what else is known of it.
+        timeline: all other states of cFS, applications and capture.
     """
     whose = np.array([*instances.systems, NOBODY])[instances.of_row]
     robot = rows.on(lambda link: link.last_hop)
     for system in sorted(set(instances.systems)):
-        # What goes to a robot comes of the only cFS, or may come of any.
+        # Datagrams to a robot may come from any of the cFS.
         times = rows.time_ns[(whose == system) | robot]
         steps = np.diff(times)
         if len(steps) < _LEAST_STREAMS:
@@ -89,9 +92,13 @@ def _switched_off(timeline: Timeline, system: int, start_ns: int, end_ns: int) -
 def _published_nothing(
     instances: Instances, streams: Sequence[Stream], pause: tuple[int, int], round_ns: int
 ) -> bool:
-    """Tell whether several steady streams were due, few of them lack any, and none was made meanwhile.
+    """Return whether several streams were due in a pause, few miss counts, and none was published in it.
 
-    What was made in the last round before waits in Telemetry Output's pipe, and comes out when all goes on.
+    Packets of the last round before the pause wait in Telemetry Output's pipe and come out behind it.
+
+    Args:
+        pause: begin and end, ns.
+        round_ns: usual time between two packets, ns.
     """
     start_ns, end_ns = pause
     pause_ns = end_ns - start_ns
@@ -106,10 +113,10 @@ def _published_nothing(
         made_ns = instances.made_ns[stream.rows[at : at + _BEHIND]]
         if ((made_ns > first_ns) & (made_ns < last_ns)).any():
             return False
-        # Where the capture begins just before the pause, what came behind it tells how often.
+        # If the capture begins just before the pause, the packets behind it show the period.
         first, last = (max(0, at - 20), at) if at else (1, min(21, len(times) - 1))
         if (times[last] - times[first]) * _DUE < pause_ns * (last - first):
             due += 1
-            # What it makes up for at once when it goes on may be more than a pipe takes.
+            # What cFS publishes at once when it goes on may be more than a pipe holds: some counts may miss.
             lacking += bool(stream.missing[at])
     return due >= _LEAST_STREAMS and 3 * lacking <= due

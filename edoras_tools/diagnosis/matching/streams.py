@@ -1,7 +1,11 @@
-"""What was seen of each MsgId on each link, what its sequence count says is missing, and its rates.
+"""Streams: the packets of one MsgId on one link, their gaps and their rates.
 
-A stream is one MsgId of one sender on one link. ``sessions.sequence`` has the rules of the counts. A span is
-a part of it in which it did one thing: it ends where the stream pauses or its rate changes.
+Rules:
+
+1. A stream has one MsgId, one link and one cFS instance. Commands to CI of all senders are one stream, as are
+   packets of a Telemetry Output that changed its port.
+2. ``sessions.sequence`` has the rules of sequence counts. A gap stands at the row in front of it.
+3. A span is a part of a stream at one rate. It ends where the stream pauses or its rate changes.
 """
 
 from __future__ import annotations
@@ -42,26 +46,26 @@ _MOST_MISSING: Final = 64
 
 
 class Stream(msgspec.Struct, eq=False, dict=True):
-    """One MsgId of one sender on one link.
+    """The packets of one MsgId on one link, in order of time.
 
     Attributes:
-        link: the link.
-        msg_id: cFE MsgId.
-        sender: endpoint it came from.
-        receiver: endpoint it went to.
-        processor: SBN identity of the sender, spacecraft and processor; (0, 0) elsewhere.
-        instance: index of the cFS that made it, ``NOBODY`` where unknown.
-        route: index of its configured route, or ``NO_ROUTE``.
-        rows: of the table, in order.
-        time_ns: i64 (rows,), their capture times, ns since 1970.
-        counted: whether its sequence count counts.
-        missing: i64 (rows,), counts that never came between a row and its next.
-        pauses: bool (rows,), the next row came after a pause: what is missing may never have come this way.
-        repeats: bool (rows,), the row repeats one that came before.
-        gaps: counts that never came, before its first row and at pauses too; not at a change of port.
-        reordered: rows that came late.
-        restarts: times the count began anew.
-        known_id: its MsgId as of version 1, as facts of cFS name it.
+        link: link that carries the packets.
+        msg_id: cFE MsgId of the packets.
+        sender: number of the endpoint that the first packet came from.
+        receiver: number of the endpoint that the first packet went to.
+        processor: SBN identity of the sender (spacecraft, processor); (0, 0) elsewhere.
+        instance: index of the cFS instance that published the packets; ``NOBODY`` if unknown.
+        route: index of the configured route, or ``NO_ROUTE``.
+        rows: intp (rows,), indices into the table of datagrams.
+        time_ns: i64 (rows,), capture times, ns since 1970.
+        counted: whether the packets have a usable sequence count.
+        missing: i64 (rows,), sequence counts missing between a row and the next one.
+        pauses: bool (rows,), a pause follows: counts missing there may never have been sent this way.
+        repeats: bool (rows,), the row is a duplicate of an earlier one.
+        gaps: sequence counts missing in all, also before the first row; without those at a change of port.
+        reordered: number of rows that came after a later one.
+        restarts: number of times that the sequence count restarted.
+        known_id: MsgId in message version 1, in which cFS facts are written.
     """
 
     link: Link
@@ -84,7 +88,7 @@ class Stream(msgspec.Struct, eq=False, dict=True):
 
     @property
     def way(self) -> tuple[int, int, int, int]:
-        """What distinguishes it from others, whoever made its packets: link, both ends, MsgId."""
+        """The path of the packets, whoever published them: code of the link, both endpoints, MsgId."""
         return self.link.code, self.sender, self.receiver, self.msg_id
 
     @property
@@ -94,22 +98,22 @@ class Stream(msgspec.Struct, eq=False, dict=True):
 
     @property
     def is_housekeeping(self) -> bool:
-        """Whether they are packets of cFS's own, and no topic of a mission."""
+        """Whether its MsgId is one of cFS itself, without a configured route."""
         return self.known_id in MSG_ID_NAMES and self.route == NO_ROUTE
 
     @property
     def duplicates(self) -> int:
-        """Rows that repeat one."""
+        """Number of rows that are duplicates."""
         return int(self.repeats.sum())
 
     @property
     def counts(self) -> NDArray[np.int64]:
-        """How many messages each row stands for, i64: itself, and those behind it that never came."""
+        """Number of messages that each row stands for, i64 (rows,): itself and those missing behind it."""
         return np.append(self.missing[:-1], 0) + ~self.repeats
 
     @cached_property
     def spans(self) -> list[Span]:
-        """Its parts at one rate each."""
+        """The parts of the stream with one rate each, in order."""
         out: list[Span] = []
         bounds = [0, *(np.flatnonzero(self.pauses) + 1).tolist(), len(self)]
         for first, end in pairwise(bounds):
@@ -128,10 +132,10 @@ class Stream(msgspec.Struct, eq=False, dict=True):
 
 
 def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
-    """Return every stream of a capture."""
+    """Return all streams of a capture, in the order of link, endpoints and MsgId."""
     instance = _whole(rows, instances)
     packets = np.flatnonzero(rows.msg_id != NO_MSG_ID)
-    # Whoever commands does not count, and may use any number of ports.
+    # Senders of commands have no common count, and may use any number of ports.
     up = rows.on(lambda item: item.only_to_cfs, packets)
     down = rows.on(lambda item: item.only_from_cfs, packets)
     sender = np.where(up, -1, rows.source[packets])
@@ -141,7 +145,7 @@ def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
     packet = rows.processor_id[packets], rows.spacecraft_id[packets], rows.msg_id[packets]
     keys = rows.link[packets], sender, receiver, *packet, np.where(up, NOBODY, instance[packets])
     first, which = numbered(*keys)
-    # In the order of their keys, whatever comes first in the capture.
+    # The order of the keys does not depend on the order of the capture.
     order = np.lexsort([key[first] for key in reversed(keys)])
     number = np.empty_like(order)
     number[order] = np.arange(len(order))
@@ -150,7 +154,7 @@ def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
 
 
 def find_robots(rows: Rows) -> list[Stream]:
-    """Return what was sent to each robot: bare numbers, no MsgId and no count."""
+    """Return one stream for each pair of endpoints of robot links; these have no MsgId and no count."""
     own = np.flatnonzero(rows.on(lambda item: item.last_hop))
     nobody, none = np.full(len(rows), NOBODY, np.int32), own[:0]
     streams = [_stream(rows, members, nobody, none) for _, members in groups(rows.way(), own)]
@@ -158,7 +162,7 @@ def find_robots(rows: Rows) -> list[Stream]:
 
 
 class Reset(NamedTuple):
-    """A cFS started again and its clock went on, as after a processor reset: between two times."""
+    """A restart of a cFS, between two times in ns, after which its clock went on (processor reset)."""
 
     instance: int
     start_ns: int
@@ -166,10 +170,10 @@ class Reset(NamedTuple):
 
 
 def find_resets(rows: Rows, streams: Sequence[Stream]) -> list[Reset]:
-    """Return every restart of a cFS whose clock went on.
+    """Return every restart of a cFS after which its clock went on.
 
-    Telemetry Output speaks from another port, and most MsgIds count from lower on: if it alone had started
-    again, they would go on. Each MsgId tells a time before and one after; those that overlap are one restart.
+    Telemetry Output then sends from another port, and most sequence counts fall. If only Telemetry Output had
+    restarted, the counts would go on. Each MsgId gives an interval; overlapping ones are one restart.
     """
     spans: dict[int, list[tuple[int, int, bool]]] = {}
     for stream in streams:
@@ -194,7 +198,7 @@ def find_resets(rows: Rows, streams: Sequence[Stream]) -> list[Reset]:
 
 
 def _whole(rows: Rows, instances: Instances) -> NDArray[np.int32]:
-    """Give packets without a time of their own (wake-ups) the instance whose count they continue."""
+    """Return the instance of each row, i32: packets without a time get the one whose count they continue."""
     out = instances.of_row.copy()
     network = rows.on(lambda link: link.peers)
     output = rows.on(lambda link: link.only_from_cfs)
@@ -205,7 +209,7 @@ def _whole(rows: Rows, instances: Instances) -> NDArray[np.int32]:
         key = [sender]
         if mask is output and len(lost):
             lost = _handed_on(rows, lost, out)
-        # Behind TO several instances share a MsgId; an SBN sender is one instance at a time.
+        # Several instances may send one MsgId through TO; an SBN sender is one instance at a time.
         key += [rows.msg_id.astype(np.int64)] * (mask is output)
         both = np.concatenate((lost, timed))
         which = numbered(*(column[both] for column in key))[1]
@@ -218,12 +222,17 @@ def _whole(rows: Rows, instances: Instances) -> NDArray[np.int32]:
 
 
 def _handed_on(rows: Rows, lost: NDArray[np.intp], out: NDArray[np.int32]) -> NDArray[np.intp]:
-    """Give packets from Telemetry Output the instance that sent the same ones over SBN; return the others."""
+    """Assign packets of Telemetry Output to the instance that sent equal ones over SBN; return the rest.
+
+    Args:
+        lost: rows without an instance.
+        out: i32, instance of each row; changed in place.
+    """
     network = np.flatnonzero(rows.on(lambda link: link.peers) & np.isin(rows.msg_id, rows.msg_id[lost]))
     both = np.concatenate((network, lost))
     cut = rows.msg_id[both[rows.has(Finding.CAPTURE_CUT)[both]]]
     rest = []
-    # Cut packets are compared otherwise: a MsgId that has one apart from those that have none.
+    # Cut packets are compared by count, whole ones by their bytes: so MsgIds with cut packets go apart.
     for some in (True, False):
         mine, theirs = (item[np.isin(rows.msg_id[item], cut) == some] for item in (lost, network))
         from_ = handed_on(rows, theirs, mine)
@@ -261,12 +270,18 @@ def _nearest(
 def _stream(
     rows: Rows, members: NDArray[np.intp], instance: NDArray[np.int32], behind: NDArray[np.intp]
 ) -> Stream:
-    """Account for some rows; ``behind`` are all those behind bytes that the capture lacks."""
+    """Return the stream of some rows.
+
+    Args:
+        members: rows of the stream, in order of time.
+        instance: i32, instance of each row of the table.
+        behind: rows of the table in front of which the capture lacks bytes of a TCP stream.
+    """
     first = int(members[0])
     routes = rows.route[members]
     own = routes[routes != NO_ROUTE]
     missing, time_ns = rows.missing[members], rows.time_ns[members]
-    gaps = int(missing.sum())  # as info has them, which knows of no restart: what follows is for judging
+    gaps = int(missing.sum())  # ``info`` prints these; the corrections below are for the diagnosis only
     link = table.link(rows.link[first])
     if link.only_from_cfs:
         _count_moves(rows, members, missing)
@@ -275,7 +290,7 @@ def _stream(
             rows.destination[behind] == rows.destination[first]
         )
         passed = np.searchsorted(behind[same], members, side="right")
-        missing[np.diff(passed, prepend=0) > 0] = 0  # TCP delivered them, the capture lacks them
+        missing[np.diff(passed, prepend=0) > 0] = 0  # TCP delivered these packets, the capture missed them
     return Stream(
         link=link,
         msg_id=int(rows.msg_id[first]),
@@ -292,16 +307,16 @@ def _stream(
         repeats=rows.duplicates[members] > 0,
         gaps=gaps,
         reordered=int(rows.reordered[members].sum()),
-        # Another cFS counts anew; that is no restart of this one's count.
+        # At the first row another cFS may have ended: that is no restart of this count.
         restarts=max(0, int(rows.restarts[members[1:]].sum())),
         known_id=int(rows.known_id[first]),
     )
 
 
 def _count_moves(rows: Rows, members: NDArray[np.intp], missing: NDArray[np.int32]) -> None:
-    """Put into ``missing`` what is missing where a stream moves to another port.
+    """Set ``missing`` at the rows where a stream moves to another port.
 
-    Each port has a count of its own to follow; that of a Telemetry Output that restarted goes on.
+    Sequence counts are followed for each port. When Telemetry Output restarts, the counts go on elsewhere.
     """
     moved = np.flatnonzero(np.diff(rows.source[members])) + 1
     if not len(moved):
@@ -312,15 +327,16 @@ def _count_moves(rows: Rows, members: NDArray[np.intp], missing: NDArray[np.int3
     ahead = (count[moved] - before - 1) % MODULUS
     for step, (at, end) in enumerate(pairwise([*moved.tolist(), len(members)])):
         late = (count[at:end][~in_turn[at:end]] - before[step] - 1) % MODULUS
-        ahead[step] -= len(np.unique(late[late < ahead[step]]))  # the first one overtook them
-    # A step back is no wrap: whoever publishes it started again too.
+        ahead[step] -= len(np.unique(late[late < ahead[step]]))  # late packets are not missing
+    # A step back is no wrap: the publisher restarted too.
     missing[moved] = np.where(rows.counted[members[moved]] & (ahead < FORWARD), ahead, 0)
 
 
 def counted_gaps(rows: Rows, stream: Stream) -> Integers:
-    """Return how many counts of its one sender are missing behind each row, i64; 0 where that does not count.
+    """Return the sequence counts missing behind each row of a stream of commands, i64 (rows,).
 
-    Most of its steps are by one. What that sender counts together with other MsgIds is not missing.
+    All are 0 unless the stream has one sender and most of its counts step by one. A count that the sender
+    used for another MsgId is not missing.
     """
     own = stream.rows
     count, source = rows.sequence_count[own].astype(np.int64), rows.source[own]
@@ -337,7 +353,7 @@ def counted_gaps(rows: Rows, stream: Stream) -> Integers:
 
 
 def _pauses(times: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell after which rows a stream paused: so long as it never does while it runs."""
+    """Return after which rows a stream paused, bool (rows,): for far longer than its usual steps."""
     steps = np.diff(times)
     out = np.zeros(len(times), bool)
     if len(steps) > 2:
@@ -346,34 +362,34 @@ def _pauses(times: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 _CHANGE: Final = 1.6
-"""A rate that differs by this factor for two seconds is another rate."""
+"""A rate that differs by this factor for two seconds begins a new span."""
 _USUAL: Final = 600
-"""The usual rate is the median of so many seconds at most,"""
+"""The usual rate is the median of at most this many seconds."""
 _SILENT: Final = 10
-"""and of a silence only so many seconds count."""
+"""A silence counts as at most this many seconds."""
 _LEAST_HZ: Final = 4.0
 _LEAST_FULL: Final = 3
 _LEAST_ROUNDS: Final = 5
 _BY_CHANCE: Final = 0.001
-"""So many full rounds show a limit."""
+"""Full rounds show a limit only if chance has a lower probability than this."""
 _BURST_NS: Final = 60_000_000
 _FEW: Final = 4
 _WINDOW_NS: Final = 2 * SECOND
 _WINDOWS: Final = 3
 _STEADY: Final = 0.9
-"""Of windows of time that have as many messages as the others."""
+"""Share of windows with the usual number of messages, from which on a rate is steady."""
 
 
 class Span(msgspec.Struct, frozen=True):
-    """Part of a stream.
+    """A part of a stream with one rate.
 
     Attributes:
-        first: its first row, as an index into the stream's rows.
-        last: its last row.
-        start_ns: time of the first row.
-        end_ns: time of the last row.
-        count: rows, without those that repeat one.
-        missing: counts that never came, those behind its last row included.
+        first: index of the first row in the stream's rows.
+        last: index of the last row in the stream's rows.
+        start_ns: capture time of the first row.
+        end_ns: capture time of the last row.
+        count: number of rows without duplicates.
+        missing: number of missing sequence counts, including those behind the last row.
     """
 
     first: int
@@ -385,31 +401,36 @@ class Span(msgspec.Struct, frozen=True):
 
     @property
     def rows(self) -> slice:
-        """Where its rows are among the stream's."""
+        """The slice of its rows in the stream's rows."""
         return slice(self.first, self.last + 1)
 
     @property
     def rate_hz(self) -> float:
-        """Rows a second."""
+        """Received messages per second."""
         return rate_hz(self.count, self.end_ns - self.start_ns)
 
     @property
     def offered_hz(self) -> float:
-        """Rows and missing counts a second."""
+        """Received and missing messages per second."""
         return rate_hz(self.count + self.missing, self.end_ns - self.start_ns)
 
 
 def _changes(times: NDArray[np.int64], counts: NDArray[np.int64]) -> list[int]:
-    """Return the rows at which another rate begins, by whole seconds; each stands for so many messages."""
+    """Return the rows at which another rate begins, judged by whole seconds.
+
+    Args:
+        times: i64 (n,), ns.
+        counts: i64 (n,), number of messages that each row stands for.
+    """
     if len(times) < _FEW:
         return []
-    # A clock that jumps may leave centuries between two rows, or lead back.
+    # A set clock may put centuries between two rows, or go back.
     second = np.cumsum(np.clip(np.diff((times - times[0]) // SECOND, prepend=0), 0, _SILENT))
     offered = np.bincount(second, weights=counts)
     if len(offered) < _FEW or offered.max() - offered.min() <= _LEAST_HZ:
         return []
     rates, cuts, begin = offered.tolist(), [], 0
-    window: list[float] = []  # in order, so that the median needs no sorting
+    window: list[float] = []  # sorted, so that the median needs no sorting
     for at in range(1, len(rates) - 1):
         insort(window, rates[at - 1])
         if len(window) > _USUAL:
@@ -427,11 +448,11 @@ def _changes(times: NDArray[np.int64], counts: NDArray[np.int64]) -> list[int]:
 
 
 def steady_rate(times: NDArray[np.int64], missing: int = 0) -> float | None:
-    """Return at what rate messages came, in Hz, if they came steadily; else None.
+    """Return the rate of messages in Hz if it is steady; else None.
 
     Args:
-        times: when each came.
-        missing: counts that never came between them: they are of the rate too.
+        times: i64 (n,), ns, times of arrival.
+        missing: number of missing messages between them, which the rate includes.
     """
     length = int(times[-1] - times[0]) if len(times) else 0
     if len(times) <= _FEW or not length:
@@ -447,12 +468,12 @@ def steady_rate(times: NDArray[np.int64], missing: int = 0) -> float | None:
 
 
 class Comb(NamedTuple):
-    """How a stream arrives in rounds.
+    """The rounds in which messages arrive, as from a task that wakes up periodically.
 
     Attributes:
-        period_ns: from round to round; 0 where it does not come in rounds.
-        most: messages in a full round.
-        share: of rounds that were full.
+        period_ns: time from round to round; 0 if there are fewer than three rounds.
+        most: number of messages in a full round.
+        share: share of the rounds that are full, 0 to 1.
     """
 
     period_ns: int
@@ -461,13 +482,17 @@ class Comb(NamedTuple):
 
 
 def bursts(times: NDArray[np.int64], pause_ns: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first message and the size of each burst: between two of them is more than a pause."""
+    """Return the first message and the size of each burst, both intp; a longer pause separates two bursts."""
     begins = np.flatnonzero(np.diff(times, prepend=times[:1] - 2 * pause_ns) > pause_ns)
     return begins, np.diff(np.append(begins, len(times)))
 
 
 def comb(times: NDArray[np.int64]) -> Comb:
-    """Tell whether messages come in rounds, as what a task that wakes up now and then sends does."""
+    """Return the rounds in which messages arrive.
+
+    Args:
+        times: i64 (n,), ns, in order.
+    """
     if len(times) < 2 * _FEW:
         return Comb(0, 1, 0.0)
     begins, sizes = bursts(times, _BURST_NS)
@@ -477,14 +502,14 @@ def comb(times: NDArray[np.int64]) -> Comb:
 
 
 def full_where_lacking(times: NDArray[np.int64], missing: NDArray[np.int64], most: int) -> bool:
-    """Tell whether rounds behind which messages are missing are full: else fewer came, and more may wait.
+    """Return whether the rounds with missing messages are full, as a limit on waiting messages makes them.
 
-    None is larger then, but for what came while it was sent.
+    No round may be larger than a full one, except for the few messages that arrived during it.
 
     Args:
         times: i64 (n,), ns, of at least one message.
-        missing: (n,), how many are missing behind each.
-        most: how many a full round has.
+        missing: i64 (n,), number missing behind each.
+        most: number of messages in a full round.
     """
     begins, sizes = bursts(times, _BURST_NS)
     lacking = np.flatnonzero(np.add.reduceat(missing, begins))
@@ -493,14 +518,14 @@ def full_where_lacking(times: NDArray[np.int64], missing: NDArray[np.int64], mos
 
 
 def full_rounds(times: NDArray[np.int64], missing: NDArray[np.int64], period_ns: int) -> int:
-    """Return how many of a round came before any was missing, where that is no chance; else 0.
+    """Return the number of messages in a round before the first missing one; 0 if that may be chance.
 
-    So a limit shows without its counter: a network, or the capture, would lack some of other rounds, too.
+    This shows a limit without its counter: a network or the capture would lose messages anywhere in a round.
 
     Args:
-        times: i64 (n,), ns, when messages came.
-        missing: (n,), how many are missing behind each.
-        period_ns: of the rounds.
+        times: i64 (n,), ns, times of arrival.
+        missing: i64 (n,), number missing behind each.
+        period_ns: period of the rounds.
     """
     begins, sizes = bursts(times, period_ns // 4)
     if len(begins) < _LEAST_ROUNDS or abs(np.median(np.diff(times[begins])) - period_ns) > period_ns // 10:
