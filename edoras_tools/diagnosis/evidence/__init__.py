@@ -1,1 +1,1 @@
-"""What a diagnosis reads from a capture: counters, events, clocks and peers."""
+"""The evidence that a diagnosis reads from a capture: datagrams, counters, events, clocks and peers."""

@@ -1,40 +1,41 @@
-"""Datagrams that are there more than once: captured twice, doubled by the network, or sent by several.
+"""Finds datagrams that the capture has twice: captured twice, doubled by the network, or sent twice.
 
-One datagram keeps its IP identification and its bytes wherever it is captured, and a sender gives the next
-one another identification. So:
+A datagram keeps its IP identification and its bytes on its whole path, and a sender changes the
+identification with each datagram. So:
 
-1. Equal bytes between the same ports, with one identification that is not 0, within half a second: one
-   datagram, if the sender does not give one identification to many. Where it was captured at two places
-   (another link layer header, interface or time to live), or four of five datagrams of the conversation are
-   doubled, the capture did it: a *copy*, counted once. Else it is a *duplicate*: the network's, which its
-   receiver gets twice, as far as rules 3 to 7 cannot tell otherwise.
-2. Where the identification is 0 (it may be, where fragmenting is forbidden) equal bytes are a copy only
-   where they were captured at two places, or the whole conversation comes steadily in twos: at least eight
-   groups of equal datagrams within 5 ms, nearly all of exactly two. A burst of 50 equal datagrams is one
-   group, and stays 50.
+1. Datagrams with equal bytes, endpoints and identification (not 0) within half a second are one datagram,
+   unless the sender reuses one identification for many. It is a *copy*, made by the capture and counted once,
+   if it was captured at two places (another link layer header, interface or time to live), or if four of five
+   datagrams of the conversation are doubled. Else it is a *duplicate*, made by the network and received
+   twice, unless rules 3 to 7 show the opposite.
+2. If the identification is 0, which is allowed for datagrams that must not be fragmented, equal bytes are a
+   copy only if captured at two places, or if the whole conversation comes in pairs: at least eight groups of
+   equal datagrams within 5 ms, nearly all of exactly two. A burst of 50 equal datagrams is one group, and
+   stays 50.
 
-Two captures in one file have most datagrams of all ways twice, far apart where their clocks differ. These are
-copies; what is there once came to one of the two places, or the other missed it.
+Two captures merged into one file hold most datagrams of all conversations twice, far apart if their clocks
+differ. These are copies. A datagram that is there once reached only one of the two places, or the other
+place missed it.
 
-The receiver of a duplicate gets twice what the network doubled, and once what the capture did. So, in this
-order:
+A receiver gets a duplicate of the network twice, and a copy of the capture once. So, in this order:
 
-3. Between two of its counts CI read as many as were sent with the second ones, or as many as without them.
-   What was under way at either count makes a range: only where one of both is outside of it, it tells.
-4. What an application made of a command comes out as often as it got it. Values that were sent once tell.
-5. What is told of one way holds for the others: a capture doubles all, and a network that is known to has
-   not been helped.
-6. Two with one time are the capture's, since no interface gets two at once: each counts as half of one that
-   rules 3 and 4 tell of. Where these tell nothing, it alone decides.
-7. Else nothing tells. They are left out, and of what went to cFS it is uncertain whether that came twice.
+3. Between two of its samples, CI counted the datagrams with their duplicates, or without. The datagrams under
+   way at a sample make this a range; the sample decides only if one of the two numbers is outside the range.
+4. An application answers each command alike. Values that were sent once show how many messages one makes.
+5. A decision about one receiver holds for the others: a capture doubles everything, and so may a network.
+6. Two datagrams with equal capture times were doubled by the capture, because no interface receives two at
+   once. Each counts half as much as one that rules 3 and 4 decide; without these rules it decides alone.
+7. Else nothing decides. The second ones are left out, and for messages to cFS the ledger has them uncertain.
 
-A datagram whose checksum is wrong is no copy either: the network damaged it, and its receiver's kernel drops
-it. Where it was captured whole before that, by its IP identification, that is what was lost; where its way is
-captured at two places, others are left out, for the whole one is here as well. Of a host most of whose
-checksums are wrong they say nothing: its network card makes them.
+Damaged datagrams:
 
-Without equal identifications, echoes of a steady sender and several senders at once tell why more of a MsgId
-came than one sender means to send.
+8. A datagram with a wrong checksum is no copy. The network damaged it, and the receiver's kernel drops it.
+9. If the same datagram was captured whole before, by its identification, that one is lost. If its path was
+   captured at two places, a damaged one without a whole one is left out.
+10. If most checksums of a host are wrong, they prove nothing: its network card computes them.
+
+If identifications do not help, the echoes of a steady sender, or several senders at once, explain why more
+datagrams of a MsgId came than expected.
 """
 
 from __future__ import annotations
@@ -72,19 +73,19 @@ _LEAST_BYTES: Final = 16
 _LEAST_PAIRS: Final = 20
 _MOST_AGAIN: Final = 1.5
 _WINDOW_BITS: Final = 20
-"""For some hours in one batch; what is later counts as being at one time."""
+"""Bits for the number of a half-second window: some days in one batch; later windows share a number."""
 _NEVER_NS: Final = (1 << 63) - 1
 
 
 class Copies(NamedTuple):
-    """What is there more than once.
+    """The datagrams that an equal one precedes, of n.
 
     Attributes:
-        copy: bool (n,), captured before: not to be counted.
-        duplicate: bool (n,), captured before as well, at one place.
-        at_once: bool (n,), at the same time as the one before it that is equal.
-        alone: bool (n,), captured at one of two places that are in one file, and not at the other.
-        behind_ns: i64 (n,), of these by how much the clock of the second place is ahead of the first's.
+        copy: bool (n,), captured twice: not to be counted.
+        duplicate: bool (n,), there twice at one place: the network or the capture doubled it.
+        at_once: bool (n,), captured at the same time as the equal one before it.
+        alone: bool (n,), captured at only one of two places that are merged into one file.
+        behind_ns: i64 (n,), for ``alone`` of the second place, by how much its clock is ahead; else 0.
     """
 
     copy: Mask
@@ -97,20 +98,20 @@ class Copies(NamedTuple):
 def find_copies(
     time_ns: Integers, identification: NDArray[np.uint16], conversation: Integers, tap: Prints, prints: Prints
 ) -> Copies:
-    """Find the datagrams that are there more than once; the first of each stays.
+    """Return which datagrams an equal one precedes (rules 1 and 2); the first of each is not marked.
 
     Args:
-        time_ns: capture times, in order.
-        identification: of the IPv4 packets, 0 where there is none.
-        conversation: a number for each pair of endpoints.
-        tap: where it was captured, as ``Rows.tap``.
-        prints: fingerprints of the datagrams.
+        time_ns: i64 (n,), capture times, in order.
+        identification: u16 (n,), IPv4 identification; 0 if there is none.
+        conversation: i64 (n,), number of the pair of endpoints.
+        tap: u64 (n,), place of capture, as ``Rows.tap``.
+        prints: u64 (n,), fingerprints of the datagrams.
     """
     count = len(time_ns)
     copy, duplicate, at_once, alone = np.zeros((4, count), bool)
     out = Copies(copy, duplicate, at_once, alone, np.zeros(count, np.int64))
     key = (prints ^ conversation.astype(np.uint64) * MIX) * MIX ^ identification
-    ranked = np.sort(key)  # several times as fast as to order all rows, most of which are there once
+    ranked = np.sort(key)  # several times as fast as ordering all rows, most of which are unique
     several = np.flatnonzero(perhaps_in(key, ranked[1:][ranked[1:] == ranked[:-1]]))
     if not len(several):
         return out
@@ -130,7 +131,7 @@ def find_copies(
     near |= far[1:]
     if not near.any():
         return out
-    # A group is a run of equal ones, each near the one before it.
+    # A group is a run of equal datagrams, each near the one before it.
     group = np.concatenate(([0], np.cumsum(~near)))
     again = order[1:][near]
     out.at_once[order[1:]] = near & (step == 0)
@@ -141,25 +142,25 @@ def find_copies(
     group_size = np.ones(count, np.int64)
     group_size[order] = np.bincount(group)[group]
     if two_places:
-        # Before the first that both have, and behind the last, one of them may not have captured.
+        # Before the first common datagram, and after the last, one place may not have captured yet.
         pair = far if far.any() else same
         inside = (time_ns > when[pair].min()) & (time_ns < when[np.append(pair[1:], False)].max())
         both = np.isin(conversation, np.unique(conversation[order[same]]))
         out.alone[:] = (group_size == 1) & (identification != 0) & both & inside
         if (at := np.flatnonzero(far[1:])).size:
             apart_ns = int(np.median((when[1:] - when[:-1])[at]))
-            # What was sent before and behind it has an identification near its own: then it was sent, too.
+            # Neighbours in identification were sent at about the same time: so the nearer clock is its own.
             place = conversation.astype(np.int64) << 16 | identification
             pairs = order[at[np.argsort(place[order[at]])]]
             off_ns = time_ns - np.interp(place, place[pairs], time_ns[pairs].astype(np.float64))
             out.behind_ns[out.alone & (np.abs(off_ns - apart_ns) < np.abs(off_ns))] = apart_ns
     bare, mostly = identification == 0, _NEARLY_ALL
     if _of_most(conversation, np.flatnonzero(repeated & bare), np.flatnonzero(bare & ~repeated)):
-        mostly = _MOSTLY  # the capture doubles all that it does not miss
+        mostly = _MOSTLY  # the capture doubles all datagrams that it does not miss
     own = np.flatnonzero(np.isin(conversation, distinct(conversation[repeated])))
     for _, rows in groups(conversation, own):
         steady = False
-        for has_id in (True, False):  # among others that have one, 0 is one, too
+        for has_id in (True, False):  # a counter of identifications also passes 0
             mine = rows[(identification[rows] != 0) == has_id]
             twice = mine[repeated[mine]]
             if not len(twice):
@@ -175,7 +176,7 @@ def find_copies(
 
 
 def _varied(conversation: Integers, identification: NDArray[np.uint16], rows: Places) -> Mask:
-    """Tell which of some datagrams are of a sender that gives few of its datagrams one identification."""
+    """Return which datagrams belong to a conversation with mostly different identifications: bool."""
     own = np.flatnonzero(np.isin(conversation, distinct(conversation[rows])))
     _, which = numbered(conversation[own])
     first, _ = numbered(which, identification[own])
@@ -184,12 +185,12 @@ def _varied(conversation: Integers, identification: NDArray[np.uint16], rows: Pl
 
 
 def _of_most(conversation: Integers, twice: Places, first: Places) -> bool:
-    """Tell whether most datagrams are there twice, on most ways: no network does that, two places do.
+    """Return whether most datagrams of most conversations are there twice, as from two places of capture.
 
     Args:
-        conversation: of all.
-        twice: which are equal to the one before.
-        first: which are the first of equal ones.
+        conversation: i64 (n,), conversation of each datagram.
+        twice: datagrams that are equal to the one before.
+        first: datagrams that are the first of equal ones.
     """
     if not max(_LEAST_PAIRS, 0.5 * len(first)) <= len(twice) <= _MOST_AGAIN * len(first):
         return False
@@ -198,10 +199,10 @@ def _of_most(conversation: Integers, twice: Places, first: Places) -> bool:
 
 
 class Once:
-    """Takes batch after batch, and tells which datagrams were captured before.
+    """Finds copies in batch after batch.
 
     Attributes:
-        copies: how many were, so far.
+        copies: number of copies so far.
     """
 
     def __init__(self) -> None:
@@ -209,7 +210,7 @@ class Once:
         self._last: tuple[NDArray[Any], ...] = ()
 
     def keep(self, batch: PacketBatch, columns: Columns) -> Mask:
-        """Return which datagrams of a batch are to be counted; those of no link all are."""
+        """Return which datagrams of a batch count, bool (n,): all but copies; all of those without a link."""
         mask = np.ones(len(batch), bool)
         rows = np.flatnonzero(columns.link != OTHER)
         if len(rows) < len(batch):
@@ -220,7 +221,7 @@ class Once:
         base: tuple[NDArray[Any], ...] = batch.time_ns, identification, conversation
 
         def whole(some: Places | slice) -> tuple[NDArray[Any], ...]:
-            """Return what ``find_copies`` asks for, of some datagrams."""
+            """Return the arguments of ``find_copies`` for some datagrams, and their quick keys."""
             frame = batch.frame_offset[some]
             tap = of_bytes(batch.data, frame, network[some] - frame) + life[some]
             prints = of_bytes(batch.data, batch.offset[some], batch.length[some])
@@ -236,15 +237,15 @@ class Once:
         return mask
 
     def notes(self) -> list[str]:
-        """Return a line where there were any."""
+        """Return one line for people if there were copies, else none."""
         return [f"{self.copies:,} datagrams were captured twice, and are counted once"] * bool(self.copies)
 
 
 class Repeats:
-    """Takes batch after batch, and tells whether two that are near each other may be equal.
+    """Checks batch after batch quickly for equal datagrams near each other.
 
     Attributes:
-        possible: two may be, so far.
+        possible: whether two datagrams so far may be equal.
     """
 
     def __init__(self) -> None:
@@ -252,7 +253,7 @@ class Repeats:
         self._last = np.zeros(0, np.uint64), np.zeros(0, np.int64)
 
     def add(self, batch: PacketBatch, some: Places) -> None:
-        """Take those of a batch that may be equal to another one, also of the batch before."""
+        """Compare some datagrams of a batch with each other and with the end of the batch before."""
         late = np.flatnonzero(batch.time_ns > batch.time_ns.max(initial=0) - _LATER_NS)
         own, newest = ((rows, _alone(rows)) for rows in (batch.take(some), batch.take(late)))
         glances = np.append(self._last[0], own[1])
@@ -265,7 +266,7 @@ def _alone(batch: PacketBatch) -> Prints:
 
 
 def _glance(batch: PacketBatch, conversation: Integers, identification: NDArray[np.uint16]) -> Prints:
-    """Return a number for each datagram that equal ones share: by its headers; without a number by bytes."""
+    """Return a quick key of each datagram, u64 (n,), equal for equal ones: headers, without id some bytes."""
     number = batch.length.astype(np.uint64) << np.uint64(16) | identification
     number ^= conversation.astype(np.uint64) * MIX
     rows = np.flatnonzero((identification == 0) & (batch.length >= _LEAST_BYTES))
@@ -279,8 +280,8 @@ def _glance(batch: PacketBatch, conversation: Integers, identification: NDArray[
 
 
 def _perhaps_again(number: Prints, time_ns: Integers) -> bool:
-    """Tell whether two datagrams within half a second may be equal, by the numbers that equal ones share."""
-    window = time_ns // _LATER_NS  # two within half a second are in one, or in two side by side
+    """Return whether two datagrams within half a second have equal quick keys."""
+    window = time_ns // _LATER_NS  # two within half a second are in one window, or in neighbours
     window -= window.min(initial=_NEVER_NS)
     most = (1 << _WINDOW_BITS) - 1
     ranked = np.sort(number * MIX & ~np.uint64(most) | np.minimum(window, most).astype(np.uint64))
@@ -288,20 +289,23 @@ def _perhaps_again(number: Prints, time_ns: Integers) -> bool:
 
 
 _SELDOM: Final = 1 / 3
-"""A host of whose datagrams more have wrong checksums leaves them to its network card,"""
+"""If a larger share of a host's checksums is wrong, its network card computes them."""
 _MANY: Final = 8
-"""as far as it sent so many; else all of the capture tell."""
+"""With fewer datagrams of a host, the share of the whole capture is used."""
 _TWICE: Final = 0.3
-"""A way of whose datagrams so many are copies was captured at two places."""
+"""If this share of a conversation's datagrams are copies, it was captured at two places."""
 
 
 def find_damaged(rows: Rows, hosts: NDArray[np.int32], *, shared: bool = False) -> tuple[Mask, Places]:
-    """Return which rows nobody got, as their checksums say, and which rows stand for what was lost so.
+    """Return the rows that nobody received because of wrong checksums, and one row for each lost datagram.
 
     Args:
-        rows: in order of time.
-        hosts: endpoint to the number of its address.
-        shared: what two captures have is there once.
+        rows: table of datagrams, in order of time.
+        hosts: i32, number of the address of each endpoint.
+        shared: whether datagrams that two captures have stand here only once.
+
+    Returns:
+        bool (rows,), not received; intp, rows that stand for the lost datagrams.
     """
     lost, none = rows.undelivered.copy(), np.zeros(0, np.intp)
     if lost.any():
@@ -313,7 +317,7 @@ def find_damaged(rows: Rows, hosts: NDArray[np.int32], *, shared: bool = False) 
         return lost, none
     way, standing = rows.way(), []
     shared |= _is_taken_twice(rows, way, np.flatnonzero(~lost))
-    # A datagram keeps its IP identification; a packet, where there is none, its count.
+    # A datagram is recognised by its IP identification, or without one by its sequence count.
     packet = rows.msg_id.astype(np.int64) << 16 | rows.sequence_count
     packet = np.where((rows.identification == 0) & rows.counted, packet, -1)
     alike = rows.length.astype(np.uint64) << np.uint64(16) | rows.identification
@@ -330,11 +334,11 @@ def find_damaged(rows: Rows, hosts: NDArray[np.int32], *, shared: bool = False) 
         before.add(again)
         same = of_key.get(again[0], none) if again[0] >= 0 else none
         same = same[np.abs(rows.time_ns[same] - rows.time_ns[row]) <= SECOND]
-        # Behind an address translation other ends, too.
+        # Behind an address translation the endpoints differ.
         same = same[(way[same] == way[row]) | (shared & (rows.msg_id[same] == rows.msg_id[row]))]
         if not len(same):
             standing += [row] * (not shared)
-        # A whole one where it was damaged, too: it was doubled, and arrived.
+        # If a whole one is at the same place, the network had doubled it, and it arrived.
         elif int((rows.tap[same] == rows.tap[row]).sum()) <= shared:
             standing.append(int(same[0]))
             lost[same] = True
@@ -351,18 +355,22 @@ def _is_taken_twice(rows: Rows, way: Integers, whole: Places) -> bool:
 BY_CAPTURE: Final = 1
 BY_NETWORK: Final = 2
 _READ_NS: Final = 2500 * MILLISECOND
-"""A count is seen within so long of what it counts."""
+"""Longest time from a datagram to the sample that counts it."""
 
 
 def who_doubled(
     rows: Rows, copies: Copies, samples: Samples, sources: NDArray[np.int32], endpoints: Sequence[Endpoint]
 ) -> NDArray[np.int8]:
-    """Return who doubled each row: i8, ``BY_CAPTURE`` or ``BY_NETWORK``; 0 where nothing tells, or none did.
+    """Return who doubled each row (rules 3 to 6): i8 (rows,), ``BY_CAPTURE``, ``BY_NETWORK`` or 0.
+
+    0 means that the row is no duplicate, or that nothing decides.
 
     Args:
-        copies: of these rows.
-        samples: the counts of CI.
-        sources: who sent each of them, as an index of ``endpoints``.
+        rows: table of datagrams, in order of time.
+        copies: result of ``find_copies`` for these rows.
+        samples: samples of CI's counts.
+        sources: i32, endpoint that sent each sample.
+        endpoints: endpoints that the rows index.
     """
     out = np.zeros(len(rows), np.int8)
     to_cfs = rows.on(lambda link: link.to_cfs and link.packets)
@@ -375,9 +383,9 @@ def who_doubled(
         vote = 0
         for track in _tracks(rows, receiver, samples, sources, endpoints):
             vote += _by_counts(rows.time_ns[mine], own, *track)
-        if vote >= 0:  # what the capture lacks is counted, too
+        if vote >= 0:  # CI also counts datagrams that the capture missed
             vote = min(vote, int(own.sum())) + _by_answers(rows, mine, own, answers)
-        vote *= not 0 < vote <= max(2, own.sum() // 2)  # what a few say may be chance
+        vote *= not 0 < vote <= max(2, own.sum() // 2)  # a few votes may be chance
         votes[receiver] = 2 * vote - int(copies.at_once[mine[own]].sum()) if vote else 0
     whole = sum(votes.values())
     for receiver, members in by_value(np.where(copies.duplicate, rows.destination, -1)):
@@ -393,7 +401,7 @@ def who_doubled(
 def _tracks(
     rows: Rows, receiver: int, samples: Samples, sources: NDArray[np.int32], endpoints: Sequence[Endpoint]
 ) -> Iterator[tuple[Integers, Integers]]:
-    """Yield times and counts of each CI that may be a receiver: those at its address."""
+    """Yield times, ns, and counts of each CI at the address of a receiver, if that only takes commands."""
     address = endpoints[receiver].address
     if not rows.on(lambda link: link.only_to_cfs, rows.destination == receiver).all():
         return
@@ -403,13 +411,13 @@ def _tracks(
 
 
 def _by_counts(sent_ns: Integers, again: Mask, seen_ns: Integers, total: Integers) -> int:
-    """Return how many of those that were there twice CI read twice, less those that it read once.
+    """Return how many duplicates CI counted twice, minus those that it counted once (rule 3).
 
     Args:
-        sent_ns: when each datagram was sent, in order.
-        again: which were there before.
-        seen_ns: when each count was.
-        total: the counts.
+        sent_ns: i64 (n,), time of each datagram, in order.
+        again: bool (n,), the datagram is a duplicate.
+        seen_ns: i64, capture time of each sample.
+        total: i64, count of CI at each sample.
     """
     vote, step, lacking, longest = 0, 1, False, len(seen_ns) - 1
     early, late = (np.searchsorted(sent_ns, seen_ns - slack) for slack in (_READ_NS, 0))
@@ -426,30 +434,31 @@ def _by_counts(sent_ns: Integers, again: Mask, seen_ns: Integers, total: Integer
             )
         ]
         number = twice[late[last]] - twice[late[first]]
-        # What still waits for CI, it reads when nothing more is sent.
+        # Datagrams that still wait in CI's socket would look like a surplus.
         caught_up = total[first] - total[0] >= early[first] - late[0]
         lacking |= bool((growth > most[0] - most[1])[(number == 0) & caught_up].any())
         vote += int(number[fits[0] & ~fits[1]].sum()) - int(number[fits[1] & ~fits[0]].sum())
         step = longest if step < longest < 2 * step else 2 * step
-    return min(vote, 0) if lacking else vote  # it counts what the capture lacks, too
+    return min(vote, 0) if lacking else vote  # CI also counts datagrams that the capture missed
 
 
 def _by_answers(rows: Rows, mine: Places, again: Mask, answers: Places) -> int:
-    """Return of how many that were there twice two came out, less those of which one did.
+    """Return how many duplicates led to two messages out of cFS, minus those that led to one (rule 4).
 
     Args:
-        mine: datagrams that went in.
-        again: which of these were there before.
-        answers: what came out, each once.
+        rows: table of datagrams.
+        mine: rows that went into cFS.
+        again: bool, whether each of these is a duplicate.
+        answers: rows that came out, without duplicates.
     """
     values, came = np.unique(rows.body_print[mine], return_counts=True)
     doubled = np.isin(values, rows.body_print[mine[again]])
     went = np.sort(rows.body_print[answers])
     number = np.searchsorted(went, values, "right") - np.searchsorted(went, values)
     alone = number[(came == 1) & ~doubled & (number > 0) & (values != 0)]
-    usual = int(np.median(alone)) if len(alone) else 0  # it may leave on several ways
+    usual = int(np.median(alone)) if len(alone) else 0  # a message may leave on several links
     if 10 * (alone == 2 * usual).sum() > len(alone):
-        return 0  # an application that sends some again of its own accord
+        return 0  # the application itself repeats messages
     twice = number[(came == 2) & doubled & (values != 0)]
     return int((twice == 2 * usual).sum()) - int((twice == usual).sum()) if usual else 0
 
@@ -457,23 +466,25 @@ def _by_answers(rows: Rows, mine: Places, again: Mask, answers: Places) -> int:
 _LEAST_ECHOES: Final = 3
 _LEAST_SHARE: Final = 0.1
 _ECHO: Final = 0.4
-"""A copy follows within this share of the usual time from one message to the next,"""
+"""A copy follows within this share of the usual time from one message to the next."""
 _ECHO_SHARE: Final = 0.02
 _AT_USUAL: Final = 0.6
-"""and so many of the others come at that usual time, give or take a third."""
+"""This share of the other messages comes at that usual time, give or take a third."""
 
 
 def crowding(rows: Rows, own: Places, endpoints: Sequence[Endpoint]) -> str:
-    """Return half a sentence that says who sent some datagrams more than once; empty where one sender did.
+    """Return half a sentence that explains too many datagrams; empty if nothing does.
 
     Args:
-        own: rows of datagrams of one MsgId that went to one receiver, in order of time.
+        rows: table of datagrams.
+        own: rows of one MsgId to one receiver, in order of time.
+        endpoints: endpoints that the rows index.
     """
     return _several_senders(rows, own, endpoints) or _echoes(rows, own)
 
 
 def senders_at_once(rows: Rows, own: Places) -> dict[int, Integers]:
-    """Return when each of several senders sent, if they did so at one time, not one after the other."""
+    """Return endpoint to send times, ns, of several senders that sent at the same time; empty if none did."""
     sources, counts = np.unique(rows.source[own], return_counts=True)
     least = max(_LEAST_ECHOES, _LEAST_SHARE * len(own))
     times = {
@@ -497,10 +508,14 @@ def _several_senders(rows: Rows, own: Places, endpoints: Sequence[Endpoint]) -> 
 
 
 def find_echoes(rows: Rows, own: Places) -> Mask:
-    """Tell which of a steady sender's datagrams are copies: they come a short time after an equal one.
+    """Return which datagrams of a steady sender are copies, bool (n,): they follow an equal one shortly.
 
-    That time is always about the same; a burst of equal ones has no usual time from one to the next. What a
-    second sender sends is no copy.
+    The delay of copies is nearly constant, and the other datagrams have a steady period, which a burst does
+    not have. Datagrams of a second sender are no copies.
+
+    Args:
+        rows: table of datagrams.
+        own: n rows of one MsgId to one receiver, in order of time.
     """
     times, prints = rows.time_ns[own], rows.bytes_print[own]
     steps, none, sources = np.diff(times), np.zeros(len(own), bool), rows.source[own]
@@ -519,7 +534,7 @@ def find_echoes(rows: Rows, own: Places) -> Mask:
 
 
 def _echoes(rows: Rows, own: Places) -> str:
-    """Tell of copies on the way."""
+    """Return half a sentence about copies; empty if there are none."""
     echo, steps = find_echoes(rows, own), np.diff(rows.time_ns[own])
     if not echo.any():
         return ""
@@ -533,7 +548,7 @@ def _echoes(rows: Rows, own: Places) -> str:
 
 
 def _usual(steps: Integers) -> float:
-    """Return the time from one message to the next, of most of them."""
+    """Return the usual time from one message to the next: the 75 % quantile of the steps, ns."""
     return quantiles(steps, 0.75)[0]
 
 

@@ -1,10 +1,12 @@
 """Fingerprints of messages, to find the same message on another link.
 
-A fingerprint is made from the decoded values, so that another encoding, padding or time stamp does not change
-it. Fingerprints are u64; 0 means that there is none.
+Rules:
 
-What a flight application sends to its robot are bare numbers without a header: they are compared as the bytes
-or values of the type that they carry, or by the numbers that a robot's own struct shares with a command.
+1. A fingerprint is a u64. It is 0 if there is none.
+2. It is computed from decoded values, so it does not depend on byte order, padding or (in one of two kinds)
+   time stamps.
+3. A flight application sends its robot bare numbers without a header. They are compared as bytes or values of
+   the message type that they hold, or by the numbers that the robot's own struct shares with a command.
 """
 
 from __future__ import annotations
@@ -43,14 +45,16 @@ _OCTETS: Final = np.uint8, np.int8
 def of_values(
     types: TypeStore, type_name: str, data: NDArray[np.uint8], offset: Integers, length: NDArray[np.int32]
 ) -> tuple[Prints, Prints]:
-    """Return two fingerprints of each message: of all numbers but time stamps, and of all numbers.
+    """Return two fingerprints of each message, u64 (n,): without time stamps, and with them.
 
-    A type without numbers goes by its strings. Messages that do not decode have none.
+    A type without numbers uses its strings. A message that does not decode has fingerprint 0.
 
     Args:
-        data: u8, the buffer that holds them.
-        offset: i64, first byte of each CDR, encapsulation included.
-        length: i32, bytes of each CDR.
+        types: types of the mission.
+        type_name: ROS type of all messages.
+        data: u8, buffer that holds the messages.
+        offset: i64 (n,), first byte of each CDR, including its encapsulation.
+        length: i32 (n,), bytes of each CDR.
     """
     columns = types.columns(type_name, data, offset, length)
     plain, stamped = (np.zeros(len(columns), np.uint64) for _ in range(2))
@@ -76,14 +80,17 @@ def of_values(
 
 
 def of_fields(columns: Mapping[str, NDArray[Any]]) -> Prints:
-    """Return a fingerprint of some numbers of each message, by their names; of one column at least."""
+    """Return a fingerprint of each row of named number columns, u64 (n,); there is at least one column."""
     return finished(
         np.sum([_field(name, column) for name, column in columns.items()], axis=0, dtype=np.uint64)
     )
 
 
 def latest_equal(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> Places:
-    """Return which of ``into`` is the latest equal to each of ``out`` and not later; -1 for none."""
+    """Return for each of ``out`` the index of the latest equal, not later one of ``into``; -1 for none.
+
+    Several of ``out`` may get the same index.
+    """
     prints, order = _in_order(into, into_ns, out, out_ns)
     latest = np.maximum.accumulate(np.where(order < len(into), np.arange(len(order)), -1))
     goes = np.flatnonzero((order >= len(into)) & (latest >= 0))
@@ -95,7 +102,7 @@ def latest_equal(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers)
 
 
 def paired(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> Places:
-    """Return which of ``into`` each of ``out`` is, each once, -1 for none: equal, the latest not later."""
+    """Return the same as ``latest_equal``, but use each of ``into`` at most once."""
     prints, order = _in_order(into, into_ns, out, out_ns)
     opening, closing = brackets(prints[order], order < len(into))
     real = prints[order[opening]] != 0
@@ -105,22 +112,22 @@ def paired(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> Pl
 
 
 def _in_order(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> tuple[Prints, Places]:
-    """Return both together, and their order: equal ones by time, what went in first at one time."""
+    """Return both arrays joined, and an order: by fingerprint, then by time, then ``into`` first."""
     prints = np.concatenate((into, out))
     by_time = np.argsort(np.concatenate((into_ns, out_ns)), kind="stable")
     return prints, by_time[np.argsort(in_16_bits(numbered(prints)[1])[by_time], kind="stable")]
 
 
 def brackets(group: NDArray[Any], opens: Mask) -> tuple[Places, Places]:
-    """Return which brackets close which: places of opening ones, and of those that close them.
+    """Return pairs of brackets: indices of the opening ones, and of those that close them.
 
-    A closing bracket closes the one of its group that was opened last, if any is open.
+    A closing bracket closes the bracket of its group that was opened last, if one is open.
 
     Args:
-        group: whose each bracket is; those of one group stand together, in order.
-        opens: which of them open.
+        group: group of each bracket; equal groups stand together, in order.
+        opens: bool, whether each bracket opens.
     """
-    # The brackets of one level of a group follow each other, whatever is within or is never closed.
+    # Brackets of one level of a group are neighbours in this order, whatever is nested or never closed.
     level = np.cumsum(np.where(opens, 1, -1)) + ~opens
     number = np.cumsum(np.append(False, group[1:] != group[:-1])[: len(group)])
     order = np.lexsort((in_16_bits(level - level.min(initial=0)), in_16_bits(number)))
@@ -131,7 +138,7 @@ def brackets(group: NDArray[Any], opens: Mask) -> tuple[Places, Places]:
 
 
 def _field(name: str, column: NDArray[Any] | Ragged) -> Prints:
-    """Return what a numeric field adds to the fingerprints, a row each."""
+    """Return the summand of a numeric field in each row's fingerprint, u64 (n,)."""
     key = np.uint64(crc32(name.encode()) * int(MIX) & 0xFFFFFFFFFFFFFFFF)
     if isinstance(column, np.ndarray):
         flat = column.reshape(len(column), -1)
@@ -142,7 +149,7 @@ def _field(name: str, column: NDArray[Any] | Ragged) -> Prints:
     values, offset, count = column.values, column.offsets[:-1], np.diff(column.offsets)
     total, rest = count.astype(np.uint64) * key, np.ones(len(count), np.bool_)
     for sign, narrow in enumerate(_OCTETS) if values.dtype.kind in "iub" else ():
-        # The same values are the same bytes, whatever type holds them: the first that holds all of a row.
+        # Equal values of any type hash alike: as bytes of the first narrow type that holds the whole row.
         if values.dtype in (narrow, np.bool_):
             fits = rest
         else:
@@ -165,7 +172,7 @@ def _field(name: str, column: NDArray[Any] | Ragged) -> Prints:
 
 
 def _octets(data: NDArray[np.uint8], offset: Integers, length: Integers, key: np.uint64) -> Prints:
-    """Return what ranges of bytes add to the fingerprints; each byte counts, however many there are."""
+    """Return the summand of each range of bytes, u64 (n,); ranges of any length, by all their bytes."""
     data = np.append(data, np.zeros(HASHED_BYTES, np.uint8))
     total = np.zeros(len(offset), np.uint64)
     for block in range(0, int(length.max(initial=0)), HASHED_BYTES):
@@ -186,7 +193,7 @@ def _text(name: str, column: NDArray[Any] | Ragged) -> Prints:
 
 def _bits(values: NDArray[Any]) -> Prints:
     if values.dtype.kind == "f":
-        with np.errstate(invalid="ignore"):  # what was never set may be no number
+        with np.errstate(invalid="ignore"):  # an unset field may be NaN
             return (values.astype(np.float64) + 0.0).view(np.uint64)  # 0.0 and -0.0 are one value
     return values.astype(np.int64).view(np.uint64)
 
@@ -195,19 +202,19 @@ _TYPES: Final = {
     robot.ROBOT_COMMAND.size: "geometry_msgs/msg/Twist",
     robot.ROBOT_POSE.size: "geometry_msgs/msg/Pose",
 }
-"""Bytes of a datagram to the message whose numbers it carries."""
+"""Length of a datagram to a robot, in bytes, to the ROS type whose numbers it holds."""
 _ENCAPSULATION: Final = b"\0\1\0\0"
 
 
 class SharedFields:
-    """Finds the command that a robot's own struct was made of, by the numbers of one name in both.
+    """Computes fingerprints that a command and the robot struct made from it have in common.
 
-    Names are the same without their dots and underscores, in either case: ``linear.x`` is ``Linear_X``. The
-    command's numbers are rounded as the struct's types round them.
-    Of structs for one type of command that share different numbers with it only the first is followed.
+    They use the numbers of equal name. Names are compared without case, dots and underscores: ``linear.x``
+    equals ``Linear_X``. The command's numbers are rounded to the types of the struct. If several structs
+    share different numbers with one type of command, only the first struct is matched.
 
     Args:
-        context: its structs that are bound to ports, and the types of its commands.
+        context: mission with the types of commands, and the structs that are bound to ports.
     """
 
     def __init__(self, context: Context) -> None:
@@ -229,11 +236,13 @@ class SharedFields:
     def fingerprints(
         self, batch: PacketBatch, columns: Columns, offset: Integers, length: NDArray[np.int32]
     ) -> Prints:
-        """Return a fingerprint of each command and of each struct made of one; 0 for others.
+        """Return a fingerprint of each command and each robot struct, u64 (n,); 0 for other datagrams.
 
         Args:
-            offset: i64, first byte of each message, encapsulation included; -1 where there is none.
-            length: i32, bytes of each.
+            batch: datagrams.
+            columns: decoded columns of these.
+            offset: i64 (n,), first byte of each message, including its encapsulation; -1 for none.
+            length: i32 (n,), bytes of each message.
         """
         prints = np.zeros(len(batch), np.uint64)
         structs, types, routes = self._context.structs, self._context.types, self._context.mission.routes
@@ -261,7 +270,7 @@ class SharedFields:
 
 
 def _by_name(columns: MessageColumns) -> dict[str, tuple[str, np.dtype[Any]]]:
-    """Return the single numbers of a type by their plain names: the path, and the type."""
+    """Return plain name to (path, dtype) of each scalar number of a type."""
     return {
         re.sub("[^a-z0-9]", "", name.lower()): (name, column.dtype)
         for name, column in columns.fields.items()
@@ -270,16 +279,16 @@ def _by_name(columns: MessageColumns) -> dict[str, tuple[str, np.dtype[Any]]]:
 
 
 def robot_commands(columns: Columns, batch: PacketBatch, structs: Structs) -> Mask:
-    """Tell which datagrams are commands to a robot: all but the states that it sends."""
+    """Return which datagrams are commands to a robot, bool (n,): on its link, but not states from it."""
     port = batch.destination_port
     state = (batch.length == robot.ROBOT_STATE.size) & (structs.of_port(port) == UDP_KEY)
     return np.asarray((columns.link == ROBOT) & (port != robot.CFS_PORT) & ~state)
 
 
 def with_garbled(columns: Columns, batch: PacketBatch) -> Columns:
-    """Return columns in which what a flight app sends its robot is of the robot link, whatever it holds.
+    """Return columns in which all datagrams of a command's length to a robot belong to the robot link.
 
-    Elsewhere that link is known by likely numbers: what was never set, or was damaged, has others.
+    The decoder recognises this link by plausible numbers, which unset or damaged datagrams do not have.
     """
     garbled = (batch.source_port == robot.CFS_PORT) & (batch.destination_port == robot.ROBOT_PORT)
     length = batch.length + np.maximum(batch.original_length - batch.frame_length, 0)
@@ -289,9 +298,9 @@ def with_garbled(columns: Columns, batch: PacketBatch) -> Columns:
 
 
 def robot_prints(batch: PacketBatch, rows: Places, types: TypeStore | None) -> tuple[Prints, Prints]:
-    """Return two fingerprints of each command to a robot: of its bytes, and of its values.
+    """Return two fingerprints of each command to a robot, u64 (rows,): of its bytes, and of its values.
 
-    They are those that the command to cFS has, as a message of an unknown and of a known type.
+    The first equals that of the command to cFS if its type is unknown, the second if its type is known.
     """
     length = batch.length[rows]
     bytes_ = of_bytes(batch.data, batch.offset[rows], length)

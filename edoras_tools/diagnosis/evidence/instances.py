@@ -1,12 +1,15 @@
-"""Which cFS instance made a telemetry packet: instances on one host share addresses, but never a boot time.
+"""Finds the cFS instance that made each telemetry packet. An instance is one boot of one cFS.
 
-Capture time minus mission time is the same for all packets of one boot, except for their delays (about a
-second). If two offsets differ by more, they are from different boots, or a clock was set.
+Rules:
 
-Two cFS may have the same processor number and may have started together. What is sent from two addresses is
-from two cFS, whatever names they use. Two boots are of one cFS if address and name are the same, and one
-follows the other; so do the ports of a Telemetry Output that restarts. Two that send at the same time are two
-cFS.
+1. The offset of a packet is its capture time minus its mission time. All packets of one boot have the same
+   offset, except for delays of about a second. If offsets differ by more, the boots differ, or a clock was
+   set.
+2. Instances on one host share its address, but rarely a boot time. Two cFS may have the same processor
+   number, and may have started together.
+3. Packets from two addresses are from two cFS, whatever their names.
+4. Two boots belong to one cFS (a system) if address and name are the same, and one follows the other. Two
+   that send at the same time are two systems. The same holds for ports of a Telemetry Output that restarts.
 """
 
 from __future__ import annotations
@@ -36,7 +39,7 @@ if TYPE_CHECKING:
 
 _LEAST_ROWS: Final = 3
 _BASELINE_NS: Final = 5 * SECOND
-"""In so long some packet is quick, and no clock drifts much."""
+"""Window in which at least one packet has a short delay, and no clock drifts much."""
 NOBODY: Final = -1
 
 
@@ -44,11 +47,11 @@ class Instance(NamedTuple):
     """One boot of one cFS.
 
     Attributes:
-        name: its spacecraft and processor, as ``66:1``; empty where nothing in the capture says.
-        offset_ns: capture time minus mission time, less the shortest delay.
-        first_ns: its first packet here.
-        last_ns: its last packet here.
-        host: the address that it sends from, as a number; all boots of one cFS have it.
+        name: spacecraft and processor, as ``66:1``; empty if the capture does not show it.
+        offset_ns: smallest offset (capture time minus mission time) of its packets.
+        first_ns: capture time of its first packet.
+        last_ns: capture time of its last packet.
+        host: number of the address that it sends from; equal for all boots of one cFS.
     """
 
     name: str
@@ -58,7 +61,7 @@ class Instance(NamedTuple):
     host: int
 
     def boot_ns(self, profile: SimProfile) -> int:
-        """Return when it began, in capture time: its clock starts at a time that the profile has."""
+        """Return the capture time of its boot, ns; the profile has the mission time at a boot."""
         return self.offset_ns + profile.boot_time_s * SECOND
 
 
@@ -66,15 +69,17 @@ class Instances:
     """The instances of a capture.
 
     Args:
-        endpoints: what ``source`` and ``destination`` of the rows index.
+        rows: table of datagrams.
+        events: events in these rows; they name their instance.
+        endpoints: endpoints that ``source`` and ``destination`` of the rows index.
 
     Attributes:
-        items: them, by offset.
-        systems: a number each: boots of one cFS have the same.
-        hosts: i32, endpoint to the number of its address.
-        addresses: the address of each number.
-        of_row: i32, the instance that made each row's packet; ``NOBODY`` where the packet has no time.
-        made_ns: i64, when each row's packet was made, in capture time; of one without a time, when captured.
+        items: instances, in the order of their offsets.
+        systems: number of the cFS of each instance; equal for boots of one cFS.
+        hosts: i32, number of the address of each endpoint.
+        addresses: address of each number.
+        of_row: i32 (rows,), index of the instance that made the packet; ``NOBODY`` if unknown.
+        made_ns: i64 (rows,), capture time at which the packet was made; the time of capture if unknown.
     """
 
     def __init__(self, rows: Rows, events: Sequence[EventRecord], endpoints: Sequence[Endpoint]) -> None:
@@ -104,7 +109,7 @@ class Instances:
         self.made_ns = self._when_made(rows)
 
     def _waited(self, rows: Rows, members: Places) -> int:
-        """Return the instance that made packets, stood still, and then sent them; else ``NOBODY``."""
+        """Return the instance that sent these packets late, after it had stood still; else ``NOBODY``."""
         first_ns, last_ns = int(rows.time_ns[members].min()), int(rows.time_ns[members].max())
         if last_ns - first_ns > BOOT_APART_NS:
             return NOBODY
@@ -124,7 +129,7 @@ class Instances:
         times = rows.time_ns[members]
         offset = int(rows.delay_ns(members).min())
         name = self._name(rows, members, says)
-        # Who hands on others' packets does so through Telemetry Output: on SBN everyone speaks for himself.
+        # Telemetry Output also forwards packets of other cFS; on SBN each cFS sends only its own.
         own = members[rows.on(lambda link: link.peers, members)]
         if not len(own):
             events = members[rows.known_id[members] == cfe.EVENT_MSG_ID]
@@ -133,7 +138,7 @@ class Instances:
         self.items.append(Instance(name, offset, int(times.min()), int(times.max()), host))
 
     def _find_systems(self) -> list[int]:
-        """Number the cFS: an address and a name, or an address alone where only one cFS has it."""
+        """Return the number of the cFS of each instance, by address and name (rule 4)."""
         names: dict[int, set[str]] = {}
         for item in self.items:
             names.setdefault(item.host, set()).add(item.name)
@@ -146,11 +151,11 @@ class Instances:
         return [index.setdefault((*who, turn), len(index)) for who, turn in zip(whose, followed, strict=True)]
 
     def system(self, instance: int) -> int:
-        """Return the number of the cFS of an instance; 0 for nobody."""
+        """Return the number of the cFS of an instance; 0 for ``NOBODY``."""
         return self.systems[instance] if instance != NOBODY else 0
 
     def label(self, instance: int) -> str:
-        """Return an instance's name for the user, with address and port if another cFS has the same ones."""
+        """Return the label of an instance for people, with address and ports if the name is not unique."""
         item, where = self.items[instance], ""
         if self.others_named(instance):
             where = f" at {self.addresses[item.host]}"
@@ -169,7 +174,7 @@ class Instances:
 
     @cached_property
     def _systems_at(self) -> dict[tuple[str, int | None], set[int]]:
-        """The cFS that have a name at an address; None: at any."""
+        """(name, number of the address, or None for any) to the numbers of the cFS."""
         systems: dict[tuple[str, int | None], set[int]] = {}
         for item, system in zip(self.items, self.systems, strict=True):
             systems.setdefault((item.name, item.host), set()).add(system)
@@ -178,7 +183,7 @@ class Instances:
 
     @staticmethod
     def _name(rows: Rows, members: Places, says: dict[int, str]) -> str:
-        """Return an instance's own name: from its events, else as SBN sender."""
+        """Return an instance's name: from its events, else from its SBN headers."""
         events = members[rows.known_id[members] == cfe.EVENT_MSG_ID]
         names = Counter(says[row] for row in events.tolist() if row in says)
         if names:
@@ -187,12 +192,12 @@ class Instances:
         return rows.usual_sender(network)[0] if len(network) else ""
 
     def _when_made(self, rows: Rows) -> Integers:
-        """Return when each packet was made, in capture time, by the quickest of its time: clocks drift."""
+        """Return ``made_ns``: delays are measured from the quickest packet nearby, because clocks drift."""
         made_ns = rows.time_ns.copy()
         for _, own in groups(self.of_row, np.flatnonzero(self.of_row != NOBODY)):
             delay = rows.delay_ns(own)
             window = (rows.time_ns[own] - rows.time_ns[own].min()) // _BASELINE_NS
-            # Of the windows in which something came: times that are garbled may lie centuries apart.
+            # Only windows with packets: garbled times may lie centuries apart.
             windows, _, window = distinct_rows(window)
             least = np.full(len(windows) + 2, np.iinfo(np.int64).max)
             np.minimum.at(least, window + 1, delay)
@@ -204,7 +209,7 @@ class Instances:
         return made_ns
 
     def _find_owners(self, rows: Rows) -> dict[int, list[tuple[int, int]]]:
-        """Find the instance that owns each telemetry socket: events never come from another instance."""
+        """Return endpoint to (time in ns, instance) of its owners: a TO sends events only of its own cFS."""
         owners: dict[int, list[tuple[int, int]]] = {}
         telemetry = rows.on(lambda link: link.only_from_cfs) & (self.of_row != NOBODY)
         for source, own in groups(rows.source, np.flatnonzero(telemetry)):
@@ -219,7 +224,7 @@ class Instances:
         return owners
 
     def output(self, source: int) -> int:
-        """Return where Telemetry Output first sent from, if it restarted and has another port now."""
+        """Return the first endpoint of a Telemetry Output that restarted and changed its port."""
         mine = {index for _, index in self._owners.get(source, [])}
         return self._first_output.get(mine.pop(), source) if len(mine) == 1 else source
 
@@ -228,7 +233,7 @@ class Instances:
         return int(self.owners(np.array([source]), np.array([time_ns]))[0])
 
     def owners(self, source: NDArray[np.int32], time_ns: NDArray[np.int64]) -> NDArray[np.int32]:
-        """Return ``owner`` of many endpoints, each at a time."""
+        """Return ``owner`` of n endpoints, each at a time: i32 (n,)."""
         out = np.full(len(source), NOBODY, np.int32)
         for place, rows in by_value(source):
             if owners := self._owners.get(place):
@@ -237,23 +242,24 @@ class Instances:
         return out
 
     def named(self, name: str, time_ns: int, source: int) -> int:
-        """Return the instance of a name that was there at a time; the nearest where none was.
+        """Return the instance with a name that is nearest to a time; ``NOBODY`` if none has the name.
 
         Args:
             name: spacecraft and processor, as ``66:1``.
-            source: the endpoint that speaks for it: of two of one name, the one of its address is meant.
+            time_ns: capture time.
+            source: endpoint of its sender, which decides between two instances of one name.
         """
         fits = [index for index, item in enumerate(self.items) if item.name == name]
         return self._nearest(fits, source, time_ns) if fits else NOBODY
 
     def system_at(self, endpoint: int, time_ns: int) -> int:
-        """Return the cFS that takes what is sent to an endpoint: of its address, nearest in time."""
+        """Return the number of the cFS that receives at an endpoint: by address, then nearest in time."""
         if len(set(self.systems)) < 2:
             return self.systems[0] if self.systems else 0
         return self.systems[self._nearest(range(len(self.items)), endpoint, time_ns)]
 
     def _nearest(self, fits: Sequence[int], endpoint: int, time_ns: int) -> int:
-        """Return which of some instances is nearest in time: of those at an address, if any is there."""
+        """Return the instance nearest in time, among those at the endpoint's address if there are any."""
         near = [index for index in fits if self.items[index].host == self.hosts[endpoint]]
 
         def away(index: int) -> int:
@@ -263,7 +269,7 @@ class Instances:
         return min(near or fits, key=away)
 
     def saying(self, event: EventRecord) -> int:
-        """Return the instance that said something, by the packet's time, else by the name in it."""
+        """Return the instance that sent an event, by the packet's time, else by the name in it."""
         instance = int(self.of_row[event.row])
         if instance != NOBODY:
             return instance
@@ -271,11 +277,13 @@ class Instances:
 
 
 def _in_turn(whose: Sequence[Hashable], spans: Sequence[tuple[int, int]]) -> list[int]:
-    """Number those that speak for one at the same time: of those that do so in turn each has 0.
+    """Return numbers that distinguish members of one owner with overlapping spans.
+
+    Members that follow each other have the same number: 0 unless another one overlaps.
 
     Args:
-        whose: for whom each speaks.
-        spans: from when to when.
+        whose: owner of each member.
+        spans: first and last time of each member, ns.
     """
     ends: dict[Hashable, list[int]] = {}
     turns = [0] * len(spans)
@@ -288,7 +296,7 @@ def _in_turn(whose: Sequence[Hashable], spans: Sequence[tuple[int, int]]) -> lis
 
 
 def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArray[np.int32]) -> list[Places]:
-    """Divide the rows of one boot time by instance, if two instances have this boot time."""
+    """Return the rows of each instance that has this boot time; mostly it is one with all rows."""
     output = members[rows.on(lambda link: link.only_from_cfs, members)]
     places = distinct(hosts[rows.source[output]])
     network = members[rows.on(lambda link: link.peers, members)]
@@ -298,7 +306,7 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     first, who = numbered(hosts[rows.source[network]], sender)
     places = hosts[rows.source[network[first]]]
     names = list(zip(places.tolist(), [str(peer_of(item)) for item in sender[first].tolist()], strict=True))
-    # What a Telemetry Output sends is its own, or was handed on and crossed SBN before.
+    # Telemetry Output sends packets of its own cFS, or forwards packets that crossed SBN before.
     from_ = handed_on(rows, network, output)
     events = output[rows.known_id[output] == cfe.EVENT_MSG_ID]
     owner = {int(rows.source[row]): says[row] for row in events.tolist() if row in says}
@@ -308,10 +316,10 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     senders = []
     for source in rows.source[output[first]].tolist():
         near = {name for host, name in peers if host == hosts[source]}
-        # Where two are in what it sends, it hands on what the one on SBN made.
+        # If two instances are among its packets, it forwards those of the instance on SBN.
         alone = len(near) == 1 and not _conflict(rows, output[rows.source[output] == source])
         mine = rows.delay_ns(output[(rows.source[output] == source) & (from_ < 0)])
-        if len(near) > 1 and len(mine):  # the one whose clock it goes by
+        if len(near) > 1 and len(mine):  # its clock decides
             away = np.abs(quickest - mine.min())
             nearest = np.argsort(away)
             if alone := bool(away[nearest[1]] - away[nearest[0]] > SECOND):
@@ -333,18 +341,18 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
 
 
 def _hand_on_unseen(rows: Rows, output: Places, label: Places, on_sbn: Mask) -> None:
-    """Give what the capture lacks on SBN to the peer whose counts leave room for it, and not its sender's.
+    """Assign forwarded packets, whose SBN datagrams were not captured, to the peer whose counts they fit.
 
     Args:
         output: rows that a Telemetry Output sent.
-        label: who made each; those of a peer that were not seen before become its own.
-        on_sbn: which were seen on SBN before.
+        label: number of the publisher of each row; changed in place.
+        on_sbn: bool, the packet was also captured on SBN.
     """
     made_ns, count = rows.mission_time_ns[output], rows.sequence_count[output].astype(np.int64)
     _, kind = numbered(rows.source[output], rows.msg_id[output])
 
     def astray(some: Places, of: Places) -> NDArray[np.float64]:
-        """Return how far the counts of some are from those around them in time; without end where beyond."""
+        """Return how far counts are from those of neighbours in time; inf if they do not fit between."""
         own = of[np.argsort(made_ns[of], kind="stable")]
         first, last = (np.searchsorted(made_ns[own], made_ns[some], side) for side in ("left", "right"))
         before, behind = own[np.maximum(first - 1, 0)], own[np.minimum(last, len(own) - 1)]
@@ -354,7 +362,7 @@ def _hand_on_unseen(rows: Rows, output: Places, label: Places, on_sbn: Mask) -> 
         return np.where(fits, np.abs(ahead - share * step), np.inf)
 
     for _, pair in groups(kind * (int(label.max(initial=0)) + 1) + label, np.flatnonzero(on_sbn)):
-        for most in (1, np.inf):  # those first of which it is sure: they stand among its sender's
+        for most in (1, np.inf):  # the clear cases first: the others are judged beside them
             other = np.flatnonzero(~on_sbn & (kind == kind[pair[0]]) & (label != label[pair[0]]))
             far = astray(other, pair)
             own = np.isfinite(far) & (far <= most) & (far <= astray(other, other) + 1)
@@ -362,9 +370,9 @@ def _hand_on_unseen(rows: Rows, output: Places, label: Places, on_sbn: Mask) -> 
 
 
 def _conflict(rows: Rows, members: Places) -> bool:
-    """Tell whether 0x803 comes with one count and different contents: two instances make it.
+    """Return whether 0x803 packets with one count have different contents: then two instances make them.
 
-    Where frames are cut, less is left of it on one link than on another, and that is no other content.
+    Only packets of one length are compared, because cut frames leave parts of different length.
     """
     counters = members[rows.known_id[members] == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID]
     _, content = numbered(rows.sequence_count[counters], rows.packet_length[counters])

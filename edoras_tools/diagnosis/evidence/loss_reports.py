@@ -1,4 +1,4 @@
-"""What cFS itself says of losses: the counters of its software bus over time, and its events."""
+"""Losses that cFS itself reports: the counters of its software bus over time, and its events."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ _WIDTHS: Final = {"pipe_overflows": 16, "msg_limits": 16, "no_subscribers": 8, "
 
 
 class Track(msgspec.Struct):
-    """The counters of one instance, growing from 0 at its first 0x803 here.
+    """The bus counters of one instance, from its first captured 0x803 on.
 
     Attributes:
-        times: when each sample was made, capture time.
-        totals: counter to its growth up to each sample.
-        older: counter to what the first sample already showed: lost before it.
-        set_back: steps between two samples in which a counter was set back: nobody has what it had last.
+        times: capture times, ns, at which the samples were made.
+        totals: name of a counter to its growth from the first sample up to each sample.
+        older: name of a counter to its value in the first sample: losses before it.
+        set_back: indices of the steps between two samples in which a counter was reset: its last growth is
+            unknown.
     """
 
     times: list[int] = msgspec.field(default_factory=list)
@@ -44,10 +45,10 @@ class Track(msgspec.Struct):
     set_back: list[int] = msgspec.field(default_factory=list)
 
     def growth(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> int:
-        """Return by how much a counter grew between two times.
+        """Return by how much a counter grew between two times; 0 without samples.
 
-        Counted from the last sample before ``start_ns`` to the first after ``end_ns``: what happened in
-        between is in it.
+        The growth is that from the last sample before ``start_ns`` to the first one after ``end_ns``. So it
+        includes all losses in between.
         """
         if not self.times:
             return 0
@@ -57,14 +58,17 @@ class Track(msgspec.Struct):
         return max(0, totals[high] - totals[low])
 
     def beyond_steady(self, name: str, sent_ns: Integers, late_ns: int) -> tuple[Integers, int]:
-        """Return a counter's growth less what it grows by evenly while none of some messages can be counted.
+        """Return a counter's growth without the steady growth that other traffic causes.
+
+        The steady growth is the median step of samples that can count none of the messages.
 
         Args:
-            sent_ns: when they were sent, in order.
-            late_ns: they are counted so long after at the most.
+            name: name of the counter.
+            sent_ns: i64, times at which the messages were sent, in order.
+            late_ns: longest time from a message to the sample that counts it.
 
         Returns:
-            growth up to each sample, and by how much a step of it differs while none of them can be counted.
+            growth up to each sample, i64, and the range of the steps that can count none of the messages.
         """
         times, totals = np.array(self.times), np.array(self.totals[name])
         free = np.searchsorted(sent_ns, times[1:]) == np.searchsorted(sent_ns, times[:-1] - late_ns)
@@ -74,17 +78,22 @@ class Track(msgspec.Struct):
         return totals - int(np.median(idle)) * np.arange(len(totals)), int(np.ptp(idle))
 
     def watches(self, time_ns: int) -> bool:
-        """Tell whether samples lie on both sides of a time."""
+        """Return whether a time lies between the first and the last sample."""
         return bool(self.times) and self.times[0] <= time_ns <= self.times[-1]
 
     @classmethod
     def of(cls, made_ns: Integers, counters: Mapping[str, Integers]) -> Self:
-        """Follow samples of the counters, each made at another time and later than the one before."""
+        """Return the history of some samples.
+
+        Args:
+            made_ns: i64 (n,), times at which the samples were made, strictly increasing.
+            counters: name of a counter to its values, i64 (n,).
+        """
         track, set_back = cls(made_ns.tolist()), np.zeros(max(len(made_ns) - 1, 0), bool)
         for name, values in counters.items():
             modulus = 1 << _WIDTHS[name]
             steps = np.diff(values) % modulus
-            # Down by a little is no wrap: the counters were reset. Eight bits wrap too soon to tell.
+            # A step down by little is a reset, and no wrap. Counters of 8 bits wrap too often to decide.
             reset = (np.diff(values) < 0) & (steps > modulus // 2)
             set_back |= reset & (modulus > _BYTE)
             grown = np.cumsum(np.where(reset, values[1:], steps))
@@ -95,9 +104,9 @@ class Track(msgspec.Struct):
 
 
 def tracks(rows: Rows, payloads: Payloads, instances: Instances) -> dict[int, Track]:
-    """Return a track for every instance whose 0x803 is here.
+    """Return instance to the history of its bus counters, for each instance with a 0x803 in the capture.
 
-    An instance's housekeeping may arrive over several links; the one that brings the most is read.
+    Housekeeping may arrive over several links; the link with most samples is used.
     """
     samples = payloads.housekeeping
     instance = instances.of_row[samples["row"]]
@@ -119,13 +128,13 @@ def tracks(rows: Rows, payloads: Payloads, instances: Instances) -> dict[int, Tr
 
 
 def _in_order(samples: Samples, some: Places, instances: Instances, rows: Rows) -> tuple[Integers, Integers]:
-    """Return when each of some samples was made, and its counters, a row each."""
+    """Return the times at which samples were made, i64 (n,), and their counters, i64 (counters, n)."""
     made_ns = instances.made_ns[samples["row"][some]]
     order = np.argsort(made_ns, kind="stable")
-    # Of one time there is one sample: what comes again is the same.
+    # Samples of equal times are copies: one is kept.
     order = order[np.diff(made_ns[order], prepend=made_ns[order[:1]] - 1) > 0]
-    # One whose count is not between those of its neighbours is of another cFS; so is one that counts more
-    # than the next one, which the one before it does not.
+    # A sample is from another cFS if its sequence count is not between those of its neighbours, or if its
+    # counters exceed those of the next sample although the one before does not.
     count = rows.sequence_count[samples["row"][some[order]]].astype(np.int64)
     mine, next_ = (count[1:-1] - count[:-2]) % MODULUS, (count[2:] - count[:-2]) % MODULUS
     values = np.array([samples[name][some[order]] for name in _WIDTHS], np.int64)
@@ -136,8 +145,8 @@ def _in_order(samples: Samples, some: Places, instances: Instances, rows: Rows) 
 
 
 def _returns(values: Integers) -> bool:
-    """Tell whether counters are those of two instances: all that they fell by comes back in one step."""
-    steps, wide = np.diff(values), np.array(list(_WIDTHS.values())) > 8  # eight bits wrap too soon to tell
+    """Return whether the counters mix two instances: they fall, and later rise by as much in one step."""
+    steps, wide = np.diff(values), np.array(list(_WIDTHS.values())) > 8  # 8 bits wrap too often to decide
     falls = np.flatnonzero((steps[wide] < 0).any(axis=0)).tolist()
     least = (np.maximum(values[:, at + 1 : -1] - steps[:, at, None], values[:, at, None]) for at in falls)
     return any((values[:, at + 2 :] >= item).all(axis=0).any() for at, item in zip(falls, least, strict=True))
@@ -156,14 +165,14 @@ _KINDS: Final[dict[int, LossEventKind]] = {
 
 
 class ReportedLoss(NamedTuple):
-    """What an event about a loss names.
+    """The loss that an event of the software bus reports.
 
     Attributes:
-        kind: what happened.
-        instance: on which cFS.
-        msg_id: which message.
-        pipe: where it did not fit; empty if the event names none.
-        sender: who sent it.
+        kind: kind of the loss.
+        instance: index of the instance that reports it.
+        msg_id: MsgId of the lost message.
+        pipe: name of the pipe that did not take it; empty if the event names none.
+        sender: name of the application that sent it.
     """
 
     kind: LossEventKind
@@ -174,50 +183,50 @@ class ReportedLoss(NamedTuple):
 
     @property
     def at_pipe(self) -> PipeKind | None:
-        """How a pipe did not take the message; None where the event is not about a pipe."""
+        """The kind of loss, if the event is about a pipe; else None."""
         return self.kind if self.kind in ("limit", "overflow") else None
 
     @property
     def at_output(self) -> bool:
-        """Whether it is Telemetry Output's pipe."""
+        """Whether the pipe is Telemetry Output's."""
         return self.pipe == telemetry_output.PIPE
 
     @property
     def at_peer(self) -> bool:
-        """Whether it is the pipe of an SBN peer."""
+        """Whether the pipe is that of an SBN peer."""
         return bool(sbn.PEER_PIPE.fullmatch(self.pipe))
 
 
 class LossEvents(msgspec.Struct, dict=True):
-    """The events about one loss, in order: how many, and when.
+    """The events that report one loss.
 
     Attributes:
-        records: the events, in order.
+        records: events, in order of capture.
     """
 
     records: list[EventRecord] = msgspec.field(default_factory=list)
 
     @property
     def count(self) -> int:
-        """How many."""
+        """Number of events."""
         return len(self.records)
 
     def text(self, number: int) -> str:
-        """Say what so many of them are, with the words of the first."""
+        """Return a sentence for ``number`` of the events, with the message of the first."""
         return f"event CFE_SB {self.records[0].event_id} x{number}: {self.records[0].message}"
 
     @property
     def first_ns(self) -> int:
-        """Capture time of the first."""
+        """Capture time of the first event, ns."""
         return self.records[0].time_ns
 
     @property
     def last_ns(self) -> int:
-        """Capture time of the last."""
+        """Capture time of the last event, ns."""
         return self.records[-1].time_ns
 
     def within(self, start_ns: int, end_ns: int) -> int:
-        """Return how many came in a span of time."""
+        """Return the number of events in a span of time."""
         times = self._times
         return int(np.count_nonzero((times >= start_ns) & (times <= end_ns)))
 
@@ -227,7 +236,7 @@ class LossEvents(msgspec.Struct, dict=True):
 
 
 def parse_loss_event(record: EventRecord, instance: int = NOBODY) -> ReportedLoss | None:
-    """Return what an event names; None if it is not about a loss."""
+    """Return the loss that an event reports; None if it reports none."""
     kind = _KINDS.get(record.event_id) if record.app == software_bus.NAME else None
     match = software_bus.EVENTS[record.event_id].pattern.match(record.message) if kind else None
     if kind is None or match is None:
@@ -237,7 +246,7 @@ def parse_loss_event(record: EventRecord, instance: int = NOBODY) -> ReportedLos
 
 
 def reported_losses(events: Iterable[EventRecord], instances: Instances) -> dict[ReportedLoss, LossEvents]:
-    """Return everything that events name, with the events."""
+    """Return each loss that events report, with these events."""
     reports: dict[ReportedLoss, LossEvents] = {}
     for record in (item for item in events if item.app == software_bus.NAME):
         if reported := parse_loss_event(record, instances.saying(record)):

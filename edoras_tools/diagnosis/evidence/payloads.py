@@ -1,8 +1,8 @@
-"""Contents of payloads that a diagnosis needs: counters and subscriptions in columns, events, commands.
+"""Reads the payloads that a diagnosis needs: counters and subscriptions as columns, events, commands.
 
-And the states of robots, with the telemetry that carries them: how old they are when they leave cFS. A state
-begins with the seven doubles of the robot's pose. A message that a flight application makes of it ends with
-the same bytes, so both are compared by a fingerprint of these.
+It also records the states of robots and the telemetry that carries them, for the age of a state when it
+leaves cFS. A robot state begins with the seven doubles of the pose. The message that a flight application
+makes of it ends with the same bytes, so a fingerprint of these bytes identifies both.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from edoras_tools.structs.shapes import Member
 
 _MOST: Final = 200_000
-"""Of each kind; a link that sends more than this says nothing new with the rest."""
+"""Largest number of events, and of commands, that are kept: further ones add nothing new."""
 _AT_ONCE: Final = 4096
-"""Events that are read together."""
+"""Number of events that are decoded at once."""
 _BUS_COUNTERS: Final = (
     cfe.SOFTWARE_BUS_HOUSEKEEPING,
     (
@@ -52,20 +52,20 @@ _BUS_COUNTERS: Final = (
 _CI_COUNTERS: Final = cfe.COMMAND_INGEST_HOUSEKEEPING, ("ingest_packets", "ingest_errors")
 _CI_7_COUNTERS: Final = cfe.COMMAND_INGEST_HOUSEKEEPING_7, _CI_COUNTERS[1]
 _FEWER: Final = 4
-"""Counters that change so many times less in the other byte order are in that one."""
+"""Counters are byte-swapped if they change this many times less in the other byte order."""
 _BIG_TYPES: Final = (1 << 8, 2 << 8, 3 << 8, 4 << 8)
-"""Types of events of a cFS that writes the highest byte first."""
+"""Event types 1 to 4 as a big-endian cFS writes them, read as little-endian."""
 _CHANGES: Final = np.isin(np.arange(1 << 16), list(APPLICATIONS))
 _TO_COUNTERS: Final = cfe.TELEMETRY_OUTPUT_HOUSEKEEPING, ("command_counter", "command_error_counter")
 
 
 class Samples(msgspec.Struct):
-    """Columns, a row of the table each, with what a payload held: counters, or which subscriptions.
+    """Columns with one element for each payload of a kind, such as the counters of each 0x803.
 
-    Taken batch by batch, and joined when they are asked for.
+    They are collected batch by batch, and joined when a column is read.
 
     Attributes:
-        names: of the columns, all i64: ``row`` of the table and ``time_ns`` of capture come first.
+        names: names of the columns, all i64; the first two are ``row`` of the table and capture ``time_ns``.
     """
 
     names: tuple[str, ...]
@@ -73,39 +73,43 @@ class Samples(msgspec.Struct):
 
     @classmethod
     def of(cls, *names: str) -> Self:
-        """Make one without rows, with these columns behind the first two."""
+        """Return empty samples with these columns behind ``row`` and ``time_ns``."""
         return cls(("row", "time_ns", *names))
 
     def __len__(self) -> int:
         return sum(part.shape[1] for part in self._parts)
 
     def __getitem__(self, name: str) -> Integers:
-        """Return a column."""
+        """Return a column, i64 (samples,)."""
         return self._whole()[self.names.index(name)]
 
     def add(self, *columns: NDArray[Any]) -> None:
-        """Take rows of a batch."""
+        """Add the samples of a batch; columns in the order of ``names``, all of one length."""
         if len(columns[0]):
             self._parts.append(np.stack([column.astype(np.int64) for column in columns]))
 
     def over(self, place: Integers) -> Self:
-        """Return those that have a place in another table, not below 0, in its order."""
+        """Return the samples that are in another table, in its order.
+
+        Args:
+            place: i64, new row of each old row; below 0 if it is not in the other table.
+        """
         whole = self._whole().copy()
         whole[0] = place[whole[0]]
         whole = whole[:, whole[0] >= 0]
         return replace(self, _parts=[whole[:, np.argsort(whole[0], kind="stable")]])
 
     def timed(self, time_ns: Integers) -> Self:
-        """Return them with other capture times, one a row of the table."""
+        """Return the same with new capture times: i64 (rows of the table,)."""
         whole = self._whole().copy()
         whole[1] = time_ns[whole[0]]
         return replace(self, _parts=[whole])
 
     def ordered(self, widths: Mapping[str, int]) -> Self:
-        """Return them with counters in the byte order in which they change least: they grow by little.
+        """Return the samples with counters in the likelier byte order: that in which they change least.
 
         Args:
-            widths: column to bytes of its counter; columns of one byte are not there.
+            widths: column to the bytes of its counter, without columns of one byte.
         """
         whole = self._whole().copy()
         places = [self.names.index(name) for name in widths]
@@ -129,17 +133,17 @@ class Samples(msgspec.Struct):
 
 
 class EventRecord(NamedTuple):
-    """One 0x808: what an application said.
+    """One event (0x808) of an application.
 
     Attributes:
-        row: of the table.
-        number: place of the datagram in its source.
+        row: row of the table of datagrams.
+        number: place of the datagram in its source, from 1.
         time_ns: capture time.
-        app: who said it.
-        event_id: its number for it.
-        event_type: 3 and 4 are errors.
+        app: name of the application.
+        event_id: number of the event in that application.
+        event_type: type of the event; 3 and 4 are errors.
         sender: spacecraft and processor, as ``66:1``.
-        message: the text.
+        message: text of the event.
     """
 
     row: int
@@ -156,11 +160,11 @@ class EventRecord(NamedTuple):
 
 
 class SubscriptionMessage(NamedTuple):
-    """What a SUB or UNSUB says.
+    """The content of a SUB or UNSUB.
 
     Attributes:
-        wanted: MsgIds; empty where it could not be read.
-        ident: the $Id it carries.
+        wanted: MsgIds; empty if the message could not be read.
+        ident: SBN's ``$Id`` string in the message.
     """
 
     wanted: tuple[int, ...]
@@ -168,15 +172,15 @@ class SubscriptionMessage(NamedTuple):
 
 
 class CommandRecord(NamedTuple):
-    """One command that changes what a cFS does.
+    """One command that changes the behaviour of a cFS.
 
     Attributes:
-        row: of the table.
+        row: row of the table of datagrams.
         time_ns: capture time.
-        msg_id: of version 1.
-        function_code: its number at the application that takes it.
-        values: its arguments, as ``cfs.arguments`` has them; those that are not there are missing.
-        is_whole: whether it has all bytes of them.
+        msg_id: MsgId in message version 1.
+        function_code: command code at the application that receives it.
+        values: name of an argument to its value, as in ``cfs.arguments``, without those that were cut off.
+        is_whole: whether the packet has all bytes of the arguments.
     """
 
     row: int
@@ -188,17 +192,17 @@ class CommandRecord(NamedTuple):
 
     @property
     def app(self) -> str:
-        """The application that it is about, or an empty text."""
+        """Name of the application that the command is about; empty for none."""
         return str(self.values.get("application", ""))
 
     @property
     def address(self) -> str:
-        """Where Telemetry Output is to send to, or an empty text."""
+        """Address that Telemetry Output shall send to; empty for none."""
         return str(self.values.get("address", ""))
 
     @property
     def entry(self) -> int:
-        """MsgId of the entry of Telemetry Output's table that it is about; -1 for none, or for all."""
+        """MsgId of the entry in Telemetry Output's table that the command is about; -1 for none or all."""
         return self.values["stream"] & 0xFFFF if "stream" in self.values else -1
 
     def __str__(self) -> str:
@@ -210,18 +214,18 @@ _RECORDS: Final = ("events", "commands")
 
 
 class Payloads(msgspec.Struct):
-    """All of them, in order of capture.
+    """The payloads that a diagnosis needs, in order of capture.
 
     Attributes:
-        housekeeping: of 0x803 what the software bus counted: 16 bits that wrap, the last two 8.
-        ingest: of 0x884 what Command Ingest counted.
-        commanded: of 0x880 the commands that Telemetry Output counted: those that it took, and refused.
-        subscriptions: SUB and UNSUB; ``said`` is a place in ``contents``.
-        contents: what they say, each once.
-        events: of 0x808 what applications said.
-        commands: those that change what a cFS does, with their arguments; nothing that cFS itself sends.
-        beyond: values outside limits; ``field`` is a number in ``limited``, ``value`` the bytes of a float64.
-        limited: number and member of each field with limits, by struct and path.
+        housekeeping: samples of the software bus counters (0x803), which wrap at 16 bits, the last two at 8.
+        ingest: samples of Command Ingest's counters (0x884).
+        commanded: samples of Telemetry Output's command counters (0x880): accepted and refused commands.
+        subscriptions: SUB and UNSUB messages; ``said`` is an index of ``contents``.
+        contents: different contents of these messages.
+        events: events of applications (0x808).
+        commands: commands that change the behaviour of a cFS, except those that cFS sends itself.
+        beyond: values outside limits; ``field`` is a number in ``limited``, ``value`` the bits of a float64.
+        limited: ``struct.path`` of each field with limits to its number and member.
     """
 
     housekeeping: Samples = msgspec.field(
@@ -238,10 +242,12 @@ class Payloads(msgspec.Struct):
     _content: dict[int, int] = msgspec.field(default_factory=dict)
 
     def add(self, batch: PacketBatch, columns: Columns, base: int) -> None:
-        """Read what a batch holds.
+        """Read the payloads of a batch.
 
         Args:
-            base: row of the table that the batch's first datagram has.
+            batch: datagrams.
+            columns: decoded columns of these.
+            base: row of the table for the first datagram of the batch.
         """
         downward = among(columns.link, lambda link: link.from_cfs and link.packets)
         ids = cfe.known_ids(columns.msg_id, columns.headers)
@@ -252,7 +258,7 @@ class Payloads(msgspec.Struct):
             (self.commanded, telemetry_output.HOUSEKEEPING_MSG_ID, *_TO_COUNTERS),
         ):
             rows = np.flatnonzero(downward & (ids == msg_id))
-            # What follows the counters is not read; a capture may have cut it off.
+            # Bytes behind the counters are not needed: the capture may have cut them off.
             size = max(layout.by_name[name].end for name in names)
             have = columns.packet_length[rows] - columns.header_length[rows]
             fits = have >= size
@@ -261,7 +267,7 @@ class Payloads(msgspec.Struct):
             rows = rows[(columns.packet_offset[rows] >= 0) & fits]
             payload = gather(batch.data, columns.packet_offset[rows] + columns.header_length[rows], size)
             own: Any = slice(None)
-            if layout is cfe.SOFTWARE_BUS_HOUSEKEEPING:  # what was overwritten has not the 0 that aligns them
+            if layout is cfe.SOFTWARE_BUS_HOUSEKEEPING:  # an overwritten payload has no 0 in the spare byte
                 own = layout.column("spare", payload) == 0
             counters = [layout.column(name, payload)[own] for name in names]
             samples.add((base + rows)[own], batch.time_ns[rows][own], *counters)
@@ -281,7 +287,7 @@ class Payloads(msgspec.Struct):
                 self.commands.append(CommandRecord(base + row, when, *key, values, is_whole))
 
     def add_limits(self, packets: ColumnRows, base: int) -> None:
-        """Read which numbers of a batch are outside limits; see ``add``."""
+        """Read the values of a batch that are outside their limits; ``base`` is as in ``add``."""
         for bound in structs_of(packets):
             for path, member in bound.limited.items():
                 series = field_series(partial(held_messages, bound), path, None, packets)
@@ -295,11 +301,14 @@ class Payloads(msgspec.Struct):
                 )
 
     def outputs(self, *codes: int) -> list[CommandRecord]:
-        """Return the commands to Telemetry Output that have one of some function codes."""
+        """Return the commands to Telemetry Output with some function codes."""
         return self._of(telemetry_output.COMMAND_MSG_ID, codes)
 
     def about_apps(self, *codes: int) -> list[CommandRecord]:
-        """Return the commands to start, stop, restart or reload an application, or those of some codes."""
+        """Return the commands to Executive Services with some function codes.
+
+        Without codes: those that start, stop, restart or reload an application.
+        """
         every = executive_services.START_APP, *executive_services.ENDS_APP
         return self._of(executive_services.COMMAND_MSG_ID, codes or every)
 
@@ -307,10 +316,11 @@ class Payloads(msgspec.Struct):
         return [item for item in self.commands if item.msg_id == msg_id and item.function_code in codes]
 
     def over(self, rows: Places, count: int) -> Payloads:
-        """Return those of the rows that are kept, for a table of only these rows, in their order.
+        """Return the payloads for a new table that has only some rows of the old one.
 
         Args:
-            rows: the rows that are kept, as they shall stand; -1 for one whose payload is not believed.
+            rows: old row of each new row; -1 for a row whose payload shall not count.
+            count: number of rows of the old table.
         """
         place = np.full(count + 1, -1, np.int64)
         place[rows] = np.arange(len(rows))
@@ -326,7 +336,7 @@ class Payloads(msgspec.Struct):
         return replace(self, **columns, **{name: moved(getattr(self, name)) for name in _RECORDS})
 
     def ordered(self) -> Payloads:
-        """Return them with counters in the byte order of their cFS, as these tell it."""
+        """Return the payloads with counters in the byte order of their cFS, which their growth shows."""
         return replace(
             self,
             housekeeping=self.housekeeping.ordered({"pipe_overflows": 2, "msg_limits": 2}),
@@ -334,14 +344,14 @@ class Payloads(msgspec.Struct):
         )
 
     def timed(self, time_ns: Integers) -> Payloads:
-        """Return them with other capture times, one a row of the table."""
+        """Return the same with new capture times: i64 (rows of the table,)."""
         columns: dict[str, Any] = {name: getattr(self, name).timed(time_ns) for name in _SAMPLES}
         for name in _RECORDS:
             columns[name] = [item._replace(time_ns=int(time_ns[item.row])) for item in getattr(self, name)]
         return replace(self, **columns)
 
     def _subscribe(self, batch: PacketBatch, rows: Places, base: int) -> None:
-        """Read each SUB and UNSUB once: the public flight bridge says the same twice a second."""
+        """Read SUB and UNSUB messages; equal ones are parsed once: bridges repeat them twice a second."""
         start = batch.offset[rows] + sbn.HEADER.size
         length = batch.length[rows] - sbn.HEADER.size
         prints = of_bytes(batch.data, start, length)
@@ -357,10 +367,12 @@ class Payloads(msgspec.Struct):
 
 
 def events_in(batch: PacketBatch, columns: Columns, base: int = 0) -> Iterator[EventRecord]:
-    """Yield what applications say in a batch.
+    """Yield the events in a batch.
 
     Args:
-        base: row of the table that the batch's first datagram has.
+        batch: datagrams.
+        columns: decoded columns of these.
+        base: row of the table for the first datagram of the batch.
     """
     ids = cfe.known_ids(columns.msg_id, columns.headers)
     rows = np.flatnonzero((ids == cfe.EVENT_MSG_ID) & (columns.packet_offset >= 0))
@@ -376,7 +388,7 @@ def events_in(batch: PacketBatch, columns: Columns, base: int = 0) -> Iterator[E
 def _events(
     batch: PacketBatch, columns: Columns, rows: Places, have: NDArray[np.int32], base: int
 ) -> Iterator[EventRecord]:
-    """Yield the events of some rows, of whose payload so many bytes are there."""
+    """Yield the events of some rows, of which ``have`` payload bytes were captured."""
     payload = gather(batch.data, columns.packet_offset[rows] + columns.header_length[rows], cfe.EVENT.size)
     payload[np.arange(cfe.EVENT.size) >= have[:, None]] = 0
     names = "event_id", "event_type", "spacecraft_id", "processor_id"
@@ -387,7 +399,7 @@ def _events(
     for name, strip in (("app_name", str), ("message", str.strip)):
         slot = cfe.EVENT.by_name[name]
         column = np.ascontiguousarray(payload[:, slot.start : slot.end]).view(f"S{slot.end - slot.start}")
-        raw = column[:, 0].tolist()  # most are said again and again
+        raw = column[:, 0].tolist()  # most texts repeat
         unlike = {text: strip(text.split(b"\0", 1)[0].decode("utf-8", "replace")) for text in set(raw)}
         texts.append([unlike[text] for text in raw])
     where = (column.tolist() for column in (base + rows, batch.number[rows], batch.time_ns[rows]))
@@ -404,7 +416,7 @@ def _subscriptions(payload: bytes) -> SubscriptionMessage:
 
 
 def _payload(batch: PacketBatch, columns: Columns, row: int) -> bytes:
-    """Return what lies behind a row's cFE header."""
+    """Return the bytes behind a row's cFE header."""
     start = int(columns.packet_offset[row])
     at = start + int(columns.header_length[row])
     return batch.data[at : start + int(columns.packet_length[row])].tobytes() if start >= 0 else b""
@@ -414,14 +426,14 @@ _LEAST_PASSED: Final = 3
 
 
 class PassedStates(NamedTuple):
-    """States of a robot that left cFS on one MsgId.
+    """Robot states that left cFS as messages of one MsgId.
 
     Attributes:
-        msg_id: the MsgId.
-        number: i64, packet of each message.
-        time_ns: i64, when it left cFS.
-        age_ns: i64, how long before the robot had sent what it carries.
-        sent_ns: i64, when the robot sent its states, all of them.
+        msg_id: cFE MsgId of the messages.
+        number: i64 (n,), place of each packet in its source.
+        time_ns: i64 (n,), capture time at which each left cFS.
+        age_ns: i64 (n,), time since the robot had sent the state.
+        sent_ns: i64 (states,), capture times of all states that the robot sent.
     """
 
     msg_id: int
@@ -432,14 +444,14 @@ class PassedStates(NamedTuple):
 
 
 class StateRecorder:
-    """Keeps the states of robots, and of telemetry behind the first of them what may carry one."""
+    """Records the states of robots, and, from the first state on, the telemetry that may carry one."""
 
     def __init__(self) -> None:
         self._sent: list[tuple[Integers, Prints]] = []
         self._passed: list[tuple[Integers, ...]] = []
 
     def add_states(self, batch: PacketBatch) -> None:
-        """Take datagrams without a packet; some may be states of a robot."""
+        """Record the robot states among some datagrams without packets."""
         size = robot.ROBOT_STATE.size
         own = np.flatnonzero((batch.length == size) & (batch.destination_port == robot.CFS_PORT))
         if len(own):
@@ -449,11 +461,13 @@ class StateRecorder:
     def add_messages(
         self, batch: PacketBatch, columns: Columns, offset: Integers, length: NDArray[np.int32]
     ) -> None:
-        """Take packets.
+        """Record the telemetry that may carry robot states.
 
         Args:
-            offset: i64, first byte of each message, -1 where there is none.
-            length: i32, its bytes.
+            batch: datagrams with packets.
+            columns: decoded columns of these.
+            offset: i64 (n,), first byte of each message; -1 for none.
+            length: i32 (n,), bytes of each message.
         """
         size = robot.ROBOT_POSE.size
         if not self._sent:
@@ -465,7 +479,7 @@ class StateRecorder:
         self._passed.append((msg_id, batch.number[own], batch.time_ns[own], prints.view(np.int64)))
 
     def passed(self) -> Iterator[PassedStates]:
-        """Yield what left cFS on each MsgId that passes states on."""
+        """Yield the states that left cFS, for each MsgId that carries states."""
         if not self._sent or not self._passed:
             return
         sent_ns, states = (np.concatenate(parts) for parts in zip(*self._sent, strict=True))
@@ -474,7 +488,7 @@ class StateRecorder:
             number, time_ns, prints = (column[rows] for column in columns[1:])
             at = latest_equal(states, sent_ns, prints.view(np.uint64), time_ns)
             is_state = at >= 0
-            is_state &= np.isin(np.arange(len(at)), np.unique(at, return_index=True)[1])  # each waits once
+            is_state &= np.isin(np.arange(len(at)), np.unique(at, return_index=True)[1])  # first ones
             if is_state.sum() >= _LEAST_PASSED:
                 age_ns = time_ns[is_state] - sent_ns[at[is_state]]
                 yield PassedStates(msg_id, number[is_state], time_ns[is_state], age_ns, sent_ns)

@@ -1,7 +1,14 @@
 """The connections of the Software Bus Network over time, as each cFS sees them.
 
-A peer is connected from its first datagram until it sends DISCONNECT, or nothing for eleven seconds. Over TCP
-silence ends nothing: cFS has no time-out there, and who leaves closes the connection.
+Rules:
+
+1. A peer is connected from its first datagram until it sends DISCONNECT, or is silent for the time-out, 11 s.
+2. Over TCP silence ends nothing: cFS has no time-out there, and a peer that leaves closes the connection.
+3. A time-out holds only if the observer stopped sending. If it went on, it heard the peer, and the capture
+   did not.
+4. If the observer stopped sending and then subscribed again, it had timed the peer out, though the capture
+   shows no silence.
+5. A peer restarted if it was silent while messages were sent to it, and then subscribed again.
 """
 
 from __future__ import annotations
@@ -30,29 +37,29 @@ ObservedState = Literal["connected", "silent", "timed_out", "disconnected"]
 _LEAST_ROWS: Final = 3
 _ALREADY_NS: Final = SECOND
 _BEGINS: Final = frozenset({sbn.MsgType.SUB, sbn.MsgType.PROTO, sbn.MsgType.ANNOUNCE})
-"""What a peer says first: one whose first datagram here is another was connected before the capture began."""
+"""First messages of a new connection; with any other one first, the connection is older than the capture."""
 _BEGAN: Final = frozenset(f"its {kind.name} arrived" for kind in _BEGINS)
 _NEVER: Final = np.iinfo(np.int64).max // 2
 _STILL_NS: Final = 3 * SECOND
-"""After a time-out, nobody sends to a peer for longer than this."""
+"""Longest time for which an observer still sends after a time-out."""
 _ANSWERS_NS: Final = 500 * MILLISECOND
 _SHORT_NS: Final = 2 * SECOND
 _FACTOR: Final = 4
 _LEAST_STEPS: Final = 8
-"""A peer that sends at least so often, and then nothing for so many of its usual pauses, may be gone."""
+"""A restart shows only at a peer with this many pauses, by a silence of ``_FACTOR`` usual ones."""
 _RARE_NS: Final = 30 * SECOND
-"""Who subscribes more often, all in all, repeats it by habit."""
+"""A peer that subscribes more often than this repeats its subscriptions by habit."""
 ALREADY: Final = "it was when the capture began"
 SAID_GOODBYE: Final = "the observer sent it DISCONNECT"
 UNSEEN: Final = "nothing of it is seen here since, yet the observer goes on sending to it"
 
 
 SbnParty = tuple[str, int]
-"""An identity, as ``66:3``, and the number of the address that it speaks from."""
+"""An identity, as ``66:3``, and the number of the address that it sends from."""
 
 
 class PeerChange(NamedTuple):
-    """A peer's state from a time on."""
+    """A peer's state from a time on, ns, and the reason for people."""
 
     time_ns: int
     state: ObservedState
@@ -60,11 +67,14 @@ class PeerChange(NamedTuple):
 
 
 class PeerSilence(NamedTuple):
-    """A time in which a peer said nothing: from its last datagram to its next, or to the end.
+    """A time in which a peer sent nothing.
 
-    ``given_up`` tells whether it lasted until its observer timed it out; ``change`` is the place of its
-    beginning in the connection's changes. ``stood_still`` tells whether it then went on as one that was not
-    started again: it did not subscribe first.
+    Attributes:
+        start_ns: time of its last datagram before the silence.
+        until_ns: time of its next one, or the end of the capture.
+        given_up: whether the observer timed the peer out.
+        change: index of the silence in the connection's changes.
+        stood_still: whether the peer went on without a new subscription, so that it had not restarted.
     """
 
     start_ns: int
@@ -75,11 +85,14 @@ class PeerSilence(NamedTuple):
 
 
 class PeerRestart(NamedTuple):
-    """A peer that was started again before it was given up: it never said that it was gone.
+    """A restart of a peer before its time-out, without a DISCONNECT.
 
-    ``last_ns`` is its last datagram before that, ``dead_ns`` when it would have sent the next one had it
-    run, ``back_ns`` when it subscribed anew. What came until ``read_ns`` it surely read: one that answers,
-    what it answered.
+    Attributes:
+        last_ns: time of its last datagram before the restart.
+        dead_ns: time at which its next datagram was due.
+        back_ns: time at which the silence ended.
+        rows: rows of its last datagram, and of its first SUB behind the silence.
+        read_ns: time until which it surely read what it was sent; for a peer that answers, its last answer.
     """
 
     last_ns: int
@@ -90,14 +103,14 @@ class PeerRestart(NamedTuple):
 
 
 class Connection(msgspec.Struct):
-    """A peer as one cFS sees it.
+    """The connection of a peer, as one cFS sees it.
 
     Attributes:
-        peer: who is seen, as ``66:3``.
-        observer: the cFS that sees it.
-        changes: its states, in order of time.
-        sent_ns: capture times of application messages that the observer sent to it.
-        restarts: when it was started again without a word, in order.
+        peer: identity of the peer, as ``66:3``.
+        observer: identity of the cFS that sees it.
+        changes: states of the peer, in order of time.
+        sent_ns: i64, capture times of application messages that the observer sent to it.
+        restarts: restarts of the peer before a time-out, in order.
     """
 
     peer: str
@@ -107,7 +120,7 @@ class Connection(msgspec.Struct):
     restarts: list[PeerRestart]
 
     def silences(self, end_ns: int) -> Iterator[PeerSilence]:
-        """Yield every silence that the observer noticed, and one that lasts to the end of the capture."""
+        """Yield every silence with a time-out, and one that lasts to the end of the capture."""
         for at, change in enumerate(self.changes):
             if change.state != "silent" or change.why == UNSEEN:
                 continue
@@ -119,7 +132,7 @@ class Connection(msgspec.Struct):
             yield PeerSilence(change.time_ns, back.time_ns, given_up, at, still)
 
     def sent_in(self, silence: PeerSilence) -> Integers:
-        """Return when application messages were sent to it in a silence."""
+        """Return the times, i64 ns, of application messages that were sent to it in a silence."""
         return self.sent_ns[(self.sent_ns > silence.start_ns) & (self.sent_ns < silence.until_ns)]
 
     def as_json(self) -> dict[str, Any]:
@@ -136,8 +149,8 @@ class Network:
 
     Attributes:
         identity_of: endpoint to the identity that sends from it.
-        connections: by (peer, observer), each an identity and the number of its address.
-        datagrams: identity to datagrams sent.
+        connections: (peer, observer) to their connection.
+        datagrams: identity to the number of datagrams that it sent.
     """
 
     def __init__(
@@ -150,7 +163,11 @@ class Network:
         """Follow every connection.
 
         Args:
-            outages: from when to when the capturing interface was away: silence then tells nothing.
+            rows: table of datagrams.
+            payloads: contents of these rows.
+            instances: instances that made them.
+            profile: constants of cFS: time-out and heartbeat of SBN.
+            outages: spans (start, end), ns, in which nothing could be captured: silence then proves nothing.
         """
         self.identity_of: dict[int, str] = {}
         self.connections: dict[tuple[SbnParty, SbnParty], Connection] = {}
@@ -163,7 +180,7 @@ class Network:
             return
         self._identify(rows, network)
         flight_software = {item.name for item in instances.items if item.name}
-        # Where the capture cut the time off: who counts what it sends is a cFS, bridges never do.
+        # Cut frames have no mission time, but only a cFS uses sequence counts: bridges never do.
         counting = rows.counted[network] & rows.has(Finding.CAPTURE_CUT, network)
         own = network[(instances.of_row[network] != NOBODY) | counting]
         speakers = {self.identity_of.get(source, "") for source in np.unique(rows.source[own]).tolist()}
@@ -180,7 +197,7 @@ class Network:
             self.datagrams[name] += number
 
     def party(self, endpoint: int) -> SbnParty:
-        """Return the party at an endpoint; two with one identity are distinguished by their addresses."""
+        """Return the party at an endpoint; the address distinguishes two with one identity."""
         return self.identity_of.get(endpoint, ""), int(self._hosts[endpoint])
 
     def _connect(self, rows: Rows, network: Places, flight_software: set[str]) -> None:
@@ -206,13 +223,14 @@ class Network:
     def _changes(
         self, rows: Rows, heard: Places, alive_ns: int, end_ns: int, farewells: list[tuple[int, int]]
     ) -> list[PeerChange]:
-        """Follow one peer's datagrams to one observer, who is there from ``alive_ns`` on.
+        """Return the states of one peer, from its datagrams to one observer.
 
         Args:
-            heard: the peer's datagrams to the observer.
-            alive_ns: the observer's first datagram.
-            end_ns: the last of the capture.
-            farewells: see ``_farewells``.
+            rows: table of datagrams.
+            heard: rows that the peer sent to the observer.
+            alive_ns: time of the observer's first datagram.
+            end_ns: time of the last datagram of the capture.
+            farewells: result of ``_farewells``.
         """
         timeout = self._profile.sbn_timeout_s * SECOND
         silent = (self._profile.sbn_heartbeat_s + 1) * SECOND
@@ -222,7 +240,7 @@ class Network:
         changes: list[PeerChange] = []
         up, away = False, [*farewells, (np.iinfo(np.int64).max, 0)]
         times, kinds = rows.time_ns[heard], rows.sbn_msg_type[heard]
-        # While it is connected only a silence and a DISCONNECT, and what follows one, change anything.
+        # Only these can change the state: a DISCONNECT, the datagram behind it, and one after a silence.
         ends = (times < alive_ns - 500 * MILLISECOND) | (kinds == sbn.MsgType.DISCONNECT)
         changing = ends | np.append(True, ends)[: len(ends)] | (np.diff(times, prepend=0) >= timeout)
         for at in np.flatnonzero(changing | bool(farewells)).tolist():
@@ -232,9 +250,9 @@ class Network:
                     changes.append(PeerChange(away[0][0], "disconnected", SAID_GOODBYE))
                 up = False
                 if now < away[0][1]:
-                    continue  # what it is sent, the observer does not take
+                    continue  # the observer does not accept this datagram
                 away.pop(0)
-            # What came before the observer was there, nobody heard.
+            # Nobody heard datagrams before the observer was running.
             if now < alive_ns - 500 * MILLISECOND:
                 continue
             if up and now - last >= timeout and now - last >= timeout + self._away(last, now):
@@ -261,7 +279,7 @@ class Network:
         return changes
 
     def _away(self, start_ns: int, end_ns: int) -> int:
-        """Return for how long of a time the capturing interface was away."""
+        """Return how much of a span, ns, nothing could be captured."""
         return sum(max(0, min(end, end_ns) - max(start, start_ns)) for start, end in self._outages)
 
     @staticmethod
@@ -272,14 +290,15 @@ class Network:
         ]
 
     def crossing(self, sender: int, receiver: int) -> Connection | None:
-        """Return the receiving peer's connection, as the sending cFS sees it."""
+        """Return the receiver's connection as the sender sees it; None if there is none."""
         return self.connections.get((self.party(receiver), self.party(sender)))
 
 
 def _farewells(rows: Rows, sent: Places) -> list[tuple[int, int]]:
-    """Return when an observer sent DISCONNECT, and from when on it took the peer's datagrams again.
+    """Return when an observer sent DISCONNECT, and from when on it accepted the peer's datagrams again, ns.
 
-    It does so when it sends anything else to it: it answers what comes. Never is the largest time there is.
+    The second time is shortly before the observer's next datagram to the peer, because it answers; it is the
+    largest i64 if there is none.
     """
     goodbye = rows.sbn_msg_type[sent] == sbn.MsgType.DISCONNECT
     others = rows.time_ns[sent[~goodbye]]
@@ -293,7 +312,7 @@ def _farewells(rows: Rows, sent: Places) -> list[tuple[int, int]]:
 
 
 def _believed(changes: list[PeerChange], sent_ns: Integers) -> list[PeerChange]:
-    """Take back time-outs that the observer did not see: it went on sending, so the peer was heard there."""
+    """Return the changes without time-outs that the observer did not see (rule 3)."""
     out: list[PeerChange] = []
     for at, change in enumerate(changes):
         until = changes[at + 1].time_ns if at + 1 < len(changes) else np.iinfo(np.int64).max
@@ -306,14 +325,14 @@ def _believed(changes: list[PeerChange], sent_ns: Integers) -> list[PeerChange]:
 
 
 def _greeted(changes: list[PeerChange], rows: Rows, sent: Places, app: Places) -> list[PeerChange]:
-    """Add time-outs that no silence shows: the observer kept back messages, and then subscribed anew.
+    """Return the changes with time-outs that no silence shows (rule 4).
 
-    It may not have read what it was sent meanwhile.
+    Counts are missing from the observer's messages in front of its new SUB: it sent them to nobody.
     """
     out, app_ns = list(changes), rows.time_ns[app]
     subscribed = rows.time_ns[sent[rows.sbn_msg_type[sent] == sbn.MsgType.SUB]]
     behind = np.searchsorted(app_ns, subscribed)
-    # Nothing is missing before the first, nor behind the last.
+    # Nothing is missing in front of the first message, nor behind the last one.
     lacking = np.concatenate(([0], rows.missing[app[1:]], [0]))[behind] != 0
     for when, later in zip(subscribed[lacking].tolist(), behind[lacking].tolist(), strict=True):
         place = bisect_right(out, when, key=attrgetter("time_ns"))
@@ -326,10 +345,10 @@ def _greeted(changes: list[PeerChange], rows: Rows, sent: Places, app: Places) -
 
 
 def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]) -> list[PeerRestart]:
-    """Return the restarts of a peer: it was silent for long while it was sent to, and then subscribed anew.
+    """Return the restarts of a peer (rule 5).
 
-    A bridge that repeats its subscriptions does so after any silence. Where it answers what it is sent, it
-    was started again if it never answered what it was sent in the silence.
+    A bridge that repeats its subscriptions does so after any silence. It counts as restarted only if it
+    usually answers messages, and never answered those that were sent to it in the silence.
     """
     steps = np.diff(rows.time_ns[heard])
     if len(steps) < _LEAST_STEPS or rows.streamed[heard].any():
@@ -338,13 +357,13 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
     usual_ns = int(np.quantile(steps, 0.95))
     subs = np.flatnonzero(kinds == sbn.MsgType.SUB)
     subscribes = times[subs]
-    # All that it asks for at once is one time; one that repeats does so every few seconds.
+    # Subscriptions within a quarter of a second begin together; a bridge repeats them every few seconds.
     begins = int((np.diff(subscribes, prepend=0) > SECOND // 4).sum())
     repeats = begins > 2 + len(changes) + (times[-1] - times[0]) // _RARE_NS
     answers = times[kinds == sbn.MsgType.PROTO]
     app_ns = sent_ns[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
     answering = 2 * len(answers) >= len(app_ns)
-    # What one that answers does not answer shows a shorter silence, too.
+    # At a peer that answers, missing answers also show a shorter silence.
     long_ns = max(_SHORT_NS // 3, 2 * usual_ns) if answering else max(_SHORT_NS, _FACTOR * usual_ns)
     restarts = []
     for place in np.flatnonzero(steps > long_ns).tolist():

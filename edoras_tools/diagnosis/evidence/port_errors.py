@@ -1,4 +1,4 @@
-"""ICMP errors of a capture, each once, and when ports spoke: what shows which ports were closed."""
+"""Records the ICMP errors of a capture, each once, and when ports sent datagrams that are no packets."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ if TYPE_CHECKING:
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
     Numbers = Callable[[PacketBatch], tuple[NDArray[np.int32], NDArray[np.int32]]]
-    """Returns the numbers of the source and of the destination of each row."""
+    """Returns the endpoint numbers of source and destination of each datagram: i32 (n,) each."""
 
 _AGAIN_NS: Final = MILLISECOND
-"""The same error within this time was captured twice."""
+"""Equal errors within this time are one error that was captured twice."""
 
 
 class PortErrors(NamedTuple):
-    """The errors of a capture, in order of time; an element each.
+    """The n errors of a capture as columns.
 
     Attributes:
-        time_ns: i64, when it was captured.
-        source: i64, number of the endpoint that sent the quoted datagram,
-        destination: i64, and of the one that did not get it.
-        identification: i64, of the quoted datagram; 0 where it has none.
-        closed: bool, whether the receiver's host says that nobody listens on the port.
-        print: i64, fingerprint of the error's own IP packet.
+        time_ns: i64 (n,), capture time.
+        source: i64 (n,), number of the endpoint that sent the quoted datagram.
+        destination: i64 (n,), number of the endpoint that did not get it.
+        identification: i64 (n,), IP identification of the quoted datagram; 0 if it has none.
+        closed: bool (n,), whether the receiver's host reports that nobody listens on the port.
+        print: i64 (n,), fingerprint of the error's own IP packet.
     """
 
     time_ns: Integers
@@ -48,16 +48,16 @@ class PortErrors(NamedTuple):
     print: Integers
 
     def take(self, rows: Places | Mask) -> PortErrors:
-        """Return some of them."""
+        """Return the errors that an index array or a mask selects."""
         columns: list[Any] = [column[rows] for column in self]
         return PortErrors(*columns)
 
 
 class ErrorRecorder:
-    """Keeps the errors of a capture, and when ports whose datagrams are no packets, as robots', spoke.
+    """Records the errors of a capture, and the datagrams without packets: a robot's, or those on other links.
 
     Args:
-        numbers: numbers the endpoints of a batch.
+        numbers: function that numbers the endpoints of a batch.
     """
 
     def __init__(self, numbers: Numbers) -> None:
@@ -67,7 +67,10 @@ class ErrorRecorder:
         self._voices: list[tuple[NDArray[Any], ...]] = [(none, none, none)]
 
     def about(self, batch: PacketBatch, columns: Columns) -> Mask:
-        """Tell which of no link went where an error came back, in this batch or before: each of them once."""
+        """Return the datagrams without a link in conversations that an error quoted so far: bool (n,).
+
+        Of datagrams with equal identification, only the first of the capture is marked.
+        """
         error = np.flatnonzero(among(columns.link, lambda link: link.quotes))
         if len(error):
             self._ways = np.union1d(self._ways, conversation_of(quoted_rows(batch, error).datagrams))
@@ -84,7 +87,7 @@ class ErrorRecorder:
         return mask
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take the errors of a batch; all else in it is a sign of life of its sender."""
+        """Record the errors of a batch; each other datagram shows that its sender is alive."""
         error = among(columns.link, lambda link: link.quotes)
         others = batch.take(~error)
         self._voices.append((others.time_ns, *self._numbers(others)))
@@ -101,7 +104,7 @@ class ErrorRecorder:
         )
 
     def errors(self) -> PortErrors:
-        """Return the errors, each once."""
+        """Return the errors, each once, in order of time."""
         columns: list[NDArray[Any]] = [np.concatenate(parts) for parts in zip(*self._errors, strict=True)]
         every = PortErrors(*columns)
         every = every.take(np.lexsort((every.time_ns, every.print)))
@@ -111,5 +114,5 @@ class ErrorRecorder:
         return every.take(np.argsort(every.time_ns, kind="stable"))
 
     def voices(self) -> tuple[NDArray[Any], ...]:
-        """Return when other datagrams came, and the numbers of the endpoints that sent them and got them."""
+        """Return the other datagrams as columns: i64 time, source and destination endpoint."""
         return tuple(np.concatenate(parts) for parts in zip(*self._voices, strict=True))

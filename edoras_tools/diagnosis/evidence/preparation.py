@@ -1,13 +1,15 @@
 """Prepares the rows of a diagnosis: in order of time, each datagram once, and only the traffic of cFS.
 
-1. If the records of a file are out of order, they are sorted first. A capture clock that was set back is not
-   disorder: the times in cFS's packets still increase.
+Rules:
+
+1. If the records of a file are out of order, they are sorted first. If the capture clock was set back, they
+   are in order: then the times in cFS's packets still increase.
 2. Conversations of other programs are left out. Datagrams of strangers that reached a cFS stay, as datagrams
    without a packet.
-3. A datagram that was captured twice is counted once, also if that was in front of a proxy and behind it, or
-   on both sides of an address translation.
-4. A datagram that the network damaged is left out: its receiver dropped it.
-5. Of more than 1,000 senders on links from cFS those that sent least are left out, and counted together.
+3. A datagram that was captured twice counts once. This includes captures in front of and behind a proxy or a
+   relay, and on both sides of an address translation.
+4. A damaged datagram is left out, because its receiver dropped it.
+5. Only the 1,000 busiest senders on links from cFS are examined. The others are left out and counted.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.relays import LostInRelay, Proxied, RouteWay
 
 _MOST_SET: Final = 16
-"""A clock is set back now and then; records that go back more often are out of order."""
+"""A clock is set back only a few times; if times go back more often, the records are out of order."""
 _MOST_SENDERS: Final = 1000
 _RUN: Final = 50
 _READ_IN_A_SECOND: Final = 22
@@ -53,24 +55,25 @@ _PLACE: Final = {kind: place for place, kind in enumerate(ConversationKind)}
 
 
 class Prepared(NamedTuple):
-    """What is left to judge, and what was done about the rest.
+    """The prepared rows, and the datagrams that were left out.
 
     Attributes:
-        rows: the rows.
-        payloads: of these rows.
-        flows: every conversation, with its kind.
-        foreign: datagrams of other programs, left out.
-        crowd: datagrams of each sender beyond those that are judged, left out.
-        copies: datagrams that were captured before.
-        relayed: datagrams that were captured in front of a proxy, and are counted behind it.
-        passed: what relays did to messages without a sequence count, of which the capture has both sides.
-        duplicates: i64, rows that the network doubled.
-        damaged: rows that stand for datagrams that the network damaged: nobody got them. They are left out.
-        doubled: rows that were captured twice, or sent twice: nothing tells. They are left out.
-        perhaps_astray: rows that came to one capture, and that the next one on their way lacks, or missed.
-        disordered: records that stood behind a later one.
-        unsteady_ns: by how much capture times are wrong in no order.
-        translated: address to the address that it is another name of.
+        rows: table of the datagrams to examine, in order of time.
+        payloads: contents of these rows.
+        flows: all conversations, with their kinds.
+        foreign: number of datagrams of other programs, left out.
+        crowd: i64, number of datagrams of each sender beyond the busiest ones, left out.
+        copies: number of datagrams that were captured twice, left out.
+        relayed: number of datagrams captured in front of a proxy, left out: they count behind it.
+        passed: losses, copies and delays at relays that were captured on both sides, by MsgId.
+        duplicates: i64, indices of rows that the network doubled.
+        damaged: one row for each damaged datagram, left out of ``rows``.
+        doubled: rows that were either captured or sent twice, without evidence which; left out of ``rows``.
+        perhaps_astray: bool (rows,), the datagram reached one capture, and the next one on its path perhaps
+            only missed it.
+        disordered: number of records that stood behind a later one.
+        unsteady_ns: random error of the capture times, ns.
+        translated: address to its other name on the inner side of an address translation.
     """
 
     rows: Rows
@@ -97,12 +100,13 @@ def prepare(
     *,
     shared: bool = False,
 ) -> Prepared:
-    """Prepare what a recorder kept.
+    """Prepare the rows of a recorder.
 
     Args:
-        proxied: what a proxy did on purpose.
-        astray: time and fingerprint of each that was lost between two captures, and whether that is sure.
-        shared: there are several captures, and what two of them have is there once.
+        recorder: rows and payloads of the capture.
+        proxied: (link, direction, MsgId) to the faults that a proxy injected.
+        astray: time in ns, fingerprint and certainty of each datagram that was lost between two captures.
+        shared: whether there are several captures, and a datagram that two of them have stands here once.
     """
     rows, payloads, disordered = in_time_order(recorder)
     rows = _of_output(rows)
@@ -110,12 +114,12 @@ def prepare(
     kind = _kinds(rows, flows, endpoints)
     strange = kind == _PLACE[ConversationKind.STRANGER]
     if strange.any() and not _has_strangers(rows, payloads, kind):
-        # CI did not count them: whatever the ports say, they did not reach it.
+        # CI did not count these datagrams, so they did not reach it, whatever their ports.
         kind[strange] = _PLACE[ConversationKind.FOREIGN]
     foreign = kind == _PLACE[ConversationKind.FOREIGN]
     rest = _Left(rows, np.arange(len(rows)))
     count, source_of = len(rows), rows.source
-    del rows  # so that a column is there twice, and never the table
+    del rows  # so that memory never holds the table twice
     rest.keep(~foreign)
     crowded, crowd = _crowd(rest.rows)
     rest.keep(~crowded)
@@ -132,7 +136,7 @@ def prepare(
     passed = find_relayed(rest.rows, endpoints, unsteady_ns)
     lost_there = tuple(loss for item in passed for loss in item.losses(rest.rows))
     if passed:
-        # What was damaged behind a relay did not come out of it.
+        # A damaged datagram behind a relay counts in front of it, as not sent on.
         ways = rest.rows.way(np.concatenate([item.behind for item in passed]))
         damaged = damaged.take(~np.isin(damaged.way(), ways))
         source, behind = rest.rows.source.copy(), np.ones(len(rest.rows), bool)
@@ -185,22 +189,22 @@ def prepare(
 
 
 class _Left(msgspec.Struct):
-    """The rows that are left, and the place of each among all."""
+    """The rows that are left, and the index of each in the table at the start."""
 
     rows: Rows
     places: Places
 
     def keep(self, some: Mask) -> None:
-        """Keep some of them."""
+        """Keep the rows that a mask selects."""
         if gone := len(some) - np.count_nonzero(some):
-            # A mask is copied in runs: faster where these are long.
+            # Masks copy runs of rows, which is faster if the runs are long.
             own, columns = some if gone * _RUN < len(some) else np.flatnonzero(some), asdict(self.rows)
             self.rows, self.places = self.rows.take(self.places[:0]), self.places[own]
             self.rows = Rows(**{name: columns.pop(name)[own] for name in list(columns)})
 
 
 def _crowd(rows: Rows) -> tuple[Mask, Integers]:
-    """Tell which rows are of senders beyond those that are judged, and how many each of these has."""
+    """Return the rows of senders beyond the busiest ones (rule 5), and the number of rows of each sender."""
     crowded, own = np.zeros(len(rows), bool), np.flatnonzero(rows.on(lambda link: link.from_cfs))
     first, which = numbered(rows.source[own], rows.spacecraft_id[own], rows.processor_id[own])
     counts = np.bincount(which, minlength=len(first))
@@ -210,7 +214,7 @@ def _crowd(rows: Rows) -> tuple[Mask, Integers]:
 
 
 def _find_astray(rows: Rows, astray: Sequence[tuple[int, int, bool]]) -> tuple[Mask, Mask]:
-    """Tell which rows surely never came to the place of another capture, and which perhaps did not."""
+    """Return the rows that certainly and those that perhaps did not reach the next capture: bool (rows,)."""
     sure = {(when, value): proven for when, value, proven in astray}
     near = np.flatnonzero(np.isin(rows.time_ns, [when for when, _ in sure]))
     keys = zip(rows.time_ns[near].tolist(), rows.bytes_print[near].tolist(), strict=True)
@@ -228,27 +232,27 @@ def _doubled(
     endpoints: Sequence[Endpoint],
     proxied: Mapping[RouteWay, Proxied],
 ) -> tuple[Mask, Mask, Mask, Mask, Integers]:
-    """Tell which rows not to count, which the network doubled, of which nothing tells, which one place lacks.
+    """Return masks (rows,): not to count, doubled by the network, undecided, and seen at one of two places.
 
-    With by how much these are behind (ns).
+    The last array is i64 (rows,), the clock difference of the latter in ns.
 
     Args:
-        sources: who sent each count of CI, as an index of ``endpoints``.
+        sources: i32, endpoint that sent each sample of CI's counts.
     """
     copies = find_copies(rows.time_ns, rows.identification, rows.way(), rows.tap, rows.bytes_print)
     if not copies.duplicate.any():
         return copies.copy, copies.duplicate, copies.duplicate, *copies[3:]
     who = who_doubled(rows, copies, payloads.ingest, sources, endpoints)
     if any(item.doubled for item in proxied.values()):
-        who[copies.duplicate & (who == 0)] = BY_NETWORK  # a proxy says that it sent some again
+        who[copies.duplicate & (who == 0)] = BY_NETWORK  # the proxy's log shows repeated datagrams
     perhaps = copies.duplicate & (who == 0)
     return copies.copy | perhaps | (who == BY_CAPTURE), who == BY_NETWORK, perhaps, *copies[3:]
 
 
 def in_time_order(recorder: Recorder) -> tuple[Rows, Payloads, int]:
-    """Return what a recorder kept in order of time, and how many records stood behind a later one.
+    """Return a recorder's rows and payloads in order of time, and how many records were out of order.
 
-    Sequence counts are followed anew where there were any: gaps are those of the link, not of the file.
+    If any were, the sequence counts are followed again, so that gaps are those of the link, not of the file.
     """
     rows, payloads = recorder.rows(), recorder.payloads.ordered()
     disordered = _disordered(rows)
@@ -259,7 +263,7 @@ def in_time_order(recorder: Recorder) -> tuple[Rows, Payloads, int]:
 
 
 def _of_output(rows: Rows) -> Rows:
-    """Give Telemetry Output the commands that it was told to send as well, to a port that a CI has, too."""
+    """Return the rows with commands between Telemetry Output's endpoints moved to the link from cFS."""
     up, down = (rows.link == carrying("ground", to_cfs=to_cfs) for to_cfs in (True, False))
     way = rows.way()
     own = up & np.isin(way, distinct(way[down]))
@@ -268,7 +272,7 @@ def _of_output(rows: Rows) -> Rows:
 
 
 def _kinds(rows: Rows, flows: Sequence[Flow], endpoints: Sequence[Endpoint]) -> NDArray[np.int8]:
-    """Return the kind of each row's conversation, as its place in ``ConversationKind``."""
+    """Return the kind of each row's conversation, i8 (rows,): its index in ``ConversationKind``."""
     out = np.full(len(rows), _PLACE[ConversationKind.CFS], np.int8)
     number = {endpoint: index for index, endpoint in enumerate(endpoints)}
     for flow in flows:
@@ -279,7 +283,7 @@ def _kinds(rows: Rows, flows: Sequence[Flow], endpoints: Sequence[Endpoint]) -> 
 
 
 def _has_strangers(rows: Rows, payloads: Payloads, kind: NDArray[np.int8]) -> bool:
-    """Tell whether CI's counter holds the strangers' datagrams, as far as it is there to tell."""
+    """Return whether CI's counter includes the strangers' datagrams; True without samples."""
     samples = payloads.ingest
     if len(samples) < 2:
         return True
@@ -294,14 +298,14 @@ def _has_strangers(rows: Rows, payloads: Payloads, kind: NDArray[np.int8]) -> bo
 
 
 def _different(rows: Rows, mask: Mask) -> int:
-    """Return how many datagrams some rows are: one with equal bytes and identification may be a copy."""
+    """Return the number of different datagrams among some rows: equal bytes and identification count once."""
     own = np.flatnonzero(mask & (rows.identification != 0))
     first, _ = numbered(rows.bytes_print[own], rows.identification[own])
     return int(mask.sum()) - len(own) + len(first)
 
 
 def _disordered(rows: Rows) -> int:
-    """Count the records that stand behind a later one, where the file is so and no clock was set."""
+    """Return how many records stand behind a later one; 0 if a set clock explains them (rule 1)."""
     steps = np.diff(rows.time_ns)
     back = np.flatnonzero(steps < 0)
     far = back[steps[back] < -SECOND]
@@ -312,14 +316,14 @@ def _disordered(rows: Rows) -> int:
 
 
 def _goes_back(rows: Rows, far: Places) -> bool:
-    """Tell whether the times in cFS's packets go back where the records do: then no clock was set."""
+    """Return whether mission times also go back where capture times do: then no clock was set."""
     timed = np.flatnonzero((rows.mission_time_ns > 0) & rows.on(lambda link: link.from_cfs))
     if not len(timed):
         return False
     offset, votes = rows.delay_ns(timed), 0
     for row in far[far < timed[-1]].tolist():
         at = int(np.searchsorted(timed, row, side="right"))
-        # Clocks of two cFS differ, too.
+        # Only times of one sender are compared: clocks of two cFS differ.
         before = np.flatnonzero(rows.source[timed[:at]] == rows.source[timed[at]])
         if len(before):
             votes += 1 if abs(int(offset[at] - offset[before[-1]])) < SECOND else -1
@@ -327,7 +331,7 @@ def _goes_back(rows: Rows, far: Places) -> bool:
 
 
 def _emptied(rows: Rows, mask: Mask) -> Rows:
-    """Return the rows, some of them as datagrams that hold no packet."""
+    """Return the rows with the packets of some of them removed."""
     none = {
         "msg_id": NO_MSG_ID,
         "route": NO_ROUTE,
@@ -347,14 +351,18 @@ def _emptied(rows: Rows, mask: Mask) -> Rows:
 
 
 HANDED_ON_NS: Final = 2 * SECOND
-"""Telemetry Output hands on what came over SBN within so long."""
+"""Longest time from a packet on SBN until Telemetry Output forwards it."""
 
 
 def handed_on(rows: Rows, network: Places, output: Places) -> Places:
-    """Return which row of SBN each row of Telemetry Output is, as its place in ``network``; -1 for none.
+    """Return which packet on SBN each packet of Telemetry Output is, as an index in ``network``; -1 for none.
 
-    They are equal in all bytes; where frames are cut, as different parts of a packet are left of it then, in
-    MsgId and sequence count.
+    Equal packets have equal bytes. If frames are cut, MsgId and sequence count are compared instead.
+
+    Args:
+        rows: table of datagrams.
+        network: rows on SBN, in order of time.
+        output: rows that Telemetry Output sent, in order of time.
     """
     prints = rows.packet_print
     if rows.has(Finding.CAPTURE_CUT)[np.concatenate((network, output))].any():
@@ -373,14 +381,14 @@ _LEAST_PAIRS: Final = 20
 _LEAST_EARLY: Final = 3
 _NEVER: Final = 1 << 62
 _TAIL: Final = 1.5
-"""Of two times that are late by up to some time, one of ten differs by less than two thirds of that."""
+"""Largest delay divided by the 90 % quantile of the difference of two random delays, about."""
 
 
 def unsteadiness(rows: Rows) -> int:
-    """Return by how much capture times are wrong in no order, ns; 0 where they are not.
+    """Return the random error of the capture times, ns; 0 if there is none.
 
-    What a cFS makes at nearly one time leaves in one round and in that order: capture times that often say
-    otherwise, by less than half a round, are not those at which it left. Nor are they where several messages
+    Packets that a cFS makes at nearly the same time leave in one round and in that order. If capture times
+    often contradict this, by less than half a round, they are wrong. They are also wrong if several messages
     come out before they went in.
     """
     at = np.flatnonzero(rows.on(lambda link: link.only_from_cfs) & (rows.mission_time_ns > 0))
@@ -396,9 +404,9 @@ def unsteadiness(rows: Rows) -> int:
 
 
 def _early(rows: Rows) -> Integers:
-    """Return by how much messages of a way out came out before they went in, ns; none where they did not.
+    """Return the times, ns, by which messages seem to come out before they went in; empty if none do.
 
-    Where a value comes out more often than it went in, the capture may lack the one that it was made of.
+    A value that comes out more often than it went in is ignored: the capture may have missed its origin.
     """
     prints, out = rows.body_print, [np.zeros(0, np.int64)]
     peers = rows.on(lambda link: link.peers)
@@ -408,13 +416,13 @@ def _early(rows: Rows) -> Integers:
         went = np.flatnonzero(side & (prints != 0))
         went = went[perhaps_in(prints[went], prints[came])]
         own = np.concatenate((came, went))
-        # Of each value: what goes in, and what comes out.
+        # Even keys are a value that goes in, odd keys the same value that comes out.
         key = 2 * numbered(prints[own])[1] + (np.arange(len(own)) >= len(came))
         number, first_ns = np.bincount(key, minlength=2 * len(own)), np.full(2 * len(own), _NEVER)
         np.minimum.at(first_ns, key, rows.time_ns[own])
         ahead, enough = first_ns[::2] - first_ns[1::2], number[::2] >= number[1::2]
         early = (ahead > _TOGETHER_NS) & (ahead < SECOND)
-        late = (ahead < 0) & (ahead > -SECOND)  # there are none of what is sent back as a command
+        late = (ahead < 0) & (ahead > -SECOND)  # none where telemetry is only sent back as a command
         if late.any() and (early & enough).sum() >= max(_LEAST_EARLY, (early & ~enough).sum()):
             out.append(ahead[early & enough])
     return np.concatenate(out)

@@ -1,39 +1,38 @@
-"""What stands between a sender and a receiver: proxies, captures in front of them, address translation.
+"""Hops between a sender and a receiver: proxies, relays, and address translation.
 
-Proxies and replays say in the recording what they did on purpose; nobody is blamed for it.
+A proxy, or a replay, logs in the recording the faults that it injects on purpose (``/edoras/faults``):
 
-1. What one dropped is lost at the proxy: it is not in the recording, and no later hop misses it.
+1. A datagram that it dropped is lost at the proxy. It is not in the recording, and no later hop misses it.
 2. If it sent a datagram several times, all but the first are duplicates of that hop.
-3. A datagram that it delayed, changed or cut is counted, and continues.
+3. A datagram that it delayed, changed or cut is counted, and goes on.
 
-A proxy's recording contains what it sent on, and in ``/edoras/faults`` what it dropped. A capture in front
-of the proxy contains both. Therefore:
+A proxy's recording has the datagrams that it sent on. A capture in front of the proxy also has those that it
+dropped. Therefore:
 
-4. If the proxy dropped a datagram and the capture has it, it was captured in front of the proxy.
-5. If most of what was dropped in one direction is in the capture, the conversations that contain it are in
-   front of the proxy. They are left out, and what was dropped is counted once, at the proxy.
-6. If the conversation has the same endpoints behind the proxy, only what was dropped is left out: the others
-   are copies, which are counted once anyway.
+4. A captured datagram that the proxy dropped was captured in front of the proxy.
+5. If the capture has most of the dropped datagrams of one direction, the conversations with these are in
+   front of the proxy. They are left out, and the dropped datagrams count once, at the proxy.
+6. If the conversation has the same endpoints behind the proxy, only the dropped datagrams are left out. The
+   others are copies, which count once anyway.
 7. Bytes that are sent again and again prove nothing.
 
-The same datagrams may be on both sides of an address translation, as a Docker host or a router does it.
+An address translation, as by a Docker host or a router, has the same datagrams on both sides:
 
-8. Whoever only forwards a datagram keeps its bytes and its IP identification, and lowers its time to live.
-   Whoever sends it anew, as a proxy, does not lower it: that is a hop of its own.
-9. If nearly all datagrams of one conversation, and at least eight, come so within 20 ms in another one, the
-   two are one conversation: its endpoints have two names. Of shorter conversations that is so if their
-   addresses are known to be two names of one.
-10. Each endpoint gets the name of the inner side: a source's before it is translated, a destination's behind
-    it. Many may share the outer address.
+8. A host that only forwards a datagram keeps its bytes and its IP identification, and lowers its time to
+   live. A proxy sends it anew and does not lower it: that is a hop of its own.
+9. If nearly all datagrams of one conversation, at least eight, appear so within 20 ms in another one, the two
+   are one conversation, and its endpoints have two names. For shorter conversations this holds if their
+   addresses are already known as two names of one.
+10. Each endpoint gets its name on the inner side: a source the one before translation, a destination the one
+    behind it. Many endpoints may share the outer address.
 
-A relay takes datagrams at an address of its own and sends them anew. A capture of both its sides has each of
-them twice.
+A relay receives datagrams at its own address and sends them anew. A capture of both sides has them twice:
 
-11. If most of what one conversation brings came before to the address of its sender, or to one that never
-    says anything, and at least eight did, it is behind a relay: a capture may lack many in front of it. It is
-    kept, with the senders of what is in front of that, which is left out. A relay may be at one address with
-    those whose datagrams it takes: then what they are sent has to pass it, too.
-12. What went into the relay and did not come out is lost there; what came out again is a copy.
+11. A conversation is behind a relay if most of its datagrams, at least eight, went before to the address of
+    its sender, or to an address that never sends anything. It is kept, with the original senders, and the
+    datagrams in front of the relay are left out. If the relay has the address of its senders, it counts as a
+    relay only if the opposite direction passes it too.
+12. A datagram that went into the relay and did not come out is lost there. One that came out again is a copy.
 """
 
 from __future__ import annotations
@@ -71,15 +70,15 @@ _OVERFLOW: Final = "overflow"
 
 
 class Proxied(msgspec.Struct):
-    """What was done to the datagrams of one MsgId on one link, one way.
+    """The faults that a proxy injected into one MsgId on one link in one direction.
 
     Attributes:
-        dropped: the datagrams that it dropped, as they came, with their times.
-        doubled: how many it sent besides the first.
-        others: kind of any other fault to how many datagrams it struck.
-        start_ns: when the first was struck.
-        end_ns: and the last.
-        rules: the rules that struck, as they were written.
+        dropped: time in ns and bytes of each dropped datagram.
+        doubled: number of copies that it sent.
+        others: kind of another fault to the number of datagrams with it.
+        start_ns: time of the first fault.
+        end_ns: time of the last fault.
+        rules: texts of the rules that injected them, in order of first use.
     """
 
     dropped: list[tuple[int, bytes]] = msgspec.field(default_factory=list)
@@ -90,10 +89,10 @@ class Proxied(msgspec.Struct):
     rules: dict[str, None] = msgspec.field(default_factory=dict)
 
     def counts(self, *, peers: bool) -> list[int]:
-        """Return the sequence counts of what was dropped.
+        """Return the sequence counts of the dropped datagrams.
 
         Args:
-            peers: an SBN header stands in front of each packet.
+            peers: whether an SBN header stands in front of each packet.
         """
         at = (sbn.HEADER.size if peers else 0) + 2
         return [
@@ -105,11 +104,11 @@ class Proxied(msgspec.Struct):
 
 UNTOUCHED: Final = Proxied()
 RouteWay = tuple[int, bool, int]
-"""Code of the link, whether to cFS, and the MsgId."""
+"""Code of the link, whether the direction is to cFS, and the MsgId."""
 
 
 def proxied(faults: Sequence[Fault]) -> dict[RouteWay, Proxied]:
-    """Return what was done, by link, way and MsgId."""
+    """Return the logged faults by link, direction and MsgId."""
     result: dict[RouteWay, Proxied] = {}
     kinds: dict[tuple[int, int, bytes], Counter[str]] = {}
     for fault in faults:
@@ -119,7 +118,7 @@ def proxied(faults: Sequence[Fault]) -> dict[RouteWay, Proxied]:
         if fault.rule:
             item.rules[fault.rule] = None
         if fault.detail.startswith(_DROPPED) or fault.kind == _OVERFLOW:
-            # Of two rules that drop one datagram both are recorded.
+            # If two rules drop one datagram, the log has both.
             same = kinds.setdefault((fault.time_ns, fault.stream, fault.original), Counter())
             before = max(same.values(), default=0)
             same[fault.rule] += 1
@@ -134,11 +133,11 @@ def proxied(faults: Sequence[Fault]) -> dict[RouteWay, Proxied]:
 
 _WITHIN_NS: Final = 20 * MILLISECOND
 _LEAST: Final = 0.8
-"""Of what was dropped, so much is there; and of its bytes so much differ."""
+"""Least share of the dropped datagrams that were captured, and that have different bytes."""
 
 
 def before_proxy(rows: Rows, proxied: Mapping[RouteWay, Proxied]) -> Mask:
-    """Return which rows were captured in front of a proxy."""
+    """Return which rows were captured in front of a proxy, bool (rows,) (rules 4 to 7)."""
     out = np.zeros(len(rows), bool)
     way = rows.way()
     for (link, _, msg_id), item in proxied.items():
@@ -158,7 +157,12 @@ def before_proxy(rows: Rows, proxied: Mapping[RouteWay, Proxied]) -> Mask:
 
 
 def _matching(rows: Rows, own: Places, prints: Prints, times: Integers) -> Places:
-    """Return the rows that are, by their bytes and time, one of some datagrams."""
+    """Return those of the rows ``own`` whose bytes and time (within 20 ms) match one of some datagrams.
+
+    Args:
+        prints: u64, fingerprints of the datagrams.
+        times: i64, their times, ns.
+    """
     mine, when = rows.bytes_print[own], rows.time_ns[own]
     before = latest_equal(prints, times, mine, when)
     behind = latest_equal(prints, -times, mine, -when)
@@ -178,11 +182,11 @@ _NEARLY_ALL: Final = 0.8
 
 
 def one_name(rows: Rows, endpoints: Sequence[Endpoint]) -> NDArray[np.int32]:
-    """Return the endpoint that each endpoint is counted as; mostly it is the same.
+    """Return the number of the endpoint on the inner side for each endpoint, i32 (rules 8 to 10).
 
     Args:
-        rows: in order of time.
-        endpoints: what their ``source`` and ``destination`` index.
+        rows: table of datagrams, in order of time.
+        endpoints: endpoints that ``source`` and ``destination`` of the rows index.
     """
     names = np.arange(len(endpoints), dtype=np.int32)
     same = _forwarded(rows, endpoints)
@@ -205,7 +209,7 @@ def one_name(rows: Rows, endpoints: Sequence[Endpoint]) -> NDArray[np.int32]:
 
 
 def _forwarded(rows: Rows, endpoints: Sequence[Endpoint]) -> set[tuple[int, int]]:
-    """Return the endpoints that are two names of one: the inner, then the outer."""
+    """Return pairs of endpoints that are two names of one: the inner, then the outer."""
     if not len(rows) or rows.life.min() == rows.life.max():  # nothing was forwarded
         return set()
     way = rows.way()
@@ -233,32 +237,32 @@ def _forwarded(rows: Rows, endpoints: Sequence[Endpoint]) -> set[tuple[int, int]
 
 
 def _ends(one: int, other: int) -> set[tuple[int, int]]:
-    """Return the endpoints of two ways that differ: the inner, then the outer.
+    """Return the endpoints that differ between two conversations: pairs of the inner, then the outer.
 
-    A source is translated on the way out, a destination on the way in.
+    A source is translated on its way out, a destination on its way in.
     """
     source, destination = (one >> 32, other >> 32), (other & 0xFFFFFFFF, one & 0xFFFFFFFF)
     return {ends for ends in (source, destination) if ends[0] != ends[1]}
 
 
 _MOST_HOSTS: Final = 64
-"""Of more hosts nobody looks for one that sends on for another."""
+"""With more hosts, no relay is looked for that sends from another address."""
 _CLOCKS_NS: Final = 50 * MILLISECOND
-"""Two captures of its sides may be so far apart."""
+"""Largest difference between the clocks of the two captures at a relay."""
 LONGEST_NS: Final = 10 * SECOND
-"""Nothing is under way between two points for longer."""
+"""Longest time under way between two points."""
 _LATE_NS: Final = 100 * MILLISECOND
 _MOSTLY: Final = 0.5
-"""Of what left a relay so much is seen before it, where a capture misses much, too."""
+"""Least share of the datagrams behind a relay that were also captured in front of it."""
 
 
 class Segment(NamedTuple):
-    """What is the same at one point of a way and at the next.
+    """The n datagrams that were captured at one point of a path and at the next one.
 
     Attributes:
-        into: intp, places among what came to the first point, in order of time.
-        out: intp, places among what came to the second, ascending; each is the one in ``into``.
-        took_ns: i64, how long each took.
+        into: intp (n,), indices of datagrams at the first point.
+        out: intp (n,), index at the second point of each of these, ascending.
+        took_ns: i64 (n,), time from the first point to the second.
     """
 
     into: Places
@@ -267,28 +271,28 @@ class Segment(NamedTuple):
 
     @property
     def late(self) -> int:
-        """How many took more than 100 ms longer than the quickest."""
+        """Number of datagrams that took over 100 ms longer than the quickest one."""
         return int((self.took_ns - self.took_ns.min(initial=0) > _LATE_NS).sum())
 
     @property
     def out_of_order(self) -> int:
-        """How many came out behind one that had gone in later."""
+        """Number of datagrams that came out behind one that had gone in later."""
         return int((self.into < np.maximum.accumulate(self.into)).sum())
 
     def take(self, some: Mask) -> Segment:
-        """Return it with some of its pairs alone."""
+        """Return the pairs that a mask selects."""
         return Segment(self.into[some], self.out[some], self.took_ns[some])
 
 
 def pair_up(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers, early_ns: int) -> Segment:
-    """Pair what is equal at two points: each with the latest that was not later, each once.
+    """Pair equal datagrams at two points: each with the latest one that was not later, each once.
 
     Args:
-        into: fingerprints at the first point, in order of time.
-        into_ns: when each came there.
-        out: fingerprints at the second point.
-        out_ns: when each came there.
-        early_ns: the second clock may be so much behind the first one.
+        into: u64, fingerprints at the first point, in order of time.
+        into_ns: i64, capture times at the first point.
+        out: u64, fingerprints at the second point.
+        out_ns: i64, capture times at the second point.
+        early_ns: largest time by which the second clock may be behind the first one.
     """
     origin = paired(into, into_ns, out, out_ns + early_ns)
     places = np.flatnonzero(origin >= 0)
@@ -297,16 +301,16 @@ def pair_up(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers, earl
 
 
 class LostInRelay(NamedTuple):
-    """What a relay did to the messages of one MsgId to one receiver.
+    """The losses and delays of one MsgId at a relay, for one receiver.
 
     Attributes:
-        relay: where it takes datagrams.
-        link: code of their link.
-        msg_id: MsgId.
-        receiver: number of the endpoint that they go to behind it.
-        lost_ns: i64, when those came to it that did not leave it.
-        of: messages that came to it.
-        figures: datagrams that left it twice, ``late`` ones, and ``out_of_order``, as a row has them.
+        relay: endpoint at which the relay receives datagrams.
+        link: code of the link.
+        msg_id: cFE MsgId.
+        receiver: number of the endpoint that the datagrams go to behind the relay.
+        lost_ns: i64, capture time in front of the relay of each datagram that did not leave it.
+        of: number of datagrams that reached the relay.
+        figures: ``duplicated``, ``late`` and ``out_of_order``, as in ``ledger.Row``.
     """
 
     relay: Endpoint
@@ -319,24 +323,24 @@ class LostInRelay(NamedTuple):
 
     @property
     def hop(self) -> str:
-        """The name of the relay's hop."""
+        """Name of the relay's hop."""
         return f"{RELAY_HOP} {self.relay}"
 
     @property
     def more(self) -> int:
-        """How many more went in than came out."""
+        """Number of datagrams that went in, minus those that came out."""
         return len(self.lost_ns) - self.figures["duplicated"]
 
 
 class RelayedWay(NamedTuple):
-    """What came to a relay and what left it again, of which the capture has both.
+    """The datagrams of one direction through a relay that was captured on both sides.
 
     Attributes:
-        relay: where it takes datagrams.
-        before: rows in front of it.
-        behind: rows behind it, in order of time.
-        made_of: of those behind, which of ``before`` each may be: the latest equal one; -1 where none fits.
-        segment: which of those in front came out behind it; what else is behind it are copies.
+        relay: endpoint at which the relay receives datagrams.
+        before: rows in front of the relay.
+        behind: rows behind the relay, in order of time.
+        made_of: intp (behind,), index in ``before`` of the latest equal one; -1 if none fits.
+        segment: pairs of one datagram in front and behind; other ones behind the relay are copies.
     """
 
     relay: Endpoint
@@ -346,20 +350,20 @@ class RelayedWay(NamedTuple):
     segment: Segment
 
     def sources(self, rows: Rows) -> NDArray[np.int32]:
-        """Return who sent each of those behind: of one that fits none, who sent the one before it."""
+        """Return the original sender of each row behind, i32; without a match that of the row before it."""
         last = np.maximum.accumulate(np.where(self.made_of >= 0, np.arange(len(self.behind)), -1))
         last[last < 0] = int(np.flatnonzero(self.made_of >= 0)[0])
         return np.asarray(rows.source[self.before[self.made_of[last]]])
 
     def delay_ns(self, rows: Rows) -> float:
-        """Return how much later they usually left it."""
+        """Return the median time through the relay, ns."""
         valid = self.made_of >= 0
         return float(np.median((rows.time_ns[self.behind] - rows.time_ns[self.before[self.made_of]])[valid]))
 
     def losses(self, rows: Rows) -> Iterator[LostInRelay]:
-        """Yield what the relay did to each MsgId."""
+        """Yield the losses and delays of each MsgId that has any."""
         lost, doubled = np.delete(self.before, self.segment.into), np.delete(self.behind, self.segment.out)
-        # What is there twice in front of it came out once.
+        # Datagrams that are twice in front of the relay need to come out only once.
         every = np.concatenate((self.before[self.segment.into], lost))
         number = rows.identification[every]
         once = numbered(rows.bytes_print[every], number, np.where(number, 0, every))[0]
@@ -375,12 +379,12 @@ class RelayedWay(NamedTuple):
 
 
 def find_relayed(rows: Rows, endpoints: Sequence[Endpoint], unsteady_ns: int = 0) -> list[RelayedWay]:
-    """Return what passed a relay on both sides of which the rows were captured.
+    """Return each direction through each relay that was captured on both sides (rule 11).
 
     Args:
-        rows: in order of time.
-        endpoints: what their ``source`` and ``destination`` index.
-        unsteady_ns: by how much their times are wrong in no order.
+        rows: table of datagrams, in order of time.
+        endpoints: endpoints that ``source`` and ``destination`` of the rows index.
+        unsteady_ns: random error of the capture times, ns.
     """
     early_ns, host = max(_CLOCKS_NS, unsteady_ns), number_hosts(endpoints)
     if not len(rows) or len(distinct(host[rows.source])) < 2:
@@ -393,7 +397,7 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint], unsteady_ns: int = 0
         senders, at = set(rows.source[before].tolist()), int(host[relay])
         if len(before) < _LEAST_DATAGRAMS:
             continue
-        # One at which nobody speaks, or its senders do, may be of a relay that sends from another address.
+        # If nobody, or only its own senders, send from this address, the relay may send from another one.
         apart = at not in leaving or at in host[list(senders)]
         relayed += [
             item
@@ -405,8 +409,8 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint], unsteady_ns: int = 0
             and (item := _relayed(rows, endpoints[relay], before, behind, early_ns)) is not None
         ]
 
-    # Within the slack of two clocks each side may be behind the other: the later one is. Where times are
-    # wrong, the one of which the other has more.
+    # Within the error of two clocks, either side may seem to be behind: the later one is. If times have
+    # random errors, it is the side whose datagrams the other side has more completely.
     def rank(item: RelayedWay) -> float:
         return float((item.made_of >= 0).mean()) if unsteady_ns else item.delay_ns(rows)
 
@@ -419,7 +423,7 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint], unsteady_ns: int = 0
 
 
 def _both_ways(rows: Rows, host: NDArray[np.int32], relayed: list[RelayedWay]) -> list[RelayedWay]:
-    """Return those that are relays: at one address with its senders it passes on what they are sent, too."""
+    """Return the candidates that are relays: one at the address of its senders needs both directions."""
     ends = [(int(rows.destination[item.before[0]]), int(rows.source[item.behind[0]])) for item in relayed]
     later = {pair for item, pair in zip(relayed, ends, strict=True) if item.delay_ns(rows) > 0}
     return [
@@ -430,7 +434,7 @@ def _both_ways(rows: Rows, host: NDArray[np.int32], relayed: list[RelayedWay]) -
 
 
 def _relayed(rows: Rows, relay: Endpoint, before: Places, behind: Places, early_ns: int) -> RelayedWay | None:
-    """Hold what came to an address against what left it; None where that is not the same."""
+    """Return the direction through a possible relay; None if too few datagrams are equal on both sides."""
     into, out = ((rows.bytes_print[own], rows.time_ns[own]) for own in (before, behind))
     made_of = latest_equal(*into, out[0], out[1] + early_ns)
     made_of[out[1] - into[1][made_of] > LONGEST_NS] = -1

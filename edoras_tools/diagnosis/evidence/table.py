@@ -1,4 +1,4 @@
-"""The columns that a diagnosis keeps of each datagram: 128 bytes, however large the datagram is."""
+"""The table of datagrams of a diagnosis: 160 bytes for each datagram, whatever its size."""
 
 from __future__ import annotations
 
@@ -39,43 +39,43 @@ if TYPE_CHECKING:
     from edoras_tools.decode import Context
 
 SCATTERED: Final = 20
-"""One record in so many, at the least, stands before an earlier one where a capture is out of order."""
+"""A capture is out of order if at least one record in this many has an earlier time than the one before."""
 _SAMPLES: Final = 4
 _ENCAPSULATION: Final = 4
 
 
 class Rows(msgspec.Struct, frozen=True):
-    """Columns of one length, one element a datagram, in order of capture.
+    """Columns (rows,) with one element for each datagram, in order of capture.
 
-    ``source`` and ``destination`` index ``Recorder.endpoints``. The rest is as in ``PacketBatch`` and
-    ``Columns``, and:
+    ``source`` and ``destination`` index ``Recorder.endpoints``. Columns that are not described here are as in
+    ``PacketBatch`` and ``Columns``.
 
     Attributes:
-        number: i64, place in the source, from 1.
+        number: i64, place of the datagram in its source, from 1.
         time_ns: i64, capture time.
         length: i32, bytes of the UDP payload.
-        known_id: i32, its MsgId as of version 1, as facts of cFS name it.
-        space: i32, bytes of a packet behind the envelope, padding included; 0 where there is no envelope.
-        claimed: i32, bytes of CDR that an envelope claims and its packet does not hold; 0 elsewhere.
-        identification: u16, of the IPv4 packet; 0 for IPv6.
-        tap: u64, fingerprint of what the frame holds in front of the IP header, and of the time to live:
-            differs where one packet was captured at two places.
+        known_id: i32, MsgId in message version 1, in which cFS facts are written.
+        space: i32, bytes of a packet behind its envelope, including padding; 0 without an envelope.
+        claimed: i32, bytes of CDR that an envelope claims, if its packet is too short for them; else 0.
+        identification: u16, identification of the IPv4 packet; 0 for IPv6.
+        tap: u64, fingerprint of the frame in front of the IP header, plus the time to live: it differs
+            between two places of capture.
         life: u8, time to live, or hop limit.
-        streamed: bool, it came over TCP.
-        undelivered: bool, its receiver did not get it: a checksum is wrong, as of ``wrong_checksums``. Behind
-            ``prepare``: it never came to the next capture on its way.
+        streamed: bool, the packet came over TCP.
+        undelivered: bool, its receiver did not get it because of a wrong checksum. After ``prepare``: it did
+            not reach the next capture on its path.
         bytes_print: u64, fingerprint of the whole datagram.
         counted: bool, the packet has a sequence count, and its sender counts.
-        missing: i32, counts that never came right before the packet; this and the next three are as in
-            ``SequenceRows``, and 0 where nobody counts.
-        duplicates: i32.
-        reordered: i32.
-        restarts: i32.
+        missing: i32, sequence counts missing directly in front of the packet. This and the next three are as
+            in ``SequenceRows``, and 0 if the packet is not counted.
+        duplicates: i32, 1 if the packet repeats another one.
+        reordered: i32, 1 if the packet came after a later one; below 0 to correct an earlier row.
+        restarts: i32, 1 if the count restarted here; below 0 to correct an earlier row.
         packet_print: u64, fingerprint of the whole space packet.
         body_print: u64, fingerprint of the message's bytes behind its encapsulation.
-        value_print: u64, fingerprint of the message's values but its time stamps.
-        stamped_print: u64, fingerprint of the message's values.
-        shared_print: u64, fingerprint of what commands share with a robot's own struct; 0 where it has none.
+        value_print: u64, fingerprint of the message's values without time stamps.
+        stamped_print: u64, fingerprint of the message's values with time stamps.
+        shared_print: u64, fingerprint of the values that a command and a robot's struct share; 0 for none.
     """
 
     number: Integers
@@ -121,82 +121,83 @@ class Rows(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, tables: Sequence[Any], **columns: NDArray[Any]) -> Self:
-        """Return rows with the columns that are given; the rest from ``tables``, later ones first."""
+        """Return rows with the named columns; the others come from the last of ``tables`` that has them."""
         rest = [name for name in cls.__struct_fields__ if name not in columns]
         own = {name: getattr(table, name) for name in rest for table in tables if hasattr(table, name)}
         return cls(**own, **columns)
 
     @classmethod
     def of_messages(cls, **columns: NDArray[Any]) -> Self:
-        """Return rows of messages without packets: columns that are not given are zero; no count counts."""
+        """Return rows of messages without packets: other columns are 0, and no sequence count is valid."""
         count, empty = len(columns["time_ns"]), _none()
         values = {"findings": np.full(count, Finding.SEQUENCE_UNSET, np.uint32), **columns}
         kinds = {name: getattr(empty, name).dtype for name in cls.__struct_fields__}
         return cls(**{name: values.get(name, np.zeros(count, kind)) for name, kind in kinds.items()})
 
     def take(self, rows: NDArray[Any] | slice) -> Self:
-        """Return the rows that an index array, a mask or a slice chooses."""
+        """Return the rows that an index array, a mask or a slice selects."""
         return type(self)(**{name: getattr(self, name)[rows] for name in self.__struct_fields__})
 
     def way(self, rows: NDArray[Any] | slice = slice(None)) -> Integers:
-        """Return the source and the destination of some rows as one number each: i64."""
+        """Return the direction of some rows, i64: source << 32 | destination."""
         return self.source[rows].astype(np.int64) << 32 | self.destination[rows]
 
     def on(self, accepts: Callable[[Link], bool], rows: NDArray[Any] | slice = slice(None)) -> Mask:
-        """Tell which of some rows are of links that a test accepts: ``rows.on(lambda link: link.to_cfs)``."""
+        """Return which rows are on links that a test accepts, bool: ``rows.on(lambda link: link.to_cfs)``."""
         return among(self.link[rows], accepts)
 
     @property
     def timed(self) -> Mask:
-        """Which are packets of a cFS that say when they were made."""
+        """The packets from cFS that have a mission time: bool (rows,)."""
         return (self.mission_time_ns > 0) & self.on(lambda link: link.from_cfs and link.packets)
 
     def delay_ns(self, rows: NDArray[Any] | slice = slice(None)) -> Integers:
-        """Return the capture time of some rows, less their mission time: i64."""
+        """Return the capture time minus the mission time of some rows: i64, ns."""
         return np.asarray(self.time_ns[rows] - self.mission_time_ns[rows])
 
     def sbn_sender(self, rows: NDArray[Any] | slice = slice(None)) -> Prints:
-        """Return the SBN identity of the senders of some rows as one number each, as ``peer_of`` reads it."""
+        """Return the SBN identity of the sender of some rows, u64; ``peer_of`` converts one to a peer."""
         return self.spacecraft_id[rows].astype(np.uint64) << np.uint64(32) | self.processor_id[rows]
 
     def usual_sender(self, rows: Places) -> tuple[str, int]:
-        """Return the SBN identity that most of some rows have, and how many do."""
+        """Return the SBN identity that most of some rows have, as ``66:1``, and the number of these rows."""
         values, counts = np.unique(self.sbn_sender(rows), return_counts=True)
         return str(peer_of(int(values[counts.argmax()]))), int(counts.max())
 
     def has(self, finding: Finding, rows: NDArray[Any] | slice = slice(None)) -> Mask:
-        """Tell which of some rows have one of these findings."""
+        """Return which of some rows have at least one of these findings: bool."""
         return np.asarray((self.findings[rows] & np.uint32(finding)) != 0)
 
 
 def peer_of(number: int) -> Peer:
-    """Return the peer that a number of ``Rows.sbn_sender`` stands for."""
+    """Return the peer of a number from ``Rows.sbn_sender``."""
     return Peer(number >> 32, number & 0xFFFFFFFF)
 
 
 def number_hosts(endpoints: Sequence[Endpoint]) -> NDArray[np.int32]:
-    """Return the number of the address of each endpoint, in the order in which addresses come first: i32."""
+    """Return the number of the address of each endpoint, i32 (endpoints,), in order of first appearance."""
     numbers: dict[str, int] = {}
     return np.array([numbers.setdefault(item.address, len(numbers)) for item in endpoints], np.int32)
 
 
 class Recorder:
-    """Takes batches and keeps what a diagnosis needs of them.
+    """Records the columns and payloads of batches that a diagnosis needs.
 
     Args:
-        conversations: of all that came before, to go on with.
-        apart: keeps the datagrams that have a packet in place of this one, see ``keep``; they are still
-            counted here.
+        context: mission, types and options.
+        conversations: conversations of an earlier recorder, which this one continues.
+        apart: function that keeps the datagrams with a packet instead of ``keep``; this recorder still counts
+            them.
 
     Attributes:
-        conversations: everything on any port, by who spoke to whom.
-        endpoints: the addresses and ports seen, in the order first seen.
-        payloads: counters, events and the like.
-        errors: the ICMP errors.
-        states: of robots, and what passes them on.
-        samples: (link, MsgId) to a few CDR messages, shortest and longest among them.
-        left_out: datagrams that belong to no link.
-        ends: whether this is judged once, and nothing is taken after that: ``rows`` are not kept.
+        conversations: all datagrams of any port, by source and destination.
+        endpoints: endpoints, in order of first appearance.
+        payloads: counters, events and commands.
+        errors: recorder of ICMP errors.
+        states: recorder of robot states, and of the telemetry that carries them.
+        samples: (link, MsgId) to a few CDR messages by length.
+        left_out: number of datagrams that belong to no link.
+        ends: whether ``rows`` is called only once, and nothing is added after it: then memory is freed.
     """
 
     def __init__(
@@ -228,19 +229,19 @@ class Recorder:
 
     @property
     def last_ns(self) -> int:
-        """Capture time of the datagram that was taken last; 0 where there is none."""
+        """Capture time of the last datagram with a packet, ns; 0 without any."""
         return int(self._times[-1][-1]) if self._times else 0
 
     @property
     def scattered(self) -> bool:
-        """Whether records of any time stand anywhere, so that no part of what was taken stands by itself."""
+        """Whether records are so out of order that no part of the capture can be examined alone."""
         times = np.concatenate(self._times)
         first, last = times[: len(times) // 4], times[-len(times) // 4 :]
         back = int((np.diff(times) < 0).sum())
         return bool(back * SCATTERED > len(times) and len(first) and last.min() < first.max())
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch; datagrams that carry no packet are left out, but for commands to a robot."""
+        """Record a batch; datagrams without a packet are left out, except commands to a robot."""
         columns = with_garbled(columns, batch)
         self.conversations.add(batch, columns)
         commands = robot_commands(columns, batch, self.context.structs)
@@ -249,7 +250,7 @@ class Recorder:
         self.left_out += len(batch) - len(own) - int(beside.sum())
         beside |= among(columns.link, lambda link: link.last_hop) & ~commands
         beside |= self.errors.about(batch, columns)
-        for rows in (np.flatnonzero(beside), own):  # what carries a state comes behind it
+        for rows in (np.flatnonzero(beside), own):  # states before the telemetry that carries them
             if len(rows):
                 whole = len(rows) == len(batch)
                 part = (batch, columns) if whole else (batch.take(rows), columns.take(rows))
@@ -259,9 +260,9 @@ class Recorder:
             self._times.append(batch.time_ns[own])
 
     def keep(self, batch: PacketBatch, columns: Columns) -> None:
-        """Keep what is needed of the datagrams of a batch.
+        """Record the columns and payloads of a batch.
 
-        All of them carry a packet or a command, or all are errors or signs of life.
+        Either all of its datagrams hold a packet or a command, or all are errors or other datagrams.
         """
         beside = among(columns.link, lambda link: link.quotes or link.last_hop) | (columns.link == OTHER)
         if beside.all() and not robot_commands(columns, batch, self.context.structs).any():
@@ -281,7 +282,7 @@ class Recorder:
         packet[rest] = of_bytes(batch.data, np.maximum(start[rest], 0), size[rest])
         network, identification, life = network_headers(batch)
         if batch.streams is not None:
-            # The messages of one segment have its identification; no message of a stream comes twice.
+            # Messages of one TCP segment share its identification: number them, as no message comes twice.
             identification = np.where(batch.streams, np.arange(len(batch)) % 0xFFFF + 1, identification)
             identification = identification.astype(np.uint16)
         tap = of_bytes(batch.data, batch.frame_offset, network - batch.frame_offset)
@@ -317,12 +318,12 @@ class Recorder:
         self._kept += len(batch)
 
     def rows(self) -> Rows:
-        """Return all rows so far."""
+        """Return all rows so far; only once if ``ends``."""
         if not self._parts:
             return _none()
         if len(self._parts) > 1:
             parts = {name: [getattr(part, name) for part in self._parts] for name in Rows.__struct_fields__}
-            self._parts.clear()  # so that no more than one column is there twice
+            self._parts.clear()  # so that memory holds only one column twice
             self._parts.append(Rows(**{name: np.concatenate(parts.pop(name)) for name in list(parts)}))
         whole = self._parts[0], self._sequences.whole(self._told)
         if self.ends:
@@ -330,14 +331,14 @@ class Recorder:
         return _counting(*whole)
 
     def _ends(self, batch: PacketBatch) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Number the endpoints of a batch: the source and the destination of each row."""
+        """Return the endpoint numbers of source and destination of each datagram: i32 (n,) each."""
         source = self._endpoints(batch, batch.source_address, batch.source_port)
         return source, self._endpoints(batch, batch.destination_address, batch.destination_port)
 
     def _endpoints(
         self, batch: PacketBatch, address: NDArray[np.uint32], port: NDArray[np.uint16]
     ) -> NDArray[np.int32]:
-        """Number the endpoints of a batch; few are new."""
+        """Return the endpoint number of each address and port, i32 (n,); new endpoints are added."""
         key = address.astype(np.uint64) << 24 | port.astype(np.uint64) << 8 | batch.ip_version
         first, which = numbered(key)
         numbers = np.zeros(len(first), np.int32)
@@ -352,10 +353,11 @@ class Recorder:
     def _messages(
         self, batch: PacketBatch, columns: Columns
     ) -> tuple[Integers, NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-        """Find where messages lie: as decoded, and behind an envelope that no configured route explains.
+        """Find the CDR messages: as decoded, and behind envelopes without a configured route.
 
         Returns:
-            offset and length of each CDR, the space behind its envelope, and what an envelope claims in vain.
+            offset (i64) and length (i32) of each CDR, and the columns ``space`` and ``claimed`` of ``Rows``;
+            the offset is negative if there is no message.
         """
         offset, length = columns.cdr_offset.copy(), columns.cdr_length.copy()
         payload = columns.packet_offset + columns.header_length
@@ -376,7 +378,7 @@ class Recorder:
             start = head[:, envelope.size :]
             shaped = (start[:, 0] == 0) & (start[:, 1] <= 1) & (start[:, 2] == 0) & (start[:, 3] == 0)
             shaped &= (claimed >= _ENCAPSULATION) & (claimed < 1 << 31)
-            # A route's envelope is one whatever it looks like; elsewhere its shape has to tell.
+            # A configured route proves the envelope; elsewhere its contents have to be plausible.
             routed = (columns.findings[rows] & np.uint32(Finding.ENVELOPE_OVERRUN)) != 0
             over = claimed > behind[rows].astype(np.uint64)
             valid = (over & shaped & (claimed <= capacity)) | routed
@@ -392,7 +394,7 @@ class Recorder:
     def _fingerprints(
         self, batch: PacketBatch, columns: Columns, offset: Integers, length: NDArray[np.int32]
     ) -> tuple[Prints, Prints, Prints]:
-        """Return fingerprints of the bytes of each message, of its values, and of these with time stamps."""
+        """Return three fingerprints of each message, u64 (n,): bytes, values, values with time stamps."""
         body = np.zeros(len(batch), np.uint64)
         types, routes = self.context.types, self.context.mission.routes
         own = np.flatnonzero(offset >= 0)
@@ -422,9 +424,9 @@ class Recorder:
 
 
 def followed(rows: Rows) -> Rows:
-    """Return rows with what their sequence counts say in the order that the rows have now.
+    """Return the rows with their sequence counts followed again, in the present order of the rows.
 
-    Their bytes are gone: in the batch that is followed a packet is its fingerprint, an endpoint its number.
+    The bytes are gone, so the batch to follow has fingerprints as packets and numbers as addresses.
     """
     absent, size = np.zeros(len(rows), np.uint16), rows.packet_print.itemsize
 
@@ -444,7 +446,7 @@ def followed(rows: Rows) -> Rows:
 
 
 def _counting(rows: Rows, sequences: SequenceRows) -> Rows:
-    """Return rows with what was told of their sequence counts."""
+    """Return the rows with the columns of ``SequenceRows``."""
     return Rows.of((rows, sequences), counted=sequences.stream >= 0)
 
 

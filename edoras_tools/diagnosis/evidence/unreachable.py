@@ -1,16 +1,19 @@
-"""Ports that were closed for a time: what ICMP errors say of datagrams that reached nobody.
+"""Finds datagrams that reached nobody, and the times in which ports were closed, from ICMP errors.
 
-1. The datagram that an error quotes is lost. It is found by its endpoints and its IP identification: the last
-   one before the error that no other error quotes.
-2. A port is closed from the first error that its own host sends to the next sign of life: two datagrams in
-   succession to it without an error, or one behind a datagram from it. One alone may have lost its error, and
-   a port that is connected to another one speaks and hears nobody else.
-3. A host may send few errors: Linux sends six at once and one a second to each receiver, but on loopback. A
-   datagram without an error says that the port is open only where the host would have sent one. Of the rest,
-   what lies between two errors is lost, and what comes after the last is uncertain.
-4. What came to the port just before the first error, and after its last own datagram, may not have been read:
-   it is uncertain, where the port speaks regularly.
-5. An error of another host, or of another kind, is about its own datagram alone.
+Rules:
+
+1. The datagram that an error quotes is lost. It is found by endpoints and IP identification: the last one
+   before the error that no other error quotes.
+2. A port is closed from the first error that its own host sends until the next sign of life. A sign of life
+   is two datagrams in succession to it without an error, or a datagram from it, unless the next one to it
+   has an error. One datagram without an error is not enough: its error may be lost. A datagram from the port
+   with an error behind it is not enough either: a connected socket sends, but hears only its peer.
+3. A host limits its errors: Linux sends six at once and then one a second to each receiver, except on
+   loopback. So a datagram without an error shows an open port only if the host would have sent one. The other
+   datagrams are lost between two errors, and uncertain after the last error.
+4. A program may have ended before it read the datagrams just before the first error. If the port sends
+   regularly, these are uncertain, from its last own datagram on.
+5. An error from another host, or of another kind, concerns only the datagram that it quotes.
 """
 
 from __future__ import annotations
@@ -35,31 +38,31 @@ if TYPE_CHECKING:
     from edoras_tools.model import Endpoint
 
 _WITHIN_NS: Final = 5 * SECOND
-"""An error comes so long after its datagram at most."""
+"""Longest time from a datagram to its error."""
 _DISORDER_NS: Final = 50 * MILLISECOND
-"""A capture may put an error so long before its datagram, where its identification tells that one."""
+"""An error may stand this long before its datagram in the capture, if the identification is known."""
 _PATIENCE_NS: Final = 1200 * MILLISECOND
-"""So long after its last error a host sends another one."""
+"""After this time a host that limits its errors sends another one."""
 _UNREAD_NS: Final = 600 * MILLISECOND
-"""A program that ends has read what came so long before: it wakes up twice a second, or at once."""
+"""Longest time that a datagram waits in a socket: programs wake up at once, or twice a second."""
 _BURST: Final = 7
-"""A host that counts its errors sends fewer within a second."""
+"""A host that limits its errors sends fewer within a second."""
 _DATAGRAM, _ERROR, _VOICE = range(3)
 _VOICES: Final = 3
 _REGULAR: Final = 2
-"""A port speaks regularly if it sent so many datagrams, and was silent for no more than so many steps."""
+"""A port sends regularly if it sent ``_VOICES`` datagrams, and paused for at most this many usual steps."""
 
 
 class ClosedSpan(NamedTuple):
     """A time in which a port was closed.
 
     Attributes:
-        port: its endpoint.
-        start_ns: the datagram that the first error quotes.
-        last_ns: the datagram that the last one quotes.
-        end_ns: the next sign of life; ``NEVER`` where there is none.
-        errors: how many.
-        step_ns: how often the port spoke before, if it fell silent; else 0.
+        port: endpoint of the port.
+        start_ns: time of the datagram that the first error quotes.
+        last_ns: time of the datagram that the last error quotes.
+        end_ns: time of the next sign of life; ``NEVER`` without one.
+        errors: number of errors.
+        step_ns: mean time between two datagrams from the port before it fell silent; 0 if it did not.
     """
 
     port: Endpoint
@@ -71,13 +74,13 @@ class ClosedSpan(NamedTuple):
 
 
 class Unreachable(NamedTuple):
-    """What reached nobody.
+    """The datagrams that reached nobody.
 
     Attributes:
-        closed: bool (rows,), which datagrams went to a closed port.
-        refused: bool (rows,), which others an error quotes.
-        uncertain: bool (rows,), which may have gone to a closed port, or were not read there.
-        spans: when ports were closed, by port and time.
+        closed: bool (rows,), the datagram went to a closed port.
+        refused: bool (rows,), another error quotes it.
+        uncertain: bool (rows,), it perhaps went to a closed port, or was not read there.
+        spans: times in which ports were closed, by port and time.
     """
 
     closed: Mask
@@ -87,13 +90,14 @@ class Unreachable(NamedTuple):
 
 
 def count_shut(flow: Flow, sent_ns: Integers, errors_ns: list[int]) -> tuple[int, int]:
-    """Return of how many of a flow errors tell that they reached nobody, and of how many more that they may.
+    """Return how many datagrams of a flow reached nobody, and how many more perhaps did not (rule 3).
+
+    The second number is 0 unless the errors cover most of the flow's time, or quote most of its datagrams.
 
     Args:
-        flow: to a port that nobody named.
-        sent_ns: when its datagrams were captured, in order.
-        errors_ns: when each error about it came: about most of it, or most of the time. What lies between two
-            that came as often as a host sends any is lost (rule 3).
+        flow: flow to a port that no option names.
+        sent_ns: i64, capture times of its datagrams, in order.
+        errors_ns: capture times of the errors about it.
     """
     when = np.array([flow.first_ns, *sorted(errors_ns), flow.last_ns])
     steps, sent = np.diff(when), np.diff(np.searchsorted(sent_ns, when[1:-1], "right"))
@@ -105,13 +109,13 @@ def count_shut(flow: Flow, sent_ns: Integers, errors_ns: list[int]) -> tuple[int
 def find_unreachable(
     rows: Rows, recorder: ErrorRecorder, endpoints: Sequence[Endpoint], translated: Mapping[str, str]
 ) -> Unreachable:
-    """Return what the errors of a capture say of its datagrams.
+    """Return the datagrams of a capture that reached nobody.
 
     Args:
-        rows: in order of time.
-        recorder: has the errors.
-        endpoints: what ``source`` and ``destination`` of the rows index.
-        translated: address to the address that it is another name of.
+        rows: table of datagrams, in order of time.
+        recorder: recorder of the errors.
+        endpoints: endpoints that ``source`` and ``destination`` of the rows index.
+        translated: address to its other name on the inner side of an address translation.
     """
     errors = recorder.errors()
     marks = Unreachable(np.zeros(len(rows), bool), np.zeros(len(rows), bool), np.zeros(len(rows), bool))
@@ -134,9 +138,9 @@ def find_unreachable(
 
 
 def _quoted(rows: Rows, errors: PortErrors) -> Integers:
-    """Return the row of the datagram that each error quotes; -1 where it is not there (rule 1).
+    """Return the row of the datagram that each error quotes, i64; -1 if it was not captured (rule 1).
 
-    In order of time datagrams are opening brackets and errors closing ones: an error is about the datagram
+    In order of time, datagrams are opening brackets and errors closing ones. An error quotes the datagram
     that its bracket closes.
     """
     way = rows.way()
@@ -156,15 +160,15 @@ def _quoted(rows: Rows, errors: PortErrors) -> Integers:
 
 
 class _Events(NamedTuple):
-    """Datagrams to ports that were closed, errors about them, datagrams from them: by port, then by time.
+    """The n events at ports that an error reports closed, by port, then by time.
 
     Attributes:
-        port: i64, number of the endpoint.
-        time_ns: i64; of an error that of its datagram, if that is there.
-        row: i64, the datagram, or the one that an error quotes; -1 where it is not there.
-        kind: 0 to 2, see above.
-        error: i64, place of an error among the errors; else meaningless.
-        unanswered: bool, a datagram without an error.
+        port: i64 (n,), number of the endpoint.
+        time_ns: i64 (n,), time of the event; of an error the time of its datagram, if that was captured.
+        row: i64 (n,), row of the datagram, or of the quoted one; -1 if there is none.
+        kind: (n,), ``_DATAGRAM`` to the port, ``_ERROR`` about it, or ``_VOICE``: a datagram from it.
+        error: i64 (n,), index of an error among the errors; else meaningless.
+        unanswered: bool (n,), a datagram without an error.
     """
 
     port: Integers
@@ -193,7 +197,7 @@ def _events(
 
 
 def _telling(rows: Rows, errors: PortErrors, events: _Events, endpoints: Sequence[Endpoint]) -> Mask:
-    """Tell of which datagrams an error would have been sent, had their port been closed (rule 3)."""
+    """Return for which events the host would have sent an error to a closed port: bool (n,) (rule 3)."""
     host = number_hosts(endpoints)
     loops = np.array([ipaddress.ip_address(item.address).is_loopback for item in endpoints])
     at = np.flatnonzero(events.kind != _VOICE)
@@ -214,7 +218,7 @@ def _telling(rows: Rows, errors: PortErrors, events: _Events, endpoints: Sequenc
 
 
 def _signs_of_life(events: _Events, telling: Mask) -> Mask:
-    """Tell which events show that their port is open: no error about the next datagram to it (rule 2)."""
+    """Return which events are signs of life: no error about the next datagram to the port (rule 2)."""
     size = len(events.port)
     datagram = np.append(np.flatnonzero(events.kind == _DATAGRAM), size)
     behind = datagram[np.searchsorted(datagram, np.arange(size), "right")]
@@ -228,7 +232,7 @@ def _signs_of_life(events: _Events, telling: Mask) -> Mask:
 def _spans(
     events: _Events, telling: Mask, endpoints: Sequence[Endpoint], marks: Unreachable
 ) -> list[ClosedSpan]:
-    """Return when ports were closed; mark the datagrams of rules 3 and 4 in ``marks``."""
+    """Return the times in which ports were closed; mark the datagrams of rules 3 and 4 in ``marks``."""
     port, times, row = events[:3]
     voice, error = np.flatnonzero(events.kind == _VOICE), events.kind == _ERROR
     life = _signs_of_life(events, telling)
