@@ -1,1 +1,1 @@
-"""The clocks of captures and of cFS: aligned, with offset and drift, and made steady."""
+"""The clocks of captures and of cFS: offset and drift between two, and steps of one."""

@@ -1,26 +1,26 @@
 """Aligns the clocks of two captures of one system: how far one is ahead, and how it drifts.
 
-The second clock minus the first is a line (``lines``). Its offset at the start and its drift are given
-as intervals. They come from one of these, in this order:
+The second clock minus the first is a line (``lines``). Its offset at the start and its drift are intervals.
+The evidence for them is one of these, in this order:
 
-1. Datagrams in both captures, recognised by bytes and IP identification, or by their ends where one has none,
-   as behind an address translation. A datagram from the first host to
-   the second is captured there later by the offset plus its delay; one in the other direction by the offset
-   minus its delay. So the smallest step one way is an upper bound, and the largest step back a lower bound.
-   Equal ones are paired in order, as far apart as those that are there once.
+1. Datagrams in both captures, recognised by bytes and IP identification, or by their endpoints if one capture
+   has no identification (address translation). The second capture has a datagram from the first host later by
+   the offset plus its delay, and one to the first host by the offset minus its delay. So the smallest step
+   one way is an upper bound, and the largest step the other way is a lower bound. Equal datagrams are paired
+   in order, with the time difference that unique datagrams have.
 2. Streams of which each capture has a part: a packet with the next sequence count is captured later.
-3. The mission time in the headers of one boot of one cFS, seen in both: capture time minus mission time is
-   the same except for the shortest delay, which is below the wake-up period of the tasks that forward it.
-   Where several boots fit, the one is meant of which both have packets, else the one that most pairs of
-   boots agree with; if that leaves several, nothing is told.
-4. Cause and effect: messages and answers of which each capture has one end. A peer's PROTO answers the first
-   datagram of the other after a silence, usually at once. What leaves cFS entered it before: the same values,
-   or the same packet forwarded from SBN. A packet that a cFS sends on two links was made once: it leaves on
-   each within one wake-up. No answer comes before its question. Of many packets in one direction, the
-   quickest waited less than a wake-up.
+3. Mission times of one boot of one cFS in both captures. Capture time minus mission time is equal for all its
+   packets, except for delays; the shortest delay is below the cycle of the tasks that forward the packet. If
+   several boots fit, the one with common packets counts, else the one that most pairs of boots agree with. If
+   several are still equal, there is no result.
+4. Causes in one capture and effects in the other. A peer's PROTO answers the first datagram after a silence,
+   usually at once. A message that leaves cFS entered it before: with the same values, or as the same packet
+   from SBN. A packet that a cFS sends on two links leaves on each within one cycle. Of many packets in one
+   direction, the quickest waited less than a cycle.
 
-The first that exists is used, and the last narrows it. If the bounds are too wide to show a drift, none is
-assumed. Only differences of times are used, so that a capture shifted by any time gives the same result.
+The first evidence that exists is used, and the last one narrows it, unless datagrams are in both captures. If
+the bounds are too wide to show a drift, the drift is 0. Only differences of times are used, so a shift of one
+capture does not change the result.
 """
 
 from __future__ import annotations
@@ -63,27 +63,27 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
 
     _Pairs = tuple[Integers, Integers]
-    """When causes were captured, and when their effects."""
+    """Capture times of causes, and of their effects: i64 (n,) each, ns."""
 
 
 _PROFILE: Final = SimProfile()
 _SLACK_NS: Final = 100 * MILLISECOND
-"""Tasks on a busy host wake up so late."""
+"""Largest delay of a wake-up on a busy host."""
 _OUTPUT_NS: Final = _PROFILE.to_wake_ns + _SLACK_NS
 _NETWORK_NS: Final = _PROFILE.sbn_wake_ns + _SLACK_NS
 HANDED_NS: Final = _OUTPUT_NS + _NETWORK_NS
-"""A packet that crosses SBN and leaves by Telemetry Output waits for both at the most."""
+"""Longest time of a packet that crosses SBN and leaves by Telemetry Output: it waits for both."""
 _THROUGH_NS: Final = HANDED_NS + _PROFILE.ci_wake_ns
 _AT_ONCE_NS: Final = MILLISECOND
-"""An answer of a task that waits for its question comes within so much."""
+"""Longest time of an answer from a task that is blocked on its question."""
 _NEAR_NS: Final = 2 * SECOND
 _LEAST: Final = 3
 _MANY: Final = 20
-"""Messages of one way of which one was delayed hardly at all."""
+"""Least number of messages of one direction so that one of them had almost no delay."""
 
 
 class Side(msgspec.Struct, frozen=True, eq=False, dict=True):
-    """What one of two captures is compared by."""
+    """One of two captures, as far as it is needed for the comparison: rows, events and endpoints."""
 
     rows: Rows
     events: Sequence[EventRecord]
@@ -91,9 +91,9 @@ class Side(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     @classmethod
     def of(cls, recorder: Recorder) -> Self:
-        """Return that of a recorder, which need not be kept.
+        """Return the side of a recorder; the recorder is not needed afterwards.
 
-        Messages of a stream have identifications of their own in each capture: here they have none.
+        Messages of TCP streams were numbered in each capture alone, so their identifications are set to 0.
         """
         rows = recorder.rows()
         rows = replace(rows, identification=np.where(rows.streamed, np.uint16(0), rows.identification))
@@ -101,30 +101,31 @@ class Side(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def instances(self) -> Instances:
-        """The cFS in it."""
+        """The instances of cFS in the capture."""
         return Instances(self.rows, self.events, self.endpoints)
 
     @cached_property
     def local(self) -> set[tuple[Endpoint, Endpoint]]:
-        """Source and destination of every conversation in it on loopback."""
+        """Source and destination of every conversation on loopback."""
         ways = np.unique(self.rows.way()).tolist()
         both = ((self.endpoints[way >> 32], self.endpoints[way & 0xFFFFFFFF]) for way in ways)
         return {way for way in both if way[0].address.startswith(("127.", "::1"))}
 
     @cached_property
     def span(self) -> tuple[int, int]:
-        """Capture times of its first and its last datagram; of none, the end of time and its beginning."""
+        """Earliest and latest capture time, ns; the largest and the smallest i64 without any datagram."""
         times, ever = self.rows.time_ns, np.iinfo(np.int64)
         return int(times.min(initial=ever.max)), int(times.max(initial=ever.min))
 
 
 def _related(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) -> Iterator[Ordered]:
-    """Yield pairs of what one capture holds and what in the other follows from it.
+    """Yield pairs of causes in one capture and their effects in the other (evidence 4).
 
     Args:
-        about: how the second's clock stands to the first's as far as that is known, which tells what belongs
-            together; None where unknown.
-        back: the causes are in the second capture.
+        cause: capture with the causes.
+        effect: capture with the effects.
+        about: approximate difference of the clocks, which decides what belongs together; None if unknown.
+        back: whether the causes are in the second capture.
     """
 
     def ordered(pairs: _Pairs, wait_ns: int, **more: Any) -> Ordered:
@@ -132,7 +133,7 @@ def _related(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) 
         return Ordered(first, second, back=back, wait_ns=wait_ns, **more)
 
     for pairs in _answers(cause, effect, about, back=back):
-        # It may have been a later datagram that was heard: how late an answer can be, nothing tells.
+        # The peer may have heard only a later datagram, so the delay of an answer has no strict bound.
         yield ordered(pairs, _NEAR_NS, at_once_ns=_AT_ONCE_NS)
     for pairs in _values(cause.rows, effect.rows, about, back=back):
         yield ordered(pairs, _THROUGH_NS, at_once_ns=_AT_ONCE_NS if len(pairs[0]) >= _MANY else None)
@@ -144,7 +145,7 @@ def _related(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) 
 
 
 def _near(pairs: _Pairs, about: ClockLine | None, *, back: bool, least: int = _LEAST) -> _Pairs:
-    """Return those pairs of cause and effect that are of one offset; none where too few are."""
+    """Return the pairs of cause and effect with nearly one offset; none if there are fewer than ``least``."""
     first, second = pairs[::-1] if back else pairs
     ahead = second - first
     if not len(ahead):
@@ -157,7 +158,7 @@ def _near(pairs: _Pairs, about: ClockLine | None, *, back: bool, least: int = _L
 
 
 def _answers(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) -> Iterator[_Pairs]:
-    """Yield when a peer sent its first datagram, and when a PROTO came that answered it."""
+    """Yield times of first datagrams of SBN peers after a silence, and of the PROTO messages that answer."""
     if about is None:
         return
     causes, effects = cause.rows, effect.rows
@@ -179,13 +180,13 @@ def _answers(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) 
 
 
 def _begins(times: Integers) -> Integers:
-    """Return when something began after a silence that ends a connection."""
+    """Return the times behind a silence that ends a connection: i64, ns."""
     silence = _PROFILE.sbn_timeout_s * SECOND
     return times[np.diff(times, prepend=-silence) >= silence] if len(times) else times
 
 
 def _values(cause: Rows, effect: Rows, about: ClockLine | None, *, back: bool) -> Iterator[_Pairs]:
-    """Yield when messages went into cFS and the same came out, read and written anew."""
+    """Yield times of commands into cFS, and of messages with the same values out of it."""
     into = np.flatnonzero((cause.msg_id != NO_MSG_ID) & VERSION_1.is_command(cause.known_id))
     into = into[(cause.body_print[into] != 0) | (cause.value_print[into] != 0)]
     robot = effect.on(lambda item: item.last_hop)
@@ -205,7 +206,7 @@ def _values(cause: Rows, effect: Rows, about: ClockLine | None, *, back: bool) -
 def _packets(
     cause: Side, effect: Side, about: ClockLine | None, *, back: bool
 ) -> Iterator[tuple[_Pairs, str, str]]:
-    """Yield when SBN carried packets and a Telemetry Output sent them, whose, and who made them."""
+    """Yield times of packets on SBN and at a Telemetry Output, with the names of its cFS and the sender."""
     network = np.flatnonzero(cause.rows.on(lambda link: link.peers) & (cause.rows.msg_id != NO_MSG_ID))
     output = np.flatnonzero(effect.rows.on(lambda link: link.only_from_cfs))
     ours, theirs = matches(cause.rows.packet_print[network], effect.rows.packet_print[output])
@@ -224,30 +225,30 @@ def _packets(
 
 _MOSTLY: Final = 0.9
 _WAKE_NS: Final = 500 * MILLISECOND
-"""The longest time between two wake-ups of a task that sends: Telemetry Output's."""
+"""Longest cycle of a task that sends packets: Telemetry Output's."""
 _MODULUS: Final = 1 << 14
 _SAME_NS: Final = 2 * SECOND
-"""Steps of one offset lie within so much of each other, the longest delays taken off."""
+"""Largest difference between two steps of one offset, except for the longest delays."""
 _LONG_NS: Final = 300 * SECOND
-"""In so long some packet was handed on at once."""
+"""In a window of this length some packet is forwarded at once."""
 _LOOSE_NS: Final = (0, 100_000, MILLISECOND, 10 * MILLISECOND, 100 * MILLISECOND)
-"""By how much packets that overtake each other may contradict each other, tried one after the other."""
+"""Errors, tried in this order, by which packets that overtake each other may contradict each other."""
 _TENTH_NS: Final = MILLISECOND // 10
 MISSION_TIME: Final = "the mission time of one cFS in both"
 _BOTH: Final = "packets that both captured"
 
 
 class Alignment(NamedTuple):
-    """How one capture's clock stands to another's.
+    """The difference between the clocks of two captures.
 
     Attributes:
-        line: the second clock minus the first, as near as can be told.
-        low_ns: at the start of the second capture the offset is not less.
-        high_ns: and not more.
-        drift: not less than, and not more than, in ns per ns; None where it cannot be told.
-        by: what it was told by.
-        shared: i64, numbers of the second capture's frames that the first holds too.
-        here: i64, the numbers of these in the first.
+        line: best estimate of the second clock minus the first.
+        low_ns: smallest possible offset at the start of the second capture.
+        high_ns: largest possible offset there.
+        drift: smallest and largest possible drift, ns per ns; None if unknown.
+        by: evidence, for people.
+        shared: i64, frame numbers in the second capture of datagrams that both have.
+        here: i64, frame numbers in the first capture of datagrams that both have.
     """
 
     line: ClockLine
@@ -259,7 +260,7 @@ class Alignment(NamedTuple):
     here: Integers
 
     def told(self, other: str) -> str:
-        """Return it in words; ``other`` is the first capture."""
+        """Return the difference as a sentence; ``other`` is the name of the first capture."""
         low, high = math.floor(self.low_ns / _TENTH_NS) / 10_000, math.ceil(self.high_ns / _TENTH_NS) / 10_000
         offset, way = self.line.offset_ns / SECOND, f"ahead of that of {other}"
         if offset < 0:
@@ -274,7 +275,17 @@ class Alignment(NamedTuple):
 
 
 class _Told(msgspec.Struct, frozen=True):
-    """What pairs tell: the lines they leave, by what, where the offset is likely, what frames both hold."""
+    """The result of one kind of evidence.
+
+    Attributes:
+        pairs: pairs of causes and effects.
+        lines: lines that agree with all pairs.
+        by: kind of evidence, for people.
+        loose_ns: error by which the bounds may contradict each other.
+        near: likely offsets, ns.
+        shared: as in ``Alignment``.
+        here: as in ``Alignment``.
+    """
 
     pairs: Sequence[Ordered]
     lines: ClockLines
@@ -290,7 +301,7 @@ class _Told(msgspec.Struct, frozen=True):
         return cls(pairs, lines, by, loose_ns) if lines else None
 
     def narrowed(self, pairs: Sequence[Ordered], by: str = "") -> _Told:
-        """Return what further pairs leave of it; itself where they contradict it."""
+        """Return the result with further pairs; the same result if they contradict it."""
         lines = self.lines.within(pairs)
         if not pairs or not lines:
             return self
@@ -299,7 +310,7 @@ class _Told(msgspec.Struct, frozen=True):
 
     @property
     def line(self) -> ClockLine:
-        """The line that is taken of all: one without a drift, where that agrees with all pairs."""
+        """The best line: without drift if that agrees with all pairs, else with the middle drift."""
         begin, drift = self.lines.begin_ns, 0.0
         low, high = constant_offset(self.pairs)
         if low - high > 2 * self.loose_ns:
@@ -310,7 +321,7 @@ class _Told(msgspec.Struct, frozen=True):
         return ClockLine(begin, int(np.median(likely)) if likely else (low + high) // 2, drift)
 
     def since(self, start_ns: int) -> Alignment:
-        """Return the result, told for the time at which the second clock shows ``start_ns``."""
+        """Return the alignment, with its offset at the time at which the second clock shows ``start_ns``."""
         line = self.line
         begin = line.set_back(np.array([start_ns]))
         line = ClockLine(int(begin[0]), int(line.ahead(begin)[0]), line.drift)
@@ -319,7 +330,7 @@ class _Told(msgspec.Struct, frozen=True):
 
 
 def align(first: Side, second: Side) -> Alignment | None:
-    """Tell how the second capture's clock stands to the first's; None where nothing in them tells."""
+    """Return the difference between the clocks of two captures; None without evidence."""
     shift = _shared(first, second)
     if shift is None:
         sides = first, second
@@ -338,18 +349,22 @@ def boot_offsets(side: Side, name: str) -> list[int]:
     """Return capture time minus mission time, in ns, of each boot of a cFS in a capture.
 
     Args:
-        name: of the cFS, as ``66:1``; a boot whose name nothing says may be its own.
+        side: capture.
+        name: name of the cFS, as ``66:1``; boots without a name are included.
     """
     return [item.offset_ns for item in side.instances.items if item.name in {name, ""}]
 
 
 def align_ways(first_ns: Integers, second_ns: Integers, back: Mask) -> Alignment | None:
-    """Tell it by messages that both recorded; None where there are none, or they contradict each other.
+    """Return the difference between two clocks from messages that both recorded.
 
     Args:
-        first_ns: i64 (n,), when the first recorded each.
-        second_ns: i64 (n,), when the second did, by its own clock.
-        back: bool (n,), it went from the second to the first.
+        first_ns: i64 (n,), time of each message at the first recorder.
+        second_ns: i64 (n,), time of each message at the second recorder, by its own clock.
+        back: bool (n,), whether the message went from the second to the first.
+
+    Returns:
+        None if there are no messages, or if they contradict each other.
     """
     if not len(first_ns):
         return None
@@ -367,11 +382,11 @@ def align_ways(first_ns: Integers, second_ns: Integers, back: Mask) -> Alignment
 
 
 def _shared(first: Side, second: Side) -> _Told | None:
-    """Tell it by datagrams that both captured."""
+    """Return the result from datagrams in both captures (evidence 1); None if too few, or inconsistent."""
     a, b = first.rows, second.rows
     one = _one(first, second)
     tried = []
-    for bits in (np.uint16(0xFFFF), np.uint16(0)):  # an address translation may have left no identification
+    for bits in (np.uint16(0xFFFF), np.uint16(0)):  # an address translation may clear identifications
         prints = [rows.bytes_print ^ rows.identification & bits for rows in (a, b)]
         pairs = matches(*prints)
         same = one(*pairs)
@@ -382,7 +397,7 @@ def _shared(first: Side, second: Side) -> _Told | None:
         return None
     senders = np.array([first.endpoints[row].address for row in a.source[ours].tolist()])
     middles = {host: np.median(step[senders == host]) for host in set(senders.tolist())}
-    apart = np.abs(step - [middles[host] for host in senders.tolist()])  # each way has its own delay
+    apart = np.abs(step - [middles[host] for host in senders.tolist()])  # each sender has its own delay
     near = apart < _SAME_NS + np.ptp(a.time_ns) * MOST_DRIFT
     if near.mean() < _MOSTLY:
         return None
@@ -398,7 +413,7 @@ def _shared(first: Side, second: Side) -> _Told | None:
         if fit and (best is None or fit.lines.width < best.lines.width):
             best = fit
     if best is None:
-        # All travel one way, or were captured at one place: delays are not more than they vary.
+        # All go one way, or both captures are at one place: delays are assumed no longer than they vary.
         best = _Told.of(one_way(*times), _BOTH)
     if best is None:
         return None
@@ -411,12 +426,12 @@ def _shared(first: Side, second: Side) -> _Told | None:
 
 
 def _ways_between(ours: Integers, theirs: Integers, took_ns: Integers) -> list[tuple[list[int], list[int]]]:
-    """Return the ways of each of two places that lead to the other, and those that lead from it.
+    """Return, for each of two captures, the conversations towards the second place, and those back.
 
     Args:
-        ours: the way of each datagram at the one place.
-        theirs: the same at the other.
-        took_ns: how much later it was there.
+        ours: i64 (n,), conversation of each datagram in the first capture.
+        theirs: i64 (n,), conversation of each datagram in the second capture.
+        took_ns: i64 (n,), time from the first place to the second; negative on the way back.
     """
     leads: list[tuple[list[int], list[int]]] = [([], []), ([], [])]
     for way, at in by_value(ours):
@@ -428,15 +443,21 @@ def _ways_between(ours: Integers, theirs: Integers, took_ns: Integers) -> list[t
 
 
 _BY_CHANCE: Final = 0.001
-"""So seldom a capture that missed a share by chance would have missed none of those that surely passed it."""
+"""Largest probability of a coincidence that still counts as proof."""
 
 
 def lost_between(first: Side, second: Side, shift: Alignment) -> tuple[tuple[Places, bool], ...]:
-    """Return which rows of each capture came to its place and never to that of the other; and if it is sure.
+    """Return, for each capture, its rows that did not reach the place of the other, and whether that is sure.
 
-    A way leads from one place to the other where what is in both is there later, and on the ways back
-    earlier. What one lacks of the ways to it was lost between them, where it has all that the other got by
-    the ways from it: it cannot have missed so large a share by chance. Else it may have missed them.
+    Common datagrams of a conversation towards the other place are captured there later. If the other capture
+    does not have a datagram of such a conversation, it was lost between the places, or the capture missed it.
+    A loss is sure if the other capture has all datagrams of the opposite direction, and would have missed one
+    of these (probability 0.999) if it missed so large a share at random.
+
+    Args:
+        first: first capture.
+        second: second capture.
+        shift: difference between their clocks.
     """
     sides = first.rows, second.rows
     times = sides[0].time_ns, shift.line.set_back(sides[1].time_ns)
@@ -447,7 +468,7 @@ def lost_between(first: Side, second: Side, shift: Alignment) -> tuple[tuple[Pla
     none = np.zeros(0, np.intp)
     if len(shared[0]) != len(shared[1]) or any(rows.has(Finding.CAPTURE_CUT).any() for rows in sides):
         return (none, True), (none, True)
-    # Equal ones are paired in order of time.
+    # Equal datagrams are paired in order of time.
     ours, theirs = (
         own[np.lexsort((when[own], rows.bytes_print[own]))]
         for own, when, rows in zip(shared, times, sides, strict=True)
@@ -465,7 +486,7 @@ def lost_between(first: Side, second: Side, shift: Alignment) -> tuple[tuple[Pla
         lacking = to & ~both[side] & ~np.isin(prints[side], prints[1 - side])
         chance = (1 - lacking.sum() / max(to.sum(), 1)) ** back.sum()
         proven = both[side][back].all() and chance < _BY_CHANCE
-        # Of a way of which it lacks most it was not to have all.
+        # If most datagrams are missing, the other capture was not meant to have them all.
         out.append(
             (np.flatnonzero(lacking) if proven or 2 * lacking.sum() < to.sum() else none, bool(proven))
         )
@@ -473,10 +494,10 @@ def lost_between(first: Side, second: Side, shift: Alignment) -> tuple[tuple[Pla
 
 
 def _one(first: Side, second: Side) -> Callable[..., Mask]:
-    """Return what tells which pairs of rows with equal bytes are one datagram, by identification and ends.
+    """Return a function that decides which pairs of rows with equal bytes are one datagram: bool (pairs,).
 
-    Without an identification it keeps both its ends, lives shorter, or has an end with two names. What a
-    relay sends is another one: it lives as long, and no end is the same.
+    With identifications these have to be equal. Without, one datagram has equal endpoints, another time to
+    live, or an endpoint with two names. A datagram that a relay sends anew has none of these.
     """
     a, b = first.rows, second.rows
     number = _moved(first, second)
@@ -489,7 +510,7 @@ def _one(first: Side, second: Side) -> Callable[..., Mask]:
     def renamed(ours: Places, theirs: Places) -> Mask:
         return np.asarray(a.on(lambda link: link.only_from_cfs, ours) & (common(ours, theirs) == 1))
 
-    # Telemetry from one place, or to one, is one datagram: its other ends are two names of one host.
+    # Telemetry with one equal endpoint is one datagram: its other endpoints are two names of one host.
     ours, theirs = matches(a.bytes_print, b.bytes_print)
     same = renamed(ours, theirs)
     pairs = {pair for end, other in ends for pair in zip(end[ours[same]], other[theirs[same]], strict=True)}
@@ -507,13 +528,19 @@ def _one(first: Side, second: Side) -> Callable[..., Mask]:
 
 
 def _moved(first: Side, second: Side) -> Integers:
-    """Return the number that each endpoint of the second has in the first; -1 for none."""
+    """Return the number in the first capture of each endpoint of the second, i64; -1 for none."""
     number = {endpoint: index for index, endpoint in enumerate(first.endpoints)}
     return np.array([number.get(endpoint, -1) for endpoint in second.endpoints] or [-1])
 
 
 def _by_counts(first: Side, second: Side, coarse: _Told | None) -> _Told | None:
-    """Tell it by counts; ``coarse`` says which of the packets of a count are meant, where it can."""
+    """Return the result from sequence counts that go on in the other capture (evidence 2); None without any.
+
+    Args:
+        first: first capture.
+        second: second capture.
+        coarse: result from mission times, which decides between packets with one count; None if unknown.
+    """
     a, b = first.rows, second.rows
     theirs = _key(b, _moved(first, second)[b.source].astype(np.int64), 0)
     every = []
@@ -530,17 +557,17 @@ def _by_counts(first: Side, second: Side, coarse: _Told | None) -> _Told | None:
         same = np.abs(item.second_ns - item.first_ns - line.ahead(item.first_ns)) < room
         near.append(item._replace(first_ns=item.first_ns[same], second_ns=item.second_ns[same]))
     if min(len(item.first_ns) for item in near) < _LEAST:
-        # As from one file to the next: a few counts go on.
+        # As with consecutive files: only a few counts go on.
         return coarse.narrowed([item for item in near if len(item.first_ns)]) if coarse else None
     if coarse is None and sum(len(item.first_ns) for item in near) < _MOSTLY * len(steps):
         return None
     by = "sequence counts that go on from one to the other"
-    # Packets that overtake each other on their way make the bounds cross.
+    # Packets that overtake each other contradict strict bounds.
     return next(filter(None, (_Told.of(near, by, loose_ns) for loose_ns in _LOOSE_NS)), None)
 
 
 def _key(rows: Rows, source: Integers, ahead: int) -> Prints:
-    """Return what names a packet of a stream by its count, moved on; 0 where it is not counted."""
+    """Return a key of each packet, u64 (rows,), from stream and count plus ``ahead``; 0 without a count."""
     count = (rows.sequence_count.astype(np.int64) + ahead) % _MODULUS
     key = np.zeros(len(rows), np.uint64)
     for part in (source, rows.link, rows.msg_id, rows.processor_id, rows.spacecraft_id, count):
@@ -551,7 +578,7 @@ def _key(rows: Rows, source: Integers, ahead: int) -> Prints:
 
 
 def _mission_times(first: Side, second: Side) -> _Told | None:
-    """Tell it by the mission time of one boot of one cFS, of whose packets both captured some."""
+    """Return the result from mission times of common boots (evidence 3); None if there are none, or a tie."""
     ours, theirs = first.instances, second.instances
     pairs = [
         (i, j)
@@ -562,7 +589,7 @@ def _mission_times(first: Side, second: Side) -> _Told | None:
     if not pairs:
         return None
     steps = np.array([theirs.items[j].offset_ns - ours.items[i].offset_ns for i, j in pairs])
-    # How many packets a boot has says nothing of which boot it is: that both hold the same ones does.
+    # Common packets prove a common boot; the number of its packets does not.
     same_packets = [_same_packets(first, second, pair) for pair in pairs]
     if not any(same_packets) and not all(_one_boot(first, second, pair) for pair in pairs):
         return None
@@ -580,9 +607,9 @@ def _mission_times(first: Side, second: Side) -> _Told | None:
 
 
 def _one_boot(first: Side, second: Side, pair: tuple[int, int]) -> bool:
-    """Tell whether boots of two captures may be one.
+    """Return whether boots of two captures may be one.
 
-    They are not where both sent a MsgId on one link at the same mission times, and never the same packet.
+    They are not if both sent a MsgId on one link in the same mission time, and never at equal mission times.
     """
     ours, theirs = (side.rows.take(own) for side, own in _both_of(first, second, pair))
     if np.isin(ours.mission_time_ns, theirs.mission_time_ns).any():
@@ -597,7 +624,7 @@ def _one_boot(first: Side, second: Side, pair: tuple[int, int]) -> bool:
 
 
 def _same_packets(first: Side, second: Side, pair: tuple[int, int]) -> int:
-    """Return how many packets of a boot both captured, whatever carried them."""
+    """Return the number of datagrams of a boot that both captured, on any path."""
     ours, theirs = (side.rows.bytes_print[own] for side, own in _both_of(first, second, pair))
     return len(matches(ours, theirs)[0])
 
@@ -609,7 +636,7 @@ def _both_of(first: Side, second: Side, pair: tuple[int, int]) -> Iterator[tuple
 
 
 def _of_boot(first: Side, second: Side, pair: tuple[int, int]) -> Ordered:
-    """Return when each captured the quickest of a boot's packets of some minutes, as if made at one time."""
+    """Return pairs of the quickest packets of a boot, one for each 5 minutes, as if made at the same time."""
     both = _both_of(first, second, pair)
     boots = [(side.rows.mission_time_ns[own], side.rows.time_ns[own]) for side, own in both]
     begin = max(int(made_ns.min()) for made_ns, _ in boots)
@@ -628,7 +655,7 @@ def _of_boot(first: Side, second: Side, pair: tuple[int, int]) -> Ordered:
 
 
 def _same_ways(first: Side, second: Side, pair: tuple[int, int]) -> list[int]:
-    """Return the offset that each way tells that one boot's packets took in both, by the shortest delays."""
+    """Return the offset, ns, by the shortest delays of each conversation with a boot's packets in both."""
     offsets: list[dict[tuple[Endpoint, Endpoint], int]] = []
     for side, own in _both_of(first, second, pair):
         delay, ends = side.rows.delay_ns(own), side.endpoints

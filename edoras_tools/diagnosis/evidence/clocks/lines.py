@@ -1,12 +1,14 @@
 """All offsets and drifts between two clocks that agree with the captures.
 
-1. The second clock minus the first is a straight line over the time of the first: an offset and a drift.
+Rules:
+
+1. The second clock minus the first clock is a straight line over the time of the first: offset and drift.
 2. No effect is captured before its cause. If the cause is in the first capture and the effect in the second,
-   the line is at most their difference; in the other direction it is at least that.
-3. What waits for a task that wakes up periodically waits at most one cycle: this is the other bound.
-4. Each bound cuts off a half-plane of lines. The rest is a polygon, whose corners give the intervals of
+   the line is at most the difference of their times. In the other direction it is at least that.
+3. A message that waits for a periodic task waits at most one cycle. This gives the opposite bound.
+4. Each bound cuts a half-plane off the set of lines. The rest is a polygon; its corners give the intervals of
    offset and drift. A line is stored as its values at two times, in ns relative to a base.
-5. The clocks of two hosts drift apart by less than 500 ppm, the most by which NTP slews a clock.
+5. Two clocks drift by less than 500 ppm, the largest rate at which NTP slews a clock.
 """
 
 from __future__ import annotations
@@ -28,23 +30,23 @@ if TYPE_CHECKING:
     from edoras_tools.wire.arrays.order import Integers, Places
 
 MOST_DRIFT: Final = 500e-6
-"""No clock gains or loses more on another, in ns per ns."""
+"""Largest drift between two clocks, in ns per ns."""
 _RESOLUTION_NS: Final = MICROSECOND
-"""Times of capture are rounded to so much."""
+"""Resolution of capture times."""
 _WINDOW_NS: Final = 300 * SECOND
-"""In so long one of many waited hardly at all."""
+"""In a window of this length, at least one of many messages had almost no delay."""
 _FAR_NS: Final = 1 << 62
 _PLACES: Final = 512
-"""Bounds from above, or from below, that are kept, each the tightest of its time."""
+"""Largest number of upper, or of lower, bounds that are used: the tightest one of each part of the time."""
 
 
 class ClockLine(NamedTuple):
-    """A clock that drifts: ahead of another by ``offset_ns`` at one time, and by more later.
+    """The difference between a clock and another clock, which changes linearly.
 
     Attributes:
-        begin_ns: the time, by the other clock.
-        offset_ns: by how much it is ahead then.
-        drift: by how much more after each ns, in ns.
+        begin_ns: time on the other clock at which ``offset_ns`` holds.
+        offset_ns: time by which this clock is ahead of the other one then.
+        drift: change of the offset, in ns per ns.
     """
 
     begin_ns: int
@@ -52,28 +54,28 @@ class ClockLine(NamedTuple):
     drift: float = 0.0
 
     def ahead(self, time_ns: Integers) -> Integers:
-        """Return by how much it is ahead at times of the other clock."""
+        """Return by how much this clock is ahead, i64 ns, at times of the other clock."""
         return self.offset_ns + np.asarray(np.rint((time_ns - self.begin_ns) * self.drift), np.int64)
 
     def set_back(self, time_ns: Integers) -> Integers:
-        """Return the times of the other clock at which it shows these."""
+        """Convert times of this clock to times of the other clock: i64, ns."""
         moved = time_ns - self.offset_ns
         gained = np.rint((moved - self.begin_ns) * (self.drift / (1 + self.drift)))
         return moved - np.asarray(gained, np.int64)
 
 
 class Ordered(NamedTuple):
-    """Pairs of a cause in one capture and its effect in the other.
+    """The n pairs of a cause in one capture and its effect in the other.
 
     Attributes:
-        first_ns: i64, when the first captured its one of each pair.
-        second_ns: i64, when the second captured the other.
-        back: the causes are in the second capture.
-        early_ns: the effect is captured before the cause by so much at most: 0 where it cannot be.
-        wait_ns: the quickest of them waited so long at the most; None where nothing says so.
-        each: and so did all of them.
-        at_once_ns: the quickest took about so long; None where nothing says so.
-        apart_ns: the two of a pair tell of times that lie so far apart at most.
+        first_ns: i64 (n,), capture times in the first capture.
+        second_ns: i64 (n,), capture times in the second capture.
+        back: whether the causes are in the second capture.
+        early_ns: largest time by which an effect may be captured before its cause.
+        wait_ns: longest delay of the quickest pair; None if unknown.
+        each: whether ``wait_ns`` limits the delay of every pair.
+        at_once_ns: usual delay of the quickest pair; None if unknown.
+        apart_ns: largest difference between the two times that a pair compares, by which drift matters.
     """
 
     first_ns: Integers
@@ -87,19 +89,19 @@ class Ordered(NamedTuple):
 
     @property
     def took_ns(self) -> Integers:
-        """From the cause to the effect, by the clock of each."""
+        """Time from cause to effect, each by the clock of its capture: i64 (n,), ns."""
         return self.first_ns - self.second_ns if self.back else self.second_ns - self.first_ns
 
 
 class _Bounds(NamedTuple):
-    """Points that a line passes on one side."""
+    """Points that the line has to pass on one side: times of the first clock, and offsets, i64 ns."""
 
     time_ns: Integers
     ahead_ns: Integers
 
 
 def _sides(order: Ordered, drift: float) -> tuple[_Bounds, _Bounds]:
-    """Return the points below which a line stays, and those above which it does."""
+    """Return the points that the line stays below, and the points that it stays above."""
     took, apart = order.took_ns, round(order.apart_ns * drift)
     tight = _tightest(order.first_ns, took)
     limit = _Bounds(order.first_ns[tight], took[tight] + order.early_ns + apart)
@@ -109,7 +111,7 @@ def _sides(order: Ordered, drift: float) -> tuple[_Bounds, _Bounds]:
         waited = _Bounds(order.first_ns[loose], took[loose] - order.wait_ns - apart)
     elif order.wait_ns is not None:
         quickest = least_of_each((order.first_ns - order.first_ns.min()) // _WINDOW_NS, took)
-        # Which of them is the quickest depends on the drift that is to be found.
+        # The unknown drift decides which pair is the quickest.
         unsure = round(min(int(np.ptp(order.first_ns)), _WINDOW_NS) * drift)
         waited = _Bounds(order.first_ns[quickest], took[quickest] - order.wait_ns - unsure)
     if order.back:
@@ -118,7 +120,7 @@ def _sides(order: Ordered, drift: float) -> tuple[_Bounds, _Bounds]:
 
 
 def _tightest(time_ns: Integers, value: Integers) -> Places:
-    """Return the rows of the least value, at each of some hundred times."""
+    """Return the rows of the least value in each of ``_PLACES`` equal parts of the time: intp."""
     if len(value) <= _PLACES:
         return np.arange(len(value))
     begin = int(time_ns.min())
@@ -126,15 +128,20 @@ def _tightest(time_ns: Integers, value: Integers) -> Places:
 
 
 def least_of_each(group: Integers, value: Integers) -> Places:
-    """Return the row of the least value of each group; groups are numbers from 0."""
+    """Return the row of the least value of each group, intp; groups are numbers from 0."""
     order = np.lexsort((value, group))
     return order[np.flatnonzero(np.diff(group[order], prepend=-1))]
 
 
 def one_way(first_ns: Integers, second_ns: Integers) -> list[Ordered]:
-    """Return what packets tell that all went one way: by how much delays vary, they are longer than 0.
+    """Return the bounds from packets that all went from the first capture to the second.
 
-    The line below all of them (their hull) touches the two quickest: one early, one late.
+    The only lower bound is an assumption: the quickest delays are not longer than delays vary. The lower
+    convex hull of all delays gives the two quickest packets: one early, one late.
+
+    Args:
+        first_ns: i64 (n,), capture times in the first capture.
+        second_ns: i64 (n,), capture times in the second capture.
     """
     took = second_ns - first_ns
     tight = _tightest(first_ns, took)
@@ -157,20 +164,20 @@ def one_way(first_ns: Integers, second_ns: Integers) -> list[Ordered]:
 
 
 def _above(time_ns: Integers, value: Integers, left: int, at: int, right: int) -> bool:
-    """Tell whether a point is on or above the line from the point on its left to that on its right."""
+    """Return whether a point is on or above the line between the points on its left and on its right."""
     rise = int(value[right] - value[left]) * int(time_ns[at] - time_ns[left])
     return int(value[at] - value[left]) * int(time_ns[right] - time_ns[left]) >= rise
 
 
 def quickest_ahead(order: Ordered, begin_ns: int, drift: float) -> int:
-    """Return the offset at a time, by the quickest of what happened nearly at once."""
+    """Return the offset at ``begin_ns``, ns, from the quickest pair, whose delay is ``at_once_ns``."""
     took = order.took_ns - (order.at_once_ns or 0)
     moved = (-took if order.back else took) - np.rint((order.first_ns - begin_ns) * drift).astype(np.int64)
     return int(moved.max() if order.back else moved.min())
 
 
 def constant_offset(orders: Sequence[Ordered]) -> tuple[int, int]:
-    """Return the interval of the offset of a clock that does not drift; low is above high where none fits."""
+    """Return the interval of the offset, ns, of a clock without drift; low is above high if none fits."""
     low, high = -_FAR_NS, _FAR_NS
     for above, below in (_sides(item, 0.0) for item in orders):
         high = min([high, *above.ahead_ns.tolist()])
@@ -179,13 +186,13 @@ def constant_offset(orders: Sequence[Ordered]) -> tuple[int, int]:
 
 
 class ClockLines(msgspec.Struct, frozen=True):
-    """All lines that agree with what was captured.
+    """All lines that agree with the captures (rule 4).
 
     Attributes:
-        begin_ns: the first of the two times at which lines are told apart.
-        span_ns: from it to the second.
-        base_ns: what ``corners`` count from.
-        corners: f64 (n, 2), values at both times, around the polygon; none where no line agrees.
+        begin_ns: first of the two times at which lines have their values.
+        span_ns: time from the first to the second.
+        base_ns: offset that the values in ``corners`` are relative to.
+        corners: f64 (n, 2), values of the lines at both times, around the polygon; empty if no line agrees.
     """
 
     begin_ns: int
@@ -195,11 +202,11 @@ class ClockLines(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, orders: Sequence[Ordered], loose_ns: int = 0) -> Self | None:
-        """Return the lines that agree with some pairs; None where these do not bound them.
+        """Return the lines that agree with some pairs; None if the pairs give bounds on one side only.
 
         Args:
-            orders: the pairs, at least one.
-            loose_ns: packets overtook each other by so much, or were captured so late.
+            orders: pairs of causes and effects, at least one.
+            loose_ns: error of the capture times, by which bounds may contradict each other.
         """
         begin = min(int(item.first_ns.min()) for item in orders)
         span = max(SECOND, max(int(item.first_ns.max()) for item in orders) - begin)
@@ -213,7 +220,7 @@ class ClockLines(msgspec.Struct, frozen=True):
         return cls(begin, span, base, corners).within(orders, loose_ns)
 
     def within(self, orders: Iterable[Ordered], loose_ns: int = 0) -> Self:
-        """Return those lines that agree with further pairs; see ``of``."""
+        """Return the lines that also agree with further pairs; arguments are as in ``of``."""
         corners, gives = self.corners, loose_ns + _RESOLUTION_NS
         for sides in (_sides(item, MOST_DRIFT) for item in orders):
             for sign, side in zip((1, -1), sides, strict=True):
@@ -228,28 +235,28 @@ class ClockLines(msgspec.Struct, frozen=True):
 
     @property
     def drift(self) -> tuple[float, float]:
-        """The least and the greatest drift of a line."""
+        """The smallest and the largest drift of a line, ns per ns."""
         steps = (self.corners[:, 1] - self.corners[:, 0]) / self.span_ns
         return float(steps.min()), float(steps.max())
 
     @property
     def drift_known(self) -> bool:
-        """Whether what was captured bounds the drift on both sides, and not only the most there can be."""
+        """Whether the captures bound the drift, and not only ``MOST_DRIFT``."""
         low, high = self.drift
         return max(-low, high) < 0.999 * MOST_DRIFT
 
     def offset(self, time_ns: int) -> tuple[int, int]:
-        """Return the least and the greatest value of a line at a time."""
+        """Return the smallest and the largest offset at a time, ns."""
         values = self.corners @ _weights((time_ns - self.begin_ns) / self.span_ns)
         return self.base_ns + int(np.floor(values.min())), self.base_ns + int(np.ceil(values.max()))
 
     @property
     def width(self) -> int:
-        """How far lines lie apart at the most, in ns."""
+        """The largest distance between two lines, in ns."""
         return max(int(np.ptp(self.corners[:, at])) for at in (0, 1))
 
     def drifting(self, drift: float) -> tuple[int, int]:
-        """Return the interval of the values at ``begin_ns`` of the lines of one drift, one that is theirs."""
+        """Return the interval of the offset at ``begin_ns``, ns, of the lines with one drift."""
         apart = self.corners[:, 1] - self.corners[:, 0] - drift * self.span_ns
         after = np.roll(self.corners, -1, axis=0), np.roll(apart, -1)
         crossing = np.flatnonzero((apart <= 0) != (after[1] <= 0))
@@ -260,12 +267,12 @@ class ClockLines(msgspec.Struct, frozen=True):
 
 
 def _weights(part: float) -> NDArray[np.float64]:
-    """Return how much of its values at both times a line has at a time between them, or beside them."""
+    """Return the weights of a line's two values that give its value at a part of the span."""
     return np.array((1 - part, part))
 
 
 def _cut(corners: NDArray[np.float64], sign: int, part: float, bound: float) -> NDArray[np.float64]:
-    """Return what of a polygon lies on one side of a bound."""
+    """Return the part of a polygon on one side of a bound."""
     room = sign * (bound - corners @ _weights(part))
     inside = room >= 0
     if inside.all():

@@ -1,8 +1,11 @@
 """Finds clocks that were set during a capture, and corrects the times before anything is measured.
 
-If capture times run back, the clock of the capture was set. If mission time and capture time separate while
-the sequence counts continue, one of the two clocks was set: the capture's, if the traffic has a gap of that
-length, else that of the cFS.
+Rules:
+
+1. If capture times run back, the capture clock was set.
+2. If mission time and capture time separate while the sequence counts go on, one of the two clocks was set.
+   It was the capture clock if the traffic has a gap of that length; else it was the clock of the cFS.
+3. If the capture has no SBN packets, smaller steps and the drift of a cFS's clock are taken out too.
 """
 
 from __future__ import annotations
@@ -29,28 +32,28 @@ _MOST: Final = 16
 _CYCLE_NS: Final = 500 * MILLISECOND
 _WINDOW_NS: Final = 2 * SECOND
 _JITTER_NS: Final = 100 * MILLISECOND
-"""A packet may be that much quicker than the level beside it."""
+"""Largest time by which a packet may be quicker than the level of delays around it."""
 _BESIDE_NS: Final = 5 * SECOND
 _SLIPS_NS: Final = 3600 * SECOND
-"""A clock that was set further makes another instance."""
+"""A larger step makes another instance."""
 _SURE: Final = 4
-"""Packets of a window of which one was hardly delayed."""
+"""Least number of packets in a window so that one of them had almost no delay."""
 _ALIKE_NS: Final = 20 * MILLISECOND
-"""Delays of one round differ by less; behind a peer that hands packets on, or a slow network, by more."""
+"""Delays of housekeeping differ by less, unless a peer forwards it or the network is slow."""
 _MODULUS: Final = 1 << 14
 _FURTHEST_NS: Final = 1 << 62
-"""No clock of 32 bits of seconds can be set by more: the times are garbled."""
+"""A clock with 32 bits of seconds cannot be set by more: then the times are garbled."""
 _NEXT: Final = 16
 _MOST_GO_ON: Final = 0.6
 
 
 class Jump(NamedTuple):
-    """A clock that was set.
+    """A step of a clock that was set.
 
     Attributes:
-        clock: whose: ``capture``, or the name of a cFS.
-        row: the first row after it.
-        by_ns: by how much, forward positive.
+        clock: ``capture``, or the name of the cFS.
+        row: first row after the step.
+        by_ns: size of the step in ns, positive if forward.
     """
 
     clock: str
@@ -61,7 +64,13 @@ class Jump(NamedTuple):
 def steadied(
     rows: Rows, events: Sequence[EventRecord], endpoints: Sequence[Endpoint]
 ) -> tuple[Rows, list[Jump], Instances]:
-    """Return the rows as if no clock had been set, every jump that was taken out, and who made the rows."""
+    """Return the rows with corrected times, the steps that were taken out, and the instances of cFS.
+
+    Args:
+        rows: table of datagrams, in order of capture.
+        events: events in these rows.
+        endpoints: endpoints that the rows index.
+    """
     rows, jumps = _forward_only(rows)
     instances = Instances(rows, events, endpoints)
     while len(jumps) < _MOST and (parted := _parted(rows, instances)) and abs(parted[0].by_ns) < _FURTHEST_NS:
@@ -82,12 +91,12 @@ def steadied(
 
 
 def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> Integers:
-    """Return by how much each row's mission time is to be moved: what a cFS's clock slipped or drifted by.
+    """Return the correction of each row's mission time, i64 ns: steps and drift of a cFS's clock.
 
-    The shortest delay in a window is less than the time between two wake-ups of Telemetry Output: where it is
-    longer, the clock slipped. By how much, its housekeeping tells (``_by_output``), else what the shortest
-    delay is longer than in the best window. With several cFS on a network nothing is levelled: two boots at
-    nearly one time look alike, and a level may be the other one's.
+    The shortest delay in a window is less than one cycle of Telemetry Output. If it is longer, the clock
+    slipped. The size of the slip comes from TO's housekeeping (``_by_output``), else from the surplus of the
+    shortest delay over that of the best window. If there are SBN packets, nothing is corrected: two cFS that
+    booted at nearly the same time look alike, and the level may belong to the other one.
     """
     moved = np.zeros(len(rows), np.int64)
     alone = not ((rows.processor_id != 0) & (rows.mission_time_ns > 0)).any()
@@ -105,13 +114,13 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> Integers:
             moved[own] = _by_output(delay, output)
             jumps += _slips(moved[own], own, instance.name)
             continue
-        # A window with too few packets to tell is as the one before it; one that differs from both beside it
-        # had packets that were kept waiting.
+        # A window with too few packets gets the level of the one before it. In a window that differs from
+        # both its neighbours, all packets were delayed.
         level = least[np.maximum.accumulate(np.where(sure, np.arange(len(sure)), int(sure.argmax())))]
         level = _smoothed(level)
         beside = _neighbours(level)
         beside = np.where(np.abs(beside - level) > 2 * _CYCLE_NS, beside, level)
-        # Where the clock slipped within a window, each packet goes by the level that it fits.
+        # If the clock slipped within a window, each packet uses the level that it fits.
         windows = beside[:, np.repeat(np.arange(len(edges)), np.diff(np.append(edges, len(own))))]
         moved[own] = np.where(windows <= delay + _JITTER_NS, np.minimum(windows, delay), 0).max(axis=0)
         jumps += _slips(level, own[edges], instance.name)
@@ -119,11 +128,12 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> Integers:
 
 
 def _slips(level: Integers, rows: Places, name: str) -> list[Jump]:
-    """Return where the level of delays steps for good: one that it comes back from, or to, is a slow network.
+    """Return the lasting steps in the level of delays; a level that comes back means a slow network.
 
     Args:
-        level: i64 (n,), ns.
-        rows: (n,), the first row of each.
+        level: i64 (n,), level of each window, ns.
+        rows: intp (n,), first row of each window.
+        name: name of the cFS.
     """
     places = np.flatnonzero(np.abs(np.diff(level)) > 2 * _CYCLE_NS)[:_MOST].tolist()
     near = ((at, np.append(level[at + 2 :] - level[at], level[:at] - level[at + 1])) for at in places)
@@ -132,28 +142,28 @@ def _slips(level: Integers, rows: Places, name: str) -> list[Jump]:
 
 
 def _neighbours(values: Integers) -> Integers:
-    """Return the value before, the value and the value behind each; at the ends the value itself."""
+    """Return the values before, at and behind each place, i64 (3, n); at the ends the value itself."""
     return np.stack((np.append(values[:1], values[:-1]), values, np.append(values[1:], values[-1:])))
 
 
 def _smoothed(values: Integers) -> Integers:
-    """Return values, in which a single one that differs from both beside it is as these are."""
+    """Return the values with single outliers removed, by the median of three."""
     return np.asarray(np.median(_neighbours(values), axis=0).astype(np.int64))
 
 
 def _by_output(delay: Integers, output: Places) -> Integers:
-    """Return what the clock slipped by at each packet of a cFS, by Telemetry Output's housekeeping.
+    """Return the slip of the clock at each packet of a cFS, i64 (n,), by Telemetry Output's housekeeping.
 
-    That is made right after a round and sent in the next one: it always waits for one round, and nothing
-    waits for longer. What others make waits for a part of a round: another part after either restarts.
+    Housekeeping is made right after a round and sent in the next one. So it always waits for one round, and
+    no packet waits longer. Other packets wait for a part of a round, which a restart changes.
 
     Args:
-        delay: i64 (n,), of each packet, ns; more than that of the quickest.
-        output: which of them are that housekeeping.
+        delay: i64 (n,), delay of each packet beyond that of the quickest, ns.
+        output: intp, indices of the housekeeping packets.
     """
     waits = int(delay[output].min())
     late = delay[output] - waits
-    late = _smoothed(late)  # a single one that differs from both beside it was kept waiting
+    late = _smoothed(late)  # a single outlier was delayed
     behind = np.searchsorted(output, np.arange(len(delay)))
     before, after = late[np.maximum(behind - 1, 0)], late[np.minimum(behind, len(late) - 1)]
     fits = (after <= delay) & (delay - after <= waits + _JITTER_NS)
@@ -161,7 +171,7 @@ def _by_output(delay: Integers, output: Places) -> Integers:
 
 
 def _forward_only(rows: Rows) -> tuple[Rows, list[Jump]]:
-    """Take out jumps back of the capture's clock."""
+    """Return the rows without backward steps of the capture clock, and these steps (rule 1)."""
     steps = np.diff(rows.time_ns)
     back = np.flatnonzero(steps < -_BACK_NS)
     if not len(back):
@@ -174,15 +184,15 @@ def _forward_only(rows: Rows) -> tuple[Rows, list[Jump]]:
 
 
 def _parted(rows: Rows, instances: Instances) -> tuple[Jump, int] | None:
-    """Find an instance that goes on as another, its clock or the capture's set: the jump, and which it was.
+    """Return a step that split one instance in two, and the index of the first; None without one (rule 2).
 
-    What was made before a clock was set may come in one round with what was made after it.
+    Packets made before and after the step may arrive in one round.
     """
     order = sorted(range(len(instances.items)), key=lambda index: instances.items[index].first_ns)
     members = dict(groups(instances.of_row, np.flatnonzero(instances.of_row != NOBODY)))
     counts = [_first_and_last(rows, members[index]) for index in range(len(order))]
     last = _places([counts[index][1] for index in order])
-    # The last first: what goes by the clock of the one before it has times that this one had as well.
+    # The last instance first: with its step taken out, it has the times of the one before.
     for at, after in reversed(list(enumerate(order))):
         for place in _taken_up(last, counts[after][0], at)[::-1]:
             before = order[place]
@@ -192,7 +202,7 @@ def _parted(rows: Rows, instances: Instances) -> tuple[Jump, int] | None:
                 continue
             own, other = members[before], members[after]
             low, high = int(own[-1]), int(other[0])
-            # What either clock slipped by earlier or later is another jump.
+            # Only packets near the step count: slips further away are other steps.
             own = own[rows.time_ns[own] > rows.time_ns[low] - _BESIDE_NS]
             other = other[rows.time_ns[other] < rows.time_ns[high] + _BESIDE_NS]
             by = int(rows.delay_ns(other).min() - rows.delay_ns(own).min())
@@ -205,7 +215,7 @@ def _parted(rows: Rows, instances: Instances) -> tuple[Jump, int] | None:
 
 
 def _set_ahead(rows: Rows, instances: Instances) -> Jump | None:
-    """Find where mission time falls behind by a time without frames: the capture's clock was set."""
+    """Return a forward step of the capture clock: the delay grows by the length of a gap in the traffic."""
     times = rows.time_ns
     steps = np.diff(times)
     for at in np.flatnonzero((steps > 2 * _CYCLE_NS) & (steps < _SLIPS_NS)).tolist():
@@ -223,7 +233,7 @@ def _set_ahead(rows: Rows, instances: Instances) -> Jump | None:
 
 
 def _first_and_last(rows: Rows, own: Places) -> list[dict[tuple[int, ...], int]]:
-    """Return the first and the last count of each MsgId from each endpoint, by link, endpoint and MsgId."""
+    """Return two dicts, (link, endpoint, MsgId) to the first count, and to the last one."""
     ends: list[dict[tuple[int, ...], int]] = []
     for order in (own, own[::-1]):
         at = order[numbered(rows.link[order], rows.source[order], rows.msg_id[order])[0]]
@@ -233,7 +243,7 @@ def _first_and_last(rows: Rows, own: Places) -> list[dict[tuple[int, ...], int]]
 
 
 def _places(last: list[dict[tuple[int, ...], int]]) -> dict[tuple[int, ...], Integers]:
-    """Return of each stream which instances have it, and their last counts of it: i64 (2, n)."""
+    """Return (link, endpoint, MsgId) to the instances that have it, and their last counts: i64 (2, n)."""
     each = ((key, place, count) for place, counts in enumerate(last) for key, count in counts.items())
     streams = by_key(each, lambda item: item[0])
     return {key: np.array([item[1:] for item in own], np.int64).T for key, own in streams.items()}
@@ -242,12 +252,12 @@ def _places(last: list[dict[tuple[int, ...], int]]) -> dict[tuple[int, ...], Int
 def _taken_up(
     last: dict[tuple[int, ...], Integers], begin: dict[tuple[int, ...], int], end: int
 ) -> list[int]:
-    """Return of which instances before one it takes up most counts.
+    """Return the earlier instances whose sequence counts an instance mostly continues.
 
     Args:
-        last: as ``_places`` returns them.
-        begin: its own first counts.
-        end: its place.
+        last: result of ``_places``.
+        begin: first counts of the instance.
+        end: place of the instance in time.
     """
     common, matches = (np.zeros(end, np.intp) for _ in range(2))
     for item, count in begin.items():
@@ -261,7 +271,7 @@ def _taken_up(
 
 
 def _without(rows: Rows, jump: Jump, before: Mask) -> Rows:
-    """Return rows as if a clock had not been set; ``before`` are those whose packets were made before it."""
+    """Return the rows without a step; ``before`` marks packets made before it: bool (rows,)."""
     later = np.arange(len(rows)) >= jump.row
     if jump.clock == "capture":
         return replace(rows, time_ns=rows.time_ns - later * jump.by_ns)

@@ -1,1 +1,1 @@
-"""What a cFS, its applications and its links were told, and what state they were in, over time."""
+"""The states of each cFS, its applications and its links over time, and the commands that change them."""

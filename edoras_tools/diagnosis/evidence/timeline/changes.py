@@ -1,14 +1,18 @@
-"""State changes that commands, events, boots and traffic show: of a cFS, its applications, links and peers.
+"""Derives state changes from commands, events, boots and traffic: of a cFS, its applications and peers.
 
-1. A command takes effect at most ``_SLACK_NS`` after it was sent; one that ends an application within
-   ``_ENDS_NS``: it is killed where it does not end by itself. Without an answer that is not sure.
-2. An event is said at the latest when its packet was made. It confirms the command before it.
-3. A boot ends every state: applications run, Telemetry Output sends nothing and has the table it starts with.
-4. A Telemetry Output that is started again has forgotten whom it sends to, and what was added and removed.
-5. A peer is connected, silent, timed out or disconnected as :class:`Network` follows it, and silent, too,
-   from its last datagram to its restart where nobody gave it up.
-6. A peer is subscribed to what its SUBs of this connection name. A connection that ends, ends them all; what
-   the peer does not ask for again it does not get.
+Rules:
+
+1. A command takes effect within ``_SLACK_NS``. A command that ends an application takes effect within
+   ``_ENDS_NS``, because cFS kills an application that does not end by itself. Without an answer it is not
+   sure.
+2. The state that an event reports had begun when the event was made. The event confirms the command in front
+   of it.
+3. A boot ends every state: cFS runs, Telemetry Output sends nothing, and its table is that of the start.
+4. A Telemetry Output that is restarted has lost its destination and all changes of its table.
+5. A peer is connected, silent, timed out or disconnected as in :class:`Network`. It is also silent from its
+   last datagram to its restart, if nobody timed it out.
+6. A peer is subscribed to the MsgIds in its SUB messages of the present connection. The end of a connection
+   ends all its subscriptions.
 """
 
 from __future__ import annotations
@@ -47,7 +51,7 @@ _ALL_ENTRIES: Final = StateOwner("entry")
 _APP_EVENTS: Final = (
     (executive_services.STARTED, "running", re.compile(r"Started (\S+) from")),
     (executive_services.STOPPED, "stopped", re.compile(r"Stop Application (\S+) Completed")),
-    # It ended; what it had opened was not all closed.
+    # The application ended, but cFS could not clean up all its resources.
     (37, "stopped", re.compile(r"Stop Application (\S+) Failed: CleanUpApp")),
     (executive_services.RESTARTED, "running", re.compile(r"Restart Application (\S+) Completed")),
     (executive_services.RELOADED, "running", re.compile(r"Reload Application (\S+) Completed")),
@@ -61,11 +65,11 @@ _APP_STATES: Final = {
 
 
 class SoftwareChanges(msgspec.Struct, dict=True):
-    """Makes the changes of a capture.
+    """Derives the changes of each cFS from its commands, events and boots.
 
     Attributes:
-        jumps: clocks that were set, as they were measured.
-        resets: restarts of a cFS whose clock went on: instance, and between which two times in ns.
+        jumps: measured steps of clocks that were set.
+        resets: restarts of a cFS whose clock went on: instance, earliest and latest time in ns.
     """
 
     _rows: Rows
@@ -76,12 +80,12 @@ class SoftwareChanges(msgspec.Struct, dict=True):
 
     @cached_property
     def _cut(self) -> set[int]:
-        """Entries that commands add and are cut off; those that are whole say their limit themselves."""
+        """MsgIds that commands add whose arguments are cut off; for these an event has the limit."""
         added = self._payloads.outputs(telemetry_output.ADD_PACKET)
         return {item.entry for item in added if not item.is_whole}
 
     def changes(self) -> Iterator[Change]:
-        """Yield all changes, those of a boot last."""
+        """Yield all changes: of commands, then of events, then of boots."""
         for command in self._payloads.commands:
             yield from self._command(command)
         for event in self._payloads.events:
@@ -99,7 +103,7 @@ class SoftwareChanges(msgspec.Struct, dict=True):
         if command.msg_id == executive_services.COMMAND_MSG_ID:
             yield from self._executive(command, change(_CLOCK, ""))
         elif not command.is_whole:
-            return  # what it sets is cut off
+            return  # its arguments are cut off
         elif command.msg_id == telemetry_output.COMMAND_MSG_ID:
             entry = StateOwner("entry", "", command.entry)
             if code == telemetry_output.ENABLE:
@@ -121,7 +125,7 @@ class SoftwareChanges(msgspec.Struct, dict=True):
         app = command.app
         sent_ns, words = pattern.not_before_ns, f"0x{command.msg_id:04X},  CC = {command.function_code}, Len"
         texts = (item.message for item in self._payloads.events if 0 <= item.time_ns - sent_ns < _SLACK_NS)
-        if state is None or not app or any(words in text for text in texts):  # its length is wrong
+        if state is None or not app or any(words in text for text in texts):  # wrong length
             return
         change = replace(pattern, subject=StateOwner("app", app), state=state)
         is_output = app in telemetry_output.NAMES
@@ -138,12 +142,15 @@ class SoftwareChanges(msgspec.Struct, dict=True):
             yield replace(change, subject=_ALL_ENTRIES, state="as at the start")
 
     def _asked_ns(self, app: str, ended_ns: int) -> int:
-        """Return when an application that ended by a time was told to, or what comes behind the command."""
+        """Return the earliest time, ns, at which an application that ended by ``ended_ns`` may have ended.
+
+        That is 10 s before, or directly behind its last earlier command.
+        """
         times = [item.time_ns for item in self._payloads.about_apps() if item.app == app]
         return max([ended_ns - _ENDS_NS, *(when + 1 for when in times if when < ended_ns)])
 
     def _silenced(self, change: Change) -> Change:
-        """Return that Telemetry Output ended, with when it fell silent where it did."""
+        """Return the change of an ended Telemetry Output, from its last packet on if it fell silent."""
         rows, instances, told_ns = self._rows, self._instances, change.not_before_ns
         own = rows.on(lambda link: link.only_from_cfs) & (rows.time_ns > told_ns - _ROUND_NS)
         whose = np.array([*instances.systems, NOBODY])[instances.of_row]
@@ -155,7 +162,7 @@ class SoftwareChanges(msgspec.Struct, dict=True):
         return replace(change, not_before_ns=low, not_after_ns=low + _ROUND_NS, witness=witness, sure=True)
 
     def _clock(self, command: CommandRecord, change: Change) -> Change:
-        """Return that the clock was set, by how much where that was measured or the command says it."""
+        """Return the change of a set clock, with the step in ns if the command or a measurement shows it."""
         low, high = change.not_before_ns - _ROUND_NS, change.not_after_ns + _ROUND_NS
         setting = time_services.SETTING.get(command.function_code)
         if setting and setting.sign and not setting.each_second:
@@ -175,7 +182,7 @@ class SoftwareChanges(msgspec.Struct, dict=True):
         witness = f"event {event}"
 
         def change(subject: StateOwner, state: str, value: int | str | None = None) -> Change:
-            # An application reads no more for some time before it is said to have ended.
+            # An application stops reading some time before the event reports its end.
             low = made_ns - (_ENDS_NS if state == "stopped" else _ROUND_NS)
             return Change(system, subject, state, low, made_ns, witness, (event.row,), value)
 
@@ -209,7 +216,7 @@ class SoftwareChanges(msgspec.Struct, dict=True):
 
 
 def _boot(system: int, low_ns: int, high_ns: int, witness: str) -> Iterator[Change]:
-    """Yield what ends when a cFS goes down, and that it runs again."""
+    """Yield the changes of a boot: cFS goes down, Telemetry Output is reset, and cFS runs again."""
     for subject, state in (
         (StateOwner("cfs"), "down"),
         (_OUTPUT, "disabled"),
@@ -225,7 +232,7 @@ _WAKE_NS: Final = SECOND
 def network_changes(
     rows: Rows, payloads: Payloads, instances: Instances, network: Network
 ) -> Iterator[Change]:
-    """Yield the changes of every peer, as each cFS sees it."""
+    """Yield the changes of every SBN peer and its subscriptions, as each cFS sees them."""
     listed = payloads.subscriptions
     at, contents = listed["row"], listed["said"]
     for (peer, observer), connection in network.connections.items():
@@ -237,7 +244,11 @@ def network_changes(
 
 
 def capture_changes(away: Sequence[tuple[int, int]]) -> Iterator[Change]:
-    """Yield when nothing could be captured, and when it could again."""
+    """Yield the changes of the capture: begin and end of each span in which it could not record.
+
+    Args:
+        away: spans (start, end), ns.
+    """
     for start_ns, end_ns in away:
         for state, when in (("away", start_ns), ("back", end_ns)):
             yield Change(EVERY, StateOwner("capture"), state, when, when, "nothing was captured meanwhile")
@@ -249,7 +260,7 @@ def _system(instances: Instances, observer: SbnParty) -> int:
 
 
 def _between(rows: Rows, network: Network, at: Integers, peer: SbnParty, observer: SbnParty) -> Mask:
-    """Tell which rows one party sent to another."""
+    """Return which of the rows ``at`` one party sent to another: bool."""
     ends = []
     for party, column in ((peer, rows.source), (observer, rows.destination)):
         places = [place for place in distinct(column[at]).tolist() if network.party(place) == party]
@@ -258,7 +269,7 @@ def _between(rows: Rows, network: Network, at: Integers, peer: SbnParty, observe
 
 
 def _peer(connection: Connection, system: int, begin_ns: int) -> Iterator[Change]:
-    """Yield the states of a peer."""
+    """Yield the changes of a peer."""
     subject = StateOwner("peer", connection.peer)
     if connection.changes and connection.changes[0].why != ALREADY:
         yield Change(system, subject, "disconnected", begin_ns, begin_ns, "nothing came from it before")
@@ -273,7 +284,7 @@ def _peer(connection: Connection, system: int, begin_ns: int) -> Iterator[Change
 def _goodbyes(
     rows: Rows, network: Network, connection: Connection, observer: SbnParty, system: int
 ) -> Iterator[Change]:
-    """Yield when SBN of a cFS ended, as it says to its peers, and when it spoke again."""
+    """Yield the changes of a cFS's SBN application that ended after a DISCONNECT to its peer."""
     places = [place for place in distinct(rows.source).tolist() if network.party(place) == observer]
     said_ns = rows.time_ns[np.isin(rows.source, places) & rows.on(lambda link: link.peers)]
     for item in connection.changes:
@@ -297,8 +308,8 @@ def _subscriptions(
     begins = [item for item in connection.changes if item.state == "connected" and item.why != ALREADY]
     session = np.searchsorted(np.array([item.time_ns for item in ends], np.int64), rows.time_ns[at])
     unsubscribed = rows.sbn_msg_type[at] == MsgType.UNSUB
-    # A bridge says the same twice a second: of each connection the first of each content tells, and again
-    # behind each message that takes back what others asked for.
+    # A bridge repeats its messages twice a second. So only the first of each content counts: in each
+    # connection, and again behind each UNSUB.
     first, _ = numbered(session, contents, np.cumsum(unsubscribed), unsubscribed)
     lists: dict[int, set[int]] = {}
     for place in first.tolist():

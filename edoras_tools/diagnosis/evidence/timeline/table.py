@@ -1,11 +1,13 @@
-"""One table of state changes in time: of a cFS, its applications, tables and peers, the capture itself.
+"""One table of state changes in time: of a cFS, its applications, tables and peers, and the capture itself.
 
-1. A change has an interval [not before, not after] of capture time: a command takes effect between its
-   sending and the next round of who takes it, an event is said some time before it is captured.
-2. Every state has a witness. What nothing shows is no state.
-3. A subject is in one state at a time. Changes are put in order; one that repeats the state confirms it, and
-   makes its interval no wider. So the spans of a subject never overlap.
-4. What a boot ends, it ends for all subjects of its cFS; who makes the changes says so (``changes``).
+Rules:
+
+1. A change has an interval [not before, not after] of capture time. A command takes effect between its
+   sending and the next round of its receiver. An event was sent some time before it was captured.
+2. Every state has a witness. Without evidence there is no state.
+3. A subject is in one state at a time. Changes are sorted; a change that repeats the state confirms it and
+   never widens its interval. So the spans of a subject never overlap.
+4. A boot changes the states of several subjects; ``changes`` makes a change for each of them.
 """
 
 from __future__ import annotations
@@ -28,13 +30,14 @@ NEVER: Final = int(np.iinfo(np.int64).max)
 
 
 class StateOwner(NamedTuple):
-    """What has a state.
+    """The subject that a state belongs to.
 
-    ``kind`` is one of: ``cfs`` itself; ``app``, an application by ``name``; ``output``, whether Telemetry
-    Output sends and where to; ``entry`` of its table, by ``msg_id``, ``NO_MSG_ID`` for all of them; ``peer``
-    of SBN by ``name`` (``66:3``); ``subscription`` of the peer ``name`` to ``msg_id``; ``route`` on the
-    software bus, by ``msg_id``; ``clock``; or ``capture``, the interface, which is of no cFS: its system is
-    ``EVERY``.
+    Attributes:
+        kind: ``cfs``; ``app``; ``output`` (Telemetry Output's sending); ``entry`` of its table; ``peer`` of
+            SBN; ``subscription`` of a peer; ``route`` on the software bus; ``clock``; or ``capture`` (the
+            interface, whose system is ``EVERY``).
+        name: name of the application, or identity of the peer (``66:3``); else empty.
+        msg_id: MsgId of an entry, a subscription or a route; ``NO_MSG_ID`` for all entries, or for none.
     """
 
     kind: Kind
@@ -43,22 +46,22 @@ class StateOwner(NamedTuple):
 
 
 EVERY: Final = -1
-"""The system of what is of no cFS."""
+"""The system of a subject that belongs to no cFS."""
 
 
 class Change(msgspec.Struct, frozen=True):
-    """A subject gets into a state.
+    """The change of a subject into a state.
 
     Attributes:
-        system: number of the cFS, as ``Instances.systems`` has them; ``EVERY`` of the capture.
-        subject: whose state it is.
-        state: the state, e.g. ``stopped``.
-        not_before_ns: capture time before which it was surely not yet in it.
-        not_after_ns: capture time after which it surely was.
-        witness: what shows it: commands with their arguments, events, what is in the traffic.
-        rows: rows of the table of datagrams that show it, in order.
-        value: the limit, the address or the step in ns, where the state has one.
-        sure: whether more than a command without an answer, or a silence, shows it.
+        system: number of the cFS, as in ``Instances.systems``; ``EVERY`` for the capture.
+        subject: subject that changes.
+        state: new state, such as ``stopped``.
+        not_before_ns: capture time before which the state had certainly not begun.
+        not_after_ns: capture time by which it had certainly begun.
+        witness: evidence as text: commands with their arguments, events, or facts about the traffic.
+        rows: rows of the table of datagrams that are the evidence, in order.
+        value: limit of an entry, address of an output, or step of a clock in ns; None for other states.
+        sure: whether the evidence is more than an unanswered command or a silence.
     """
 
     system: int
@@ -73,14 +76,20 @@ class Change(msgspec.Struct, frozen=True):
 
     @property
     def same(self) -> tuple[str, int | str | None]:
-        """State and value."""
+        """State and value, which a repeated change has in common."""
         return self.state, self.value
 
 
 class StateSpan(NamedTuple):
-    """A time in one state: it began between the first two times, and ended between the last two.
+    """A time in one state.
 
-    The last two are ``NEVER`` where the state goes on to the end; ``end`` is None then.
+    Attributes:
+        start_lo: earliest begin, ns.
+        start_hi: latest begin, ns.
+        end_lo: earliest end, ns; ``NEVER`` if the state lasts to the end of the capture.
+        end_hi: latest end, ns; likewise.
+        change: change into the state.
+        end: next change of the subject; None if there is none.
     """
 
     start_lo: int
@@ -91,18 +100,18 @@ class StateSpan(NamedTuple):
     end: Change | None
 
     def overlaps(self, start_ns: int, end_ns: int) -> bool:
-        """Tell whether it may hold some of a time."""
+        """Return whether the state may have held at some time of a span."""
         return self.start_lo < end_ns and start_ns < self.end_hi
 
 
 class Timeline:
-    """All changes of a capture, in order.
+    """All changes of a capture, sorted for each subject.
 
     Args:
-        changes: in any order; of one subject they are put into one.
+        changes: changes in any order; repeated ones are merged.
 
     Attributes:
-        subjects: whose they are: system and subject.
+        subjects: (system, subject) of all that changed.
     """
 
     def __init__(self, changes: Iterable[Change]) -> None:
@@ -113,11 +122,11 @@ class Timeline:
         self.subjects: Sequence[tuple[int, StateOwner]] = list(by_subject)
 
     def of(self, subject: StateOwner, system: int = 0) -> Sequence[Change]:
-        """Return the changes of a subject, in order."""
+        """Return the changes of a subject, in order of time."""
         return self._of.get((system, subject), ())
 
     def spans(self, subject: StateOwner, state: str, system: int = 0) -> list[StateSpan]:
-        """Return the times in which a subject was in a state."""
+        """Return the spans in which a subject was in a state, in order of time."""
         own = self.of(subject, system)
         out = []
         for at, item in enumerate(own):
@@ -128,14 +137,14 @@ class Timeline:
         return out
 
     def every(self, *states: str) -> Iterator[StateSpan]:
-        """Yield the times in which anything was in one of some states."""
+        """Yield the spans of all subjects in any of some states."""
         for system, subject in self.subjects:
             for state in states:
                 yield from self.spans(subject, state, system)
 
 
 def _follow(before: list[Change], change: Change) -> None:
-    """Put a change behind those before it of its subject."""
+    """Append a change to the earlier ones of its subject, or merge it with the last one."""
     last = before[-1] if before else None
     if last is None:
         before.append(change)
@@ -143,13 +152,13 @@ def _follow(before: list[Change], change: Change) -> None:
     if last.same != change.same:
         before.append(_behind(last, change))
     elif change.sure and not last.sure:
-        # An answer: it was done by then.
+        # An answer to the command: the state had begun by then.
         before[-1] = _joined(last, change)
     elif last.sure and not change.sure and len(last.rows) == 1 and _meet(last, change):
-        # The command that an event, whose time is known to a round only, answers.
+        # The command that an event answers: the event's time is known only to one round.
         before[-1] = _joined(change, last)
     if len(before) > 1 and before[-1].sure:
-        # It was in the state before no later than it surely is in this one.
+        # The state before this one cannot begin later than this one certainly has.
         last, change = before[-2:]
         high = max(last.not_before_ns, min(last.not_after_ns, change.not_after_ns))
         before[-2:] = replace(last, not_after_ns=high), _behind(replace(last, not_after_ns=high), change)
@@ -160,8 +169,8 @@ def _meet(one: Change, other: Change) -> bool:
 
 
 def _joined(command: Change, answer: Change) -> Change:
-    """Return one change from a command and what shows that it was obeyed."""
-    # A restart is over when it is said; all else may be done as soon as it is asked for.
+    """Return one change from a command and from the evidence that it was executed."""
+    # A restart is over no earlier than its event; other commands may take effect at once.
     low = max(command.not_before_ns, answer.not_before_ns if answer.state == "running" else 0)
     return replace(
         answer,
@@ -173,17 +182,25 @@ def _joined(command: Change, answer: Change) -> Change:
 
 
 def _behind(last: Change, change: Change) -> Change:
-    """Return a change that neither begins nor ends before the one before it."""
+    """Return a change with its interval moved, so that no bound is before that of the last one."""
     low = max(last.not_before_ns, change.not_before_ns)
     return replace(change, not_before_ns=low, not_after_ns=max(low, last.not_after_ns, change.not_after_ns))
 
 
 NOT_RUNNING: Final = ("stopped", "restarting", "failed", "down", "stalled")
-"""States in which nothing is taken."""
+"""States in which a subject takes no messages."""
 
 
 class Way(NamedTuple):
-    """Where messages go: the MsgId, its link, the cFS, and the SBN peer."""
+    """A path of messages.
+
+    Attributes:
+        msg_id: cFE MsgId.
+        link: link that carries the messages.
+        system: number of the cFS.
+        to_cfs: whether they go to cFS; only of interest on SBN.
+        peer: identity of the SBN peer, as ``66:3``; empty elsewhere.
+    """
 
     msg_id: int
     link: Link
@@ -193,7 +210,7 @@ class Way(NamedTuple):
 
 
 class Reason(NamedTuple):
-    """A time in a state in which messages do not get through, and the line that says so."""
+    """A span in a state that blocks messages, and the sentence that says so."""
 
     span: StateSpan
     text: str
@@ -202,12 +219,14 @@ class Reason(NamedTuple):
 def reasons_for(
     timeline: Timeline, way: Way, start_ns: int, end_ns: int, at: Callable[[int], str]
 ) -> list[Reason]:
-    """Return every state that explains it, the earliest first.
+    """Return every state that may have blocked messages in a span of time, the earliest first.
 
     Args:
-        start_ns: when the first message did not get through,
-        end_ns: and when the last did not.
-        at: writes a time for people.
+        timeline: all states.
+        way: path of the messages.
+        start_ns: time of the first lost message.
+        end_ns: time of the last lost message.
+        at: function that formats a time for people.
     """
     reasons = [
         Reason(span, reason_text(span, at))
@@ -220,7 +239,7 @@ def reasons_for(
 
 
 def _spans(timeline: Timeline, subject: StateOwner, state: str, system: int) -> list[StateSpan]:
-    """Return the times of a subject in a state; what is done to all entries of a table is done to each."""
+    """Return the spans of a subject in a state; a change of all entries of a table applies to each entry."""
     if subject.kind != "entry":
         return timeline.spans(subject, state, system)
     both = [*timeline.of(subject, system), *timeline.of(StateOwner("entry"), system)]
@@ -228,7 +247,7 @@ def _spans(timeline: Timeline, subject: StateOwner, state: str, system: int) -> 
 
 
 def _blocking(way: Way) -> Iterator[tuple[int, StateOwner, Sequence[str]]]:
-    """Yield what messages need on a way, and the states in which it does not let them through."""
+    """Yield the subjects on a path (system and subject), with the states in which each blocks messages."""
     yield EVERY, StateOwner("capture"), ("away",)
     yield way.system, StateOwner("cfs"), NOT_RUNNING
     yield way.system, StateOwner("route", "", way.msg_id), ("cut",)
@@ -245,7 +264,7 @@ def _blocking(way: Way) -> Iterator[tuple[int, StateOwner, Sequence[str]]]:
 
 
 def subject_name(subject: StateOwner) -> str:
-    """Return how people are told of a subject."""
+    """Return the name of a subject for people."""
     number = "" if subject.msg_id == NO_MSG_ID else f"0x{subject.msg_id:04x}"
     return {
         "cfs": "cFS",
@@ -275,11 +294,11 @@ _VERBS: Final = {
     "away": "saw nothing",
     "cut": "was disabled",
 }
-"""State that explains a loss or a silence to how people are told of it."""
+"""State that explains a loss or a silence to its predicate in a sentence."""
 
 
 def reason_text(span: StateSpan, at: Callable[[int], str]) -> str:
-    """Return one line: who was in which state from when to when, and what shows it."""
+    """Return one sentence: the subject, its state, from when to when, and the evidence."""
     change = span.change
     until = f" to {at(span.end_hi)}" if span.end_hi != NEVER else " on"
     since = f"{_VERBS[change.state]} from {at(span.start_lo)}{until}"
