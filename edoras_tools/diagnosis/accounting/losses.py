@@ -1,7 +1,10 @@
-"""What was lost, where and why, and what became of each message that went into cFS.
+"""The two values of the accounting: a loss, and the fate of each message of a stream into cFS.
 
-A loss is messages of one route, lost at one place for one cause in one span of time. Every message that is
-lost is in one loss and no more; the balance adds them up, and the rules explain them.
+Rules:
+
+1. A loss has messages of one route, lost at one place, for one cause, in one span of time.
+2. Each lost message belongs to exactly one loss. The ledger adds losses up; the rules explain them.
+3. A message of a stream is open until a loss claims it, or until it ends in another way (``End``).
 """
 
 from __future__ import annotations
@@ -31,18 +34,23 @@ if TYPE_CHECKING:
 IngestKind = Literal["network", "socket", "down", "restart", "ci_stopped", "port_closed"]
 AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled", "route"]
 LossKind = PipeKind | IngestKind | AppKind | Literal["after", "unknown", "fragments", "damaged"]
-"""Over a limit or out of a full pipe; behind cFS; on the way to CI; in CI's socket; while cFS or CI was down;
-while the application was, or after it was started again and passed nothing on; while an SBN peer was away, or
-had not subscribed to it; while Telemetry Output was not to send it; while its route was disabled; unknown:
-nothing tells where, or of which MsgId; fragments: only the first fragments of it came; damaged: it left, and
-its checksum is wrong; port_closed: nobody listened."""
+"""Causes of a loss.
+
+- At a pipe: ``limit`` of messages of one MsgId, ``overflow`` of the pipe.
+- At CI: ``network`` in front of it, its full ``socket``, cFS ``down``, ``restart`` of CI, ``ci_stopped``,
+  ``port_closed`` (no listener).
+- Behind CI: application ``stopped``, ``restart_failed`` (it restarted and sent nothing more), SBN peer
+  ``away`` or ``unsubscribed``, Telemetry Output ``disabled``, bus ``route`` disabled.
+- Else: ``after`` cFS, ``fragments`` (only the first ones came), ``damaged`` (wrong checksum), ``unknown``
+  (place or MsgId).
+"""
 
 LEAD_NS: Final = 700 * MILLISECOND
-"""A loss may be counted so long before the next message of the stream is seen."""
+"""Longest time from the count of a loss to the next captured message of the stream."""
 TAIL_NS: Final = 2500 * MILLISECOND
-"""Housekeeping that tells of it comes within a second, and Telemetry Output holds it for half of one."""
+"""Longest time from a loss to the housekeeping that counts it: a period of 1 s, and 0.5 s in TO's pipe."""
 COUNTERS: Final[Mapping[PipeKind, str]] = {"limit": "msg_limits", "overflow": "pipe_overflows"}
-"""The counter of 0x803 that a loss at a pipe raises."""
+"""Kind of loss at a pipe to the counter in 0x803 that it raises, as ``Track`` names it."""
 COUNTER_NAMES: Final[Mapping[PipeKind, str]] = {"limit": "MsgLimit", "overflow": "PipeOverflow"}
 APP: Final = "application pipe"
 CI_SOCKETS: Final = tuple(f"{name} socket" for name in command_ingest.NAMES)
@@ -54,12 +62,12 @@ BEHIND: Final = "between cFS and the capture"
 
 
 class Among(NamedTuple):
-    """The messages that a loss is some of, or all.
+    """The candidates of a loss: messages of which some or all are lost.
 
     Attributes:
-        stream: where they are, or are missing.
-        rows: indices into its rows: the messages themselves, or what came before those that are missing.
-        missing: (rows,), how many behind each; None where the rows are the messages.
+        stream: stream that has the messages, or the gaps.
+        rows: intp (n,), indices into its rows: the messages themselves, or the rows in front of gaps.
+        missing: i64 (n,), missing messages behind each row; None if the rows are the messages.
     """
 
     stream: Stream
@@ -68,32 +76,32 @@ class Among(NamedTuple):
 
     @property
     def times_ns(self) -> tuple[int, int]:
-        """When the first was, and the last; where they are missing, what came before and behind."""
+        """Times of the first and the last message, ns; for gaps, of the rows in front and behind."""
         times, last = self.stream.time_ns, int(self.rows[-1]) + (self.missing is not None)
         return int(times[self.rows[0]]), int(times[min(last, len(times) - 1)])
 
 
 class Loss(msgspec.Struct):
-    """Messages of one route that were lost in one span of time.
+    """Messages of one route that were lost at one place in one span of time.
 
     Attributes:
-        kind: why.
-        hop: where.
-        lost: how many.
-        start_ns: when it began.
-        end_ns: when it ended.
-        confidence: how sure that is.
-        instance: the cFS that lost them.
-        msg_id: which.
-        stream: where they were seen, or missed; None where they are not in the capture.
-        span: when; None for all of the capture.
-        of: of how many sent; None where unknown.
-        evidence: what was seen.
-        sender: application that sent them, as an event names it.
-        closed: Telemetry Output was not sending meanwhile: it would not have sent them either.
-        among: the messages that it is, or is some of; None where nothing tells.
-        rivals: link label, MsgId and hop of each traffic that may have lost them; empty where that is known.
-        uncounted: of them, how many no counter has.
+        kind: cause of the loss.
+        hop: name of the place.
+        lost: number of lost messages.
+        start_ns: begin of the span, ns.
+        end_ns: end of the span, ns.
+        confidence: certainty of the cause.
+        instance: index of the instance that lost them; ``NOBODY`` if unknown.
+        msg_id: MsgId of the messages; ``NO_MSG_ID`` if unknown.
+        stream: stream that has the messages, or the gaps; None if the capture has none.
+        span: span of the stream at one rate; None for the whole capture.
+        of: number of messages sent in that time; None if unknown.
+        evidence: facts that prove it, one sentence each.
+        sender: name of the sending application, from an event; else empty.
+        closed: whether Telemetry Output was not sending in that time, so it would not have sent them either.
+        among: candidates of the loss; None if unknown.
+        rivals: link label, MsgId and hop of each traffic that may own the loss; empty if one does.
+        uncounted: number of these messages that no counter has.
     """
 
     kind: LossKind
@@ -116,69 +124,83 @@ class Loss(msgspec.Struct):
 
     @property
     def over_network(self) -> bool:
-        """Whether SBN brought them to the pipe that lost them."""
+        """Whether SBN put the messages on the bus."""
         return self.sender.startswith(sbn.NAME) or (self.stream is not None and self.stream.link.peers)
 
     @property
     def offered_hz(self) -> float:
-        """Messages sent a second, those that were lost included; 0 where that is not known."""
+        """Messages sent per second, including the lost ones; 0 if unknown."""
         seconds = (self.end_ns - self.start_ns) / SECOND
         return (self.of - 1) / seconds if self.of and seconds > 0 else 0.0
 
 
 READY_NS: Final = 5 * SECOND
-"""An application that was started may take so long until it does its work."""
+"""Longest time from the start of an application until it processes messages."""
 WAITS_NS: Final = SECOND
-"""What was sent so short before the end may still come out."""
+"""A message sent this shortly before the end may still come out."""
 _LAST: Final = 5
-"""So many show how long a message takes at the end."""
+"""Number of messages at the end that show the present delay."""
 _BURST_NS: Final = 50 * MILLISECOND
-"""What is sent within so long is taken together."""
+"""Messages sent within this time are read in one round."""
 
 
 EndAtCi = Literal["queued", "crowded", "late"]
-"""``queued`` may wait in its socket, ``crowded`` only if that holds more than usual, or it may have read them
-just before it went down, or before its first count; ``late`` were sent after its last count."""
+"""Ends at CI.
+
+- ``queued``: the message may wait in CI's socket.
+- ``crowded``: it may wait there only if the socket holds more than usual; or CI may have read it just before
+  it went down, or before its first sample.
+- ``late``: it was sent after CI's last sample.
+"""
 EndOnBus = Literal["earlier", "shared", "elsewhere"]
-"""``earlier`` may be some that its first count had already; ``shared`` is the most that may be among those
-that a counter has of several traffics together, and ``elsewhere`` those that did not come out and may be
-among these."""
+"""Ends on the software bus.
+
+- ``earlier``: the message may be a loss that the first sample of 0x803 already had.
+- ``shared``: upper bound of this traffic's part in a counter that several traffics raised.
+- ``elsewhere``: the message did not come out, and may be part of such a counter.
+"""
 EndAtApp = Literal["passed_on", "superseded", "unaccounted", "uncertain", "missed", "held", "beyond"]
-"""``passed_on`` came out, and were lost behind that; ``superseded`` gave way to a newer one; of
-``unaccounted`` nothing tells what became; ``uncertain`` may yet come out, and their pipe lost others to the
-end; ``missed`` may have come out, and the capture may have missed them; ``held`` it may have taken just
-before it was stopped, or when it was back, and they gave way; ``beyond`` were sent before the first that came
-out or behind the last, by a way whose end may be behind the application."""
+"""Ends at the application.
+
+- ``passed_on``: the message came out, and was lost behind that.
+- ``superseded``: a newer message replaced it.
+- ``unaccounted``: nothing shows its fate.
+- ``uncertain``: it may still come out, but its pipe lost messages to the end.
+- ``missed``: it may have come out, and the capture may have missed it.
+- ``held``: the application may have read it just before it was stopped, or when it was back, and replaced it.
+- ``beyond``: it was sent before the first message that came out, or after the last one. It may have come out
+  and been lost behind the application.
+"""
 End = EndAtCi | EndOnBus | EndAtApp
-"""How messages into cFS end that are in no loss: at CI, on the bus, or at the application."""
+"""The ends of messages into cFS that belong to no loss: at CI, on the bus, or at the application."""
 
 
 @dataclass(slots=True)
 class Fate:
-    """What became of each message of a stream into cFS.
+    """The fates of all messages of one stream into cFS.
 
     Attributes:
-        stream: the stream.
-        hops: where its messages come out; none where that cannot be seen.
-        arrived: bool (rows,), it came out.
-        newer: bool (rows,), it did not, and a newer one that may have been taken together with it did.
-        open: bool (rows,), nothing has told yet what became of it.
-        waits: bool (rows,), it may yet come out.
-        blind: bool (rows,), it has no values by which it could be seen to come out.
+        stream: stream into cFS.
+        hops: pairs of this stream with those that its messages leave as; empty if the capture shows none.
+        arrived: bool (rows,), the message came out.
+        newer: bool (rows,), it did not, but a newer message that may have replaced it did.
+        open: bool (rows,), its fate is not decided yet.
+        waits: bool (rows,), it may still come out.
+        blind: bool (rows,), it has no fingerprint by which its output could be recognised.
         unseen: bool (rows,), it may have come out while nothing was captured.
-        ends: messages by how they ended.
-        refused: rule to messages that came to nothing by what they are.
-        unfollowed: bool (rows,), it was sent when nothing here could show any more what became of it.
-        unfollowed_since: what was said or asked from which on that is so.
-        followed: of those, how many a counter has as lost, and none that was sent before them.
-        reached: messages that came out by their number alone, where cut frames hide which; None elsewhere.
-        commanded: commands to Telemetry Output that 0x880 counts; None where it does not tell.
-        passed: bool (rows,), it may have come out of the application and have been lost behind it.
-        strange: bool (rows,), likewise as another one that came out and that nothing here was sent as.
-        edge: bool (rows,), likewise, where no count behind it would show that.
-        unread: bool (rows,), SBN did not take it, from its socket or from the application: no pipe lost it.
-        stop: i64 (rows,), place of the stop of an application that it was sent into; -1 for none.
-        counted_in_stop: place of a stop to how many of those 0x803 counted: nobody read the pipe.
+        ends: number of messages by their end, for messages in no loss.
+        refused: rule to the number of messages that cFS refused for what they contain.
+        unfollowed: bool (rows,), it was sent after the capture could no longer show its fate; None for none.
+        unfollowed_since: fact from which on that is so, as text.
+        followed: number of those that a counter has as lost, and none that was sent before them.
+        reached: number of messages that came out, if cut frames hide which ones; else None.
+        commanded: number of commands to Telemetry Output that 0x880 counts; None if unknown.
+        passed: bool (rows,), it may have come out of the application and been lost behind it.
+        strange: bool (rows,), it may be a message that came out without a match: equal, or with other values.
+        edge: bool (rows,), it may have come out and been lost where no later count would show that.
+        unread: bool (rows,), SBN did not read it, from its socket or its pipe: so no pipe lost it.
+        stop: i64 (rows,), index of the stop of an application in which it was sent; -1 for none.
+        counted_in_stop: index of a stop to the messages that 0x803 counted, because nobody read the pipe.
     """
 
     stream: Stream
@@ -209,26 +231,26 @@ class Fate:
 
     @property
     def seen(self) -> bool:
-        """Whether it can be seen what comes out."""
+        """Whether the capture shows which messages come out."""
         return bool(self.hops)
 
     @property
     def keeps_newest(self) -> bool:
-        """Whether the application sends only the newest of what it takes at once, over SBN."""
+        """Whether the application sends, over SBN, only the newest of the messages that it reads at once."""
         return _keep_newest(self.hops)
 
     @property
     def waiting(self) -> int:
-        """How many may yet come out, of those that CI has read."""
+        """Number of messages that may still come out, without those that came out unseen."""
         return int((self.waits & ~self.unseen).sum())
 
     @property
     def doubled(self) -> int:
-        """How many came out more than once."""
+        """Number of messages that came out again after an equal one."""
         return sum(hop.doubled for hop in self.hops)
 
     def claim(self, rows: Places) -> int:
-        """Take messages that are open, or are blind; return how many."""
+        """Mark those of some messages as decided that are open or blind; return their number."""
         own = rows[self.open[rows] | self.blind[rows]]
         self.open[own] = self.blind[own] = False
         return len(own)
@@ -236,12 +258,14 @@ class Fate:
     def loss(
         self, kind: LossKind, rows: Places, evidence: list[str], hop: str = "", among: Places | None = None
     ) -> Loss:
-        """Return the loss of some of the messages.
+        """Return a loss of some of the messages.
 
         Args:
-            rows: which, as indices into the stream's rows.
-            hop: where; by default where that kind of loss is.
-            among: which they may be as well; by default it is sure which they are.
+            kind: cause of the loss.
+            rows: lost messages, as indices into the stream's rows; at least one.
+            evidence: facts that prove it, one sentence each.
+            hop: place of the loss; by default that of its kind.
+            among: candidates, if it is not certain which messages are lost; by default ``rows``.
         """
         stream, own = self.stream, self.stream.time_ns
         start_ns, end_ns = int(own[rows].min()), int(own[rows].max())
@@ -258,7 +282,7 @@ def _keep_newest(hops: Sequence[Hop]) -> bool:
 
 
 def follow(case: Case, stream: Stream) -> Fate:
-    """Follow a stream to where it comes out, if that can be seen."""
+    """Return the fates of a stream, as far as its output in the capture decides them."""
     hops = [hop for hop in case.hops if hop.into is stream and not hop.is_copy]
     size, times = len(stream), stream.time_ns
     arrived, followed = (
@@ -270,7 +294,7 @@ def follow(case: Case, stream: Stream) -> Fate:
     last_ns = times[arrived][-1] if arrived.any() else 0
     since_ns = max(case.end_ns - delay - WAITS_NS, last_ns - 2 * WAITS_NS)
     waits = open_ & (times > since_ns) & ~case.unreachable.closed[stream.rows] & bool(hops)
-    # What may have come out while nothing was captured did so unseen.
+    # A message that may have come out while nothing was captured is ``unseen``.
     leaving_ns = _leaving(hops, times, delay)
     unseen = overlapping(*leaving_ns, case.blind) & open_ & bool(hops)
     waits |= unseen & case.is_away(*leaving_ns)
@@ -279,11 +303,14 @@ def follow(case: Case, stream: Stream) -> Fate:
 
 
 def _leaving(hops: Sequence[Hop], times: Integers, delay: int) -> tuple[Integers, Integers]:
-    """Return from when and until when each message would have come out: between those around it that did.
+    """Return the earliest and the latest time, i64 (rows,) each, at which each message would have come out.
+
+    The messages around it that came out give the interval.
 
     Args:
-        times: when each was sent.
-        delay: so long it takes at the end, about.
+        hops: pairs of the stream with those that its messages leave as.
+        times: i64 (rows,), time at which each was sent.
+        delay: delay of a message at the end of the capture, ns, about.
     """
     none = np.iinfo(np.int64).max
     out_ns = np.full(len(times) + 1, none)
@@ -297,20 +324,26 @@ def _leaving(hops: Sequence[Hop], times: Integers, delay: int) -> tuple[Integers
 
 
 def _longest(delays_ns: Integers) -> int:
-    """Return how long a message takes at the end: as usual, or a little longer than the last ones did."""
+    """Return the largest delay of a message at the end, ns: the usual one, or a little over the last ones."""
     return min(int(np.quantile(delays_ns, 0.99)), 2 * int(delays_ns[-_LAST:].max()) + WAITS_NS)
 
 
 def regroup(case: Case, fate: Fate) -> None:
-    """Mark what may have given way as well, once it is told what was lost before it could be taken."""
+    """Mark messages that may also have been replaced, after losses in front of the application are known."""
     fate.newer |= _newer(case, fate.hops, fate.open, fate.stream.time_ns)
 
 
 def _newer(case: Case, hops: list[Hop], absent: Mask, times: Integers) -> Mask:
-    """Tell which messages may have given way to one that was sent some time later.
+    """Return which messages a later one may have replaced: bool (rows,).
 
-    An application that keeps the newest for SBN takes together what waited before it: for a few rounds where
-    CI has more than it reads, and for all of a time in which cFS stood still or nobody woke applications.
+    An application that keeps the newest message for SBN reads all that wait in one round. These may be the
+    messages of a few rounds, if CI gets more than it reads, or all of a time in which cFS stood still or no
+    scheduler woke applications.
+
+    Args:
+        hops: pairs of the stream with those that its messages leave as.
+        absent: bool (rows,), messages that did not come out.
+        times: i64 (rows,), time at which each was sent.
     """
     out = np.zeros(len(times), bool)
     if not _keep_newest(hops):
@@ -324,7 +357,7 @@ def _newer(case: Case, hops: list[Hop], absent: Mask, times: Integers) -> Mask:
     next_ns, out_ns = times[came[behind]], np.full(len(times), np.iinfo(np.int64).max)
     for hop in hops:
         out_ns[hop.in_rows] = hop.out.time_ns[hop.out_rows]
-    # CI may have read together what was sent at other times: then little lies between what came out.
+    # CI may have read messages of different times in one round: then they came out close together.
     apart_ns = out_ns[came[behind]] - out_ns[came[behind - 1]]
     out[rows] = (
         ((behind > 0) & (apart_ns >= 0) & (apart_ns <= 2 * WAITS_NS))
@@ -337,7 +370,7 @@ def _newer(case: Case, hops: list[Hop], absent: Mask, times: Integers) -> Mask:
         states = ("stopped", "restarting") if sleeps else ("stalled",)
         for span in (span for state in states for span in case.timeline.spans(owner, state, system)):
             until_ns = span.end_hi + SECOND
-            if sleeps:  # it wakes applications when it is ready: the first one that sends shows it
+            if sleeps:  # the first message behind the stop shows that the scheduler works again
                 awake = left_ns[(left_ns > span.end_lo) & (left_ns <= span.end_hi + READY_NS)]
                 until_ns = max([until_ns, *awake[:1].tolist()])
             out[rows] |= (times[rows] > span.start_lo - SECOND) & (next_ns <= until_ns)
@@ -349,4 +382,4 @@ LOST_AT: Final[Mapping[str, str]] = {
     "network": BEFORE_CI,
     "socket": CI_SOCKET,
 }
-"""Kind of a loss before CI to where it is."""
+"""Kind of a loss in front of CI to its place."""
