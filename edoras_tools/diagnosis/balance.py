@@ -1,13 +1,14 @@
-"""What became of the messages of each route: sums of the ledger's rows, and the way of each command.
+"""Sums of the ledger's rows: one line for each route, and the chain of hops of each command.
+
+Rules of a chain:
 
 1. The hops between the ground bridge and the robot are the rows of the balance, with their figures.
-2. A hop that nothing here counts is named all the same, without figures, and with what would show it.
-3. Where a command leaves cFS as another packet, on the Software Bus Network, that packet's hops follow. Of
-   what goes into the first of them, messages already under way at the start, or made by the application, are
-   counted apart. If it leaves on several ways, to the robot and on SBN, what did not leave on this one left
-   by the other, and the hop before is the application, whatever stands above. So ``in = out of the hop
-   before + entered - elsewhere``.
-4. The bridges' own hops are counted by bags of the ROS side: messages of the time that both recorded.
+2. A hop without a counter is named, without figures, together with the evidence that would count it.
+3. If a command leaves cFS as another packet on the Software Bus Network, the hops of that packet follow.
+   Messages under way at the start, or made by the application, are ``entered`` at the first of them. If a
+   command leaves both to the robot and on SBN, messages that left by the other way are ``elsewhere``; the hop
+   before is then the application. So ``in = out of the hop before + entered - elsewhere``.
+4. Bags of the ROS side count the hops of the bridges, for the time that bag and capture both recorded.
 """
 
 from __future__ import annotations
@@ -43,24 +44,24 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 BEHIND_LINKS: Final = (PEER, UDP_PORT)
-"""How hops are called that are behind what the capture shows of a message."""
+"""Start of the names of hops that follow the last captured datagram of a message."""
 
 
 class Headline(msgspec.Struct, frozen=True):
-    """What became of the messages of one route, in one line.
+    """The sums of one route, for one line.
 
     Attributes:
-        topic: its topic, else the name of the packet, else its MsgId.
-        sent: how many were sent or published.
-        arrived: how many came out at the end; None where that cannot be seen.
-        superseded: how many gave way to a newer one.
-        lost: how many were lost.
-        waiting: how many may be on their way still.
-        not_captured: how many could not be followed.
-        unaccounted: how many are missing without a cause.
-        uncertain: how many may be lost, or are only not seen.
-        shared: the most that may be among the losses of several together.
-        instance: on which link, or of which cFS, where several have the route; else None.
+        topic: topic of the route, else the MsgId.
+        sent: number of messages sent or published.
+        arrived: number of messages that left the last hop; None if the capture does not show that.
+        superseded: number of messages that a newer one replaced.
+        lost: number of messages lost with a visible cause.
+        waiting: number of messages that may still be under way.
+        not_captured: number of messages that the capture cannot follow.
+        unaccounted: number of messages missing without a visible cause.
+        uncertain: number of messages that are lost, or only not captured.
+        shared: upper bound of the route's part in losses that several routes share.
+        instance: link and cFS that distinguish several lines of one topic; else None.
     """
 
     topic: str
@@ -77,21 +78,21 @@ class Headline(msgspec.Struct, frozen=True):
 
     @property
     def missing(self) -> int:
-        """How many are proven lost, with or without a cause."""
+        """Number of messages proven lost, with or without a cause."""
         return self.lost + self.unaccounted
 
     @property
     def name(self) -> str:
-        """The topic, and of which cFS where several have it."""
+        """The topic, with ``instance`` if there is one."""
         return f"{self.topic} ({self.instance})" if self.instance else self.topic
 
 
 def sent(rows: Iterable[Row]) -> int:
-    """Return how many messages were sent or published: what went into the first hop of each route."""
+    """Return the number of messages sent or published: the arrivals at the first hop of each route."""
     first: dict[tuple[Any, ...], str] = {}
     number = 0
     for row in rows:
-        # Each peer has a pipe of its own, and a cFS that was started again rows of its own for the same hops.
+        # Each SBN peer has its own pipe as first hop; and each boot of a cFS has its own rows.
         hop = "SBN" if sbn.PEER_PIPE.fullmatch(row.hop) else row.hop
         if hop == first.setdefault((row.route, row.link, row.msg_id), hop):
             number += row.came
@@ -99,30 +100,30 @@ def sent(rows: Iterable[Row]) -> int:
 
 
 def not_counted(rows: Iterable[Row]) -> str:
-    """Return where nothing counts what was lost, and what would; empty where all is counted."""
+    """Return a text on the first hop without a counter of its losses; empty if all hops have one."""
     unseen = (row for row in rows if row.came and not row.observed)
     return next((f"{row.counted['lost']} ({row.hop})" for row in unseen), "")
 
 
 class WaySum(NamedTuple):
-    """What became of one traffic on its way.
+    """The sum of one traffic over all its hops.
 
     Attributes:
-        hops: its rows, in order.
+        hops: rows of the traffic, in the order of its hops.
     """
 
     hops: tuple[Row, ...]
 
     @property
     def messages_lost(self) -> int:
-        """Messages that surely never came out: of its arrivals that were lost, those that are no copies."""
+        """Messages proven lost: lost arrivals without the possible copies."""
         first = self.hops[0]
         before = first.proven if first.duplicated else 0  # where the copies were made
         return before + max(0, self._proven - before - first.copies)
 
     @property
     def messages_uncertain(self) -> int:
-        """Messages that may be lost besides."""
+        """Messages that may be lost, beyond those proven."""
         first = self.hops[0]
         sure = min(first.sure_copies, first.copies, self._proven)
         return self._proven - sure - self.messages_lost + sum(row.uncertain for row in self.hops)
@@ -132,7 +133,7 @@ class WaySum(NamedTuple):
         return sum(row.proven for row in self.hops)
 
     def as_json(self, topic: str | None) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --json``."""
+        """Return the sum in the shape of ``doctor --json``; ``topic`` is that of the route."""
         first = self.hops[0].as_json(topic)
         return {
             **{name: first[name] for name in ("topic", "name", "link", "msg_id", "instance")},
@@ -148,16 +149,20 @@ class WaySum(NamedTuple):
 
 
 def ways(rows: Iterable[Row]) -> list[WaySum]:
-    """Return the way of each traffic through all its hops."""
+    """Return the sum of each traffic over all its hops; without the hop of the capture itself."""
     own = (row for row in rows if row.hop != CAPTURE)
     groups = by_key(own, lambda row: (*row.key, row.hop if row.msg_id is None else ""))
     return [WaySum(tuple(members)) for members in groups.values()]
 
 
 def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
-    """Return a line for each configured route, and for each other of which something is missing: worst first.
+    """Return one line for each configured route, and each other one with losses: the worst first.
 
-    Where none is configured there is a line for each; housekeeping of cFS has none.
+    Without any configured route, each one has a line. Packets with a cFE name have none.
+
+    Args:
+        rows: rows of the balance.
+        topics: index of a configured route to its topic.
     """
     own = (row for row in rows if row.msg_id is not None and row.link)
     groups = by_key(own, lambda row: (row.route, row.link, row.msg_id, row.instance))
@@ -207,13 +212,13 @@ _REST: Final = ENDINGS[1:]
 
 
 class BridgeCount(NamedTuple):
-    """What a bag beside the capture counted of a route, inside the bridge.
+    """The messages of one route inside a bridge, counted from a bag and the capture.
 
     Attributes:
-        came: messages of its sender's side, while both were recorded.
-        lost: of those, how many the other side lacks.
-        bag: its path.
-        missed: of those that came, how many the bag's recorder says that it missed.
+        came: messages on the sender's side, in the time that both recorded.
+        lost: number of these that are missing on the other side.
+        bag: path of the bag.
+        missed: number of ``came`` that the bag's recorder reports as missed.
     """
 
     came: int
@@ -223,18 +228,18 @@ class BridgeCount(NamedTuple):
 
 
 class ChainHop(msgspec.Struct, frozen=True):
-    """One hop of a chain; the figures are None where nothing counts them.
+    """One hop of a chain; a figure without a counter is None.
 
     Attributes:
-        hop: its name.
-        came: how many went in.
-        lost: how many were lost.
-        out: how many came out.
-        doubled: of those, how many more than once.
-        entered: of those that went in, how many did not come out of the hop before.
-        elsewhere: of those that came out of the hop before, how many did not go in: they left on another way.
-        rest: what became of the others: figures of the balance, those that are not 0.
-        counted: where ``out`` was counted, or what would show it.
+        hop: name of the hop.
+        came: number of messages that entered.
+        lost: number of messages lost with a visible cause.
+        out: number of messages that left.
+        doubled: number of copies that the hop added.
+        entered: messages that entered here without leaving the hop before.
+        elsewhere: messages that left the hop before, but on another way.
+        rest: name of each other figure of the balance to its value, without those that are 0.
+        counted: source of ``out``, or the evidence that would show it.
     """
 
     hop: str
@@ -249,11 +254,11 @@ class ChainHop(msgspec.Struct, frozen=True):
 
     @property
     def observed(self) -> bool:
-        """Whether what is lost there was counted."""
+        """Whether the losses at this hop were counted."""
         return self.lost is not None
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --json``."""
+        """Return the hop in the shape of ``doctor --json``."""
         return {
             "hop": self.hop,
             "in": self.came,
@@ -268,13 +273,13 @@ class ChainHop(msgspec.Struct, frozen=True):
 
 
 class Chain(NamedTuple):
-    """The hops of one command.
+    """The hops of one route, mostly of a command.
 
     Attributes:
-        topic: the configured one; None without a mission.
-        msg_id: under which it is sent to Command Ingest.
-        instance: the cFS, where it is known.
-        hops: in the order of the way.
+        topic: configured topic; None without a mission.
+        msg_id: MsgId of the messages in the capture.
+        instance: label of the cFS; None if unknown.
+        hops: hops in the order of the way.
     """
 
     topic: str | None
@@ -283,7 +288,7 @@ class Chain(NamedTuple):
     hops: tuple[ChainHop, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --json``."""
+        """Return the chain in the shape of ``doctor --json``."""
         return {
             "topic": self.topic,
             "msg_id": f"0x{self.msg_id:04x}",
@@ -297,14 +302,15 @@ def chains(
     topics: Mapping[int, str],
     bridges: Mapping[tuple[str, int], BridgeCount] | None = None,
 ) -> list[Chain]:
-    """Return the chain of each command that came to Command Ingest, and of telemetry that bags have.
+    """Return the chain of each command to Command Ingest, and of each telemetry route that bags counted.
 
-    Those of cFS itself have none; with a mission, only its own commands have one, else those that the
-    software bus did not refuse altogether.
+    Commands of cFS itself have no chain. With a mission, only its configured commands have one. Without, a
+    command has one unless no message of it left the software bus.
 
     Args:
-        topics: of the mission, by index of the route.
-        bridges: what bags counted, by label of the link and MsgId.
+        rows: rows of the balance.
+        topics: index of a configured route to its topic; empty without a mission.
+        bridges: (label of the link, MsgId) to the count of a bag.
     """
     whole = summed(rows)
     groups: dict[tuple[int, int, str | None], list[Row]] = {}
@@ -341,12 +347,12 @@ def _hops(
             hop = _of_row(row)
             more = 0 if place else row.came - last.out
             yield replace(hop, entered=max(0, more), elsewhere=max(0, -more))
-        if way[0] == _SBN and further and further[-1].hop != BUS:  # else the peer is another cFS
+        if way[0] == _SBN and further and further[-1].hop != BUS:  # else the SBN peer is another cFS
             yield _bridge(PEER_TO_ROBOT, bridges.get(way), came=_last_out(whole, way))
 
 
 def _last_out(rows: Iterable[Row], way: tuple[str, int]) -> int | None:
-    """Return how many came out of the last hop of a packet, of all that have one."""
+    """Return the messages that left the last hop of a packet, over all its rows; None without any row."""
     out: dict[str, int] = {}
     for row in rows:
         if (row.link, row.msg_id) == way:
