@@ -1,4 +1,4 @@
-"""The account of each route: sent, seen, lost, how fast, how late, and what it could carry."""
+"""The account of each stream for ``doctor --json``: messages sent and lost, rate, delay, and safe rate."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
 
 _ROUND: Final = 10
-"""A period within a tenth of a task's is that task's."""
+"""A period within this part (a tenth) of a task's period belongs to that task."""
 _OVER: Final = 1.1
-"""What gets through at a rate so many times the assumed limit shows that there is another."""
+"""A rate without loss this many times above the assumed limit disproves that limit."""
 
 
 def accounts(case: Case) -> list[dict[str, Any]]:
-    """Return a row for every stream, in the shape of ``doctor --json``: configured topics first."""
+    """Return one row for each stream, in the shape of ``doctor --json``: configured topics first."""
     order = sorted(
         case.streams,
         key=lambda item: (item.route == NO_ROUTE, item.msg_id in MSG_ID_NAMES, item.link, item.msg_id),
@@ -76,7 +76,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
 
 
 def _crossing(case: Case, hop: Hop) -> dict[str, Any]:
-    """Return what came out as a stream, of what went in as another."""
+    """Return the figures of one pair of streams in and out of cFS."""
     fate = case.commands.fates.get(id(hop.into))
     return {
         "from": f"0x{hop.into.msg_id:04x}",
@@ -90,17 +90,17 @@ def _crossing(case: Case, hop: Hop) -> dict[str, Any]:
 
 
 def latency_ms(row: Mapping[str, Any]) -> float | None:
-    """Return the 99th percentile of a row's slowest part; None where the capture shows none."""
+    """Return the 99 % quantile of the delay in a row's slowest part, ms; None without any delay."""
     parts = [item["latency"] for item in row["crossings"]] + [row["delay"], row["to_robot"]]
     return max((item["p99_ms"] for item in parts if item), default=None)
 
 
 def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measured", "assumed"] | None]:
-    """Return to what rate a stream gets through, in Hz, and what tells; None where nothing does.
+    """Return the highest rate, Hz, at which a stream gets through, and its origin; None if unknown.
 
-    Measured: messages of it were lost at a pipe that is emptied in rounds, and it comes in these. Else
-    constants of cFS are assumed, unless the capture shows that they are others: more of it got through
-    without a loss. What a mission or an option says of them counts as measured.
+    It is measured if messages were lost at a pipe that is emptied in rounds, and the stream shows these
+    rounds. Else it follows from assumed constants of cFS, unless a higher rate got through without loss.
+    Constants from a mission or an option count as measured.
     """
     lost_at_pipe = [loss for loss in case.losses_of(stream) if loss.kind in COUNTERS]
     route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
@@ -125,14 +125,14 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
 
 
 def _is_task(case: Case, period_ns: int) -> bool:
-    """Tell whether a period is that of a task that wakes up now and then."""
+    """Return whether a period is that of Telemetry Output or SBN."""
     return any(
         abs(period_ns - own) < own // _ROUND for own in (case.profile.to_wake_ns, case.profile.sbn_wake_ns)
     )
 
 
 def _delay(case: Case, stream: Stream) -> Latency | None:
-    """Return how long telemetry waited between publication and the wire, more than its luckiest packet."""
+    """Return the delay of telemetry from publication to the wire, above the smallest one of its instance."""
     if stream.link.only_to_cfs or stream.instance == NOBODY:
         return None
     own = stream.rows[case.instances.of_row[stream.rows] == stream.instance]

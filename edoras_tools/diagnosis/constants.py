@@ -1,11 +1,14 @@
-"""Constants of the flight side that the capture itself shows: rounds, limits, depths.
+"""Learns constants of the flight side from the capture: periods of rounds, limits, depths.
 
-1. A round is the shortest time that often lies between two bursts of one sender, of which nearly all others
-   are multiples. Command Ingest's shows where its commands come out of the last hop, and no message waits for
-   longer than it.
-2. What a pipe keeps shows in full rounds, where an event names its MsgId at that pipe.
-3. A constant that was learned replaces the assumed one where they differ by more than a tenth; not one that
-   somebody gave.
+Rules:
+
+1. The period of a round is the shortest frequent time between two bursts of one sender, if nearly all other
+   times are multiples of it. Command Ingest's period shows at the last hop, if no command waits longer than
+   one period.
+2. The limit of a MsgId at a pipe is the number of messages in its full rounds, if an event names the MsgId at
+   that pipe, or if the rounds have more messages than the assumed limit.
+3. A learned period or depth replaces an assumed one if they differ by more than a tenth. It never replaces
+   one that a mission or an option gives.
 """
 
 from __future__ import annotations
@@ -37,17 +40,17 @@ _MULTIPLES: Final = 6
 _NEARLY_ALL: Final = 0.8
 _FULL: Final = 0.3
 _SMALL: Final = 6
-"""Of rounds that are larger one message more or less is as good as none."""
+"""Larger rounds count as full with one message less."""
 _WAITS: Final = 0.7, 1.3
-"""A message waits for at most a round: the longest wait of nearly all is between these shares of it."""
+"""The longest delay of nearly all commands is between these shares of the period, as they wait one round."""
 _ALIKE: Final = 0.1
 
 
 def find_round(times: Integers) -> int | None:
-    """Return the period of the rounds in which bursts come, ns; None where they show none.
+    """Return the period, ns, of the rounds in which bursts arrive; None if there is none (rule 1).
 
     Args:
-        times: ns, in order.
+        times: i64 (n,), times of the messages, ns, in order.
     """
     if len(times) < _LEAST:
         return None
@@ -71,9 +74,9 @@ class Constants(NamedTuple):
     """The constants of a capture's flight side.
 
     Attributes:
-        profile: all of them: learned, else assumed.
-        rounds: name of a constant to the period that the capture shows, ns.
-        learned: names of those that the capture shows or somebody said, and MsgIds whose limits are so.
+        profile: all constants: learned, else assumed.
+        rounds: name of a constant to the period in the capture, ns.
+        learned: names of constants, and MsgIds of limits, that the capture, the mission or an option shows.
     """
 
     profile: SimProfile
@@ -90,15 +93,18 @@ def learn_constants(
     *,
     overflows: bool,
 ) -> Constants:
-    """Return the constants, with those that the capture shows in place of the assumed ones.
+    """Return the constants, with the assumed ones replaced by those that the capture shows.
 
     Args:
-        assumed: constants where it shows none.
-        losses: what events name as lost.
-        overflows: whether a pipe was full.
+        assumed: constants to start from.
+        rows: table of datagrams.
+        streams: streams of these rows.
+        hops: pairs of streams in and out of cFS.
+        losses: losses that events report.
+        overflows: whether a counter of pipe overflows grew.
     """
     down = rows.on(lambda link: link.only_from_cfs)
-    down &= (rows.duplicates == 0) & (rows.reordered == 0)  # as it was sent
+    down &= (rows.duplicates == 0) & (rows.reordered == 0)  # in the order of sending
     sent = [rows.time_ns[own] for _, own in groups(rows.source, np.flatnonzero(down))]
     output = max(sent, key=len, default=rows.time_ns[:0])
     every = {"to_wake_ns": find_round(output), "ci_wake_ns": _ingest(rows, hops)}
@@ -121,7 +127,7 @@ def learn_constants(
 def _limits(
     assumed: SimProfile, streams: Sequence[Stream], losses: Mapping[ReportedLoss, LossEvents]
 ) -> dict[int, int]:
-    """Return how many of a MsgId may wait at Telemetry Output, where full rounds show it."""
+    """Return MsgId to its limit at Telemetry Output, for each MsgId whose full rounds show it (rule 2)."""
     limits: dict[int, int] = {}
     at_output = {item.msg_id for item in losses if item.kind == "limit" and item.at_output}
     uses = Counter((item.sender, item.msg_id) for item in streams)
@@ -131,10 +137,10 @@ def _limits(
         if not stream.link.only_from_cfs or not is_usual or uses[stream.sender, stream.msg_id] > 1:
             continue  # of two that publish it, neither fills a round
         if stream.duplicates + stream.reordered > _ALIKE * len(stream):
-            continue  # a network that doubles and delays makes other rounds of them
+            continue  # a network that doubles and delays changes the rounds
         times = stream.time_ns
         most = _full_round(times)
-        # Fewer came, and many are missing: no more are kept. More came: more are.
+        # Fewer than assumed, and many missing: the limit is lower. More than assumed: it is higher.
         scarce = stream.msg_id in at_output and int(stream.missing.sum()) > _ALIKE * len(stream)
         lacking = times, stream.missing, most
         scarce = scarce and full_where_lacking(*lacking) and _lacks_often(*lacking)
@@ -144,19 +150,19 @@ def _limits(
 
 
 def _lacks_often(times: Integers, missing: Integers, most: int) -> bool:
-    """Tell whether many full rounds lack some, or each few: else a pause of its reader lost them."""
+    """Return whether many full rounds miss messages, or each misses few; else the reader only paused."""
     begins, sizes = bursts(times, _BURST_NS)
     lacking = np.add.reduceat(missing, begins)
     return bool((lacking[sizes >= most] > 0).mean() >= _FULL or np.median(lacking[lacking > 0]) <= 1)
 
 
 def _usual(profile: SimProfile, name: str) -> bool:
-    """Tell whether nobody said a value, and it is the lab applications'."""
+    """Return whether a constant is still the default of the lab applications, and not given."""
     return bool(name not in profile.stated and getattr(profile, name) == getattr(_USUAL, name))
 
 
 def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
-    # Nothing else makes messages wait on their way from Command Ingest to the last hop.
+    # Commands wait only for Command Ingest on their way to the last hop.
     last = [hop for hop in hops if hop.into.link.only_to_cfs and hop.out.link.last_hop]
     out = [rows.time_ns[hop.out.rows[hop.out_rows]] for hop in last]
     round_ns = find_round(np.sort(np.concatenate(out))) if out else None
@@ -168,9 +174,9 @@ def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
 
 
 def _full_round(times: Integers) -> int:
-    """Return how many come in a full round; 0 where rounds are seldom full.
+    """Return the number of messages in a full round; 0 if rounds are seldom full.
 
-    One that arrives while a round is sent may come with it.
+    A message that arrives while a round is sent may leave with it.
     """
     _, sizes = bursts(times, _BURST_NS)
     if len(sizes) < _LEAST:

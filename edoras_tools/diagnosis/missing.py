@@ -1,12 +1,12 @@
-"""Every message that was lost, one by one: as many as the balance has, each once.
+"""The list of lost messages, one by one: as many as the balance has, each once.
 
 Rules:
 
-1. Every loss names the messages that it is, or is some of: packets that did not arrive, or sequence counts
-   that never came. Losses that share such messages are told together.
-2. Where losses are as many as the messages that they are among, each of these is told by itself.
-3. Elsewhere it is not known which of them were lost: each loss is told as one of so many.
-4. A loss of which the capture shows neither packet nor count is told by its time alone.
+1. Every loss names its candidates: packets that did not arrive, or sequence counts that never came. Losses
+   that share candidates are listed together.
+2. If there are as many losses as candidates, each candidate is listed.
+3. Otherwise it is unknown which candidates were lost. Each loss is listed as one of their number.
+4. A loss without a packet and without a count in the capture is listed with its time only.
 """
 
 from __future__ import annotations
@@ -32,27 +32,26 @@ if TYPE_CHECKING:
 _Share = tuple[LedgerEntry, Among]
 _ShareUnits = tuple[LedgerEntry, Among, "Integers"]
 _ROOM: Final = 1 << 32
-"""Numbers for the counts that are missing behind one row."""
+"""Numbers reserved for the sequence counts missing behind one row."""
 ALL: Final = 1 << 62
-"""More messages than any loss has."""
+"""A number above that of any loss: no limit."""
 
 
 class Missing(msgspec.Struct, frozen=True):
-    """One message that was lost.
+    """One lost message.
 
     Attributes:
-        link: label of the link; empty where it is not known.
-        msg_id: cFE MsgId.
-        topic: configured topic, else the packet's name, or None.
-        count: 1: each message has an entry of its own; of samples of DDS how many a writer lost for a cause.
-        time_ns: when it was sent; of a count, when the packet before it was seen; else when the loss began.
-        until_ns: of a count, when the packet behind it was seen; of a packet as ``time_ns``; else when the
-            loss ended.
-        number: place of the packet in the capture, from 1; None where it is not there or not known.
-        first: its sequence count; None where it has none or it is not known.
-        one_of: of how many messages it is one, where it is not known which; else None.
-        what: what became of it.
-        message: fields of the ROS message, or None.
+        link: label of the link; empty if unknown.
+        msg_id: cFE MsgId; ``NO_MSG_ID`` if unknown.
+        topic: configured topic, else the packet's name; None without either.
+        count: 1, because each message has its own entry; for DDS, samples that a writer lost for one cause.
+        time_ns: time of a packet; for a sequence count, that of the packet in front; else the loss's begin.
+        until_ns: time of a packet; for a sequence count, that of the packet behind; else the loss's end.
+        number: place of the packet in the capture, from 1; None if it is not there, or unknown.
+        first: sequence count; None if it has none, or unknown.
+        one_of: number of candidates, if it is unknown which of them was lost; else None.
+        what: fate of the message, as text.
+        message: fields of the ROS message; None if not decoded.
     """
 
     link: str
@@ -69,21 +68,26 @@ class Missing(msgspec.Struct, frozen=True):
 
     @property
     def concerns(self) -> tuple[str | None, int | None, str]:
-        """Its link and MsgId, each None where it is not known, and its topic."""
+        """Link and MsgId, each None if unknown, and topic, empty without one: what a choice selects by."""
         return self.link or None, None if self.msg_id == NO_MSG_ID else self.msg_id, self.topic or ""
 
     def of(self, spacecraft: int, mission: Mission) -> Missing:
-        """Return it with the spacecraft in its name."""
+        """Return the message with the name of its spacecraft in the topic."""
         name = self.topic or (f"0x{self.msg_id:04x}" if self.msg_id != NO_MSG_ID else "")
         return replace(self, topic=mission.own_name(name, spacecraft))
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --list-lost json``."""
+        """Return the message in the shape of ``doctor --list-lost json``."""
         return {**asdict(self), "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}"}
 
 
 def missing(case: Case, most: int = ALL) -> list[Missing]:
-    """Return them in order of time; of each loss at most so many, the latest."""
+    """Return the lost messages in order of time.
+
+    Args:
+        case: capture.
+        most: largest number of messages of each loss; the latest are listed.
+    """
     listed: list[Missing] = []
     groups: dict[tuple[int, bool], list[_Share]] = {}
     for entry in case.ledger.losses():
@@ -102,7 +106,11 @@ def missing(case: Case, most: int = ALL) -> list[Missing]:
 
 
 def _alone(case: Case, entry: LedgerEntry, rows: Places | None, most: int) -> Iterator[Missing]:
-    """Yield the messages of a loss that is of no stream: the rows that it may be, where they are as many."""
+    """Yield the messages of a loss that belongs to no stream.
+
+    Args:
+        rows: candidate rows of the table; if there are as many as messages, each is listed.
+    """
     number = entry.number
     if rows is None or len(rows) != number:
         one_of = None if rows is None or len(rows) < number else len(rows)
@@ -115,7 +123,7 @@ def _alone(case: Case, entry: LedgerEntry, rows: Places | None, most: int) -> It
 
 
 def _units(among: Among) -> Integers:
-    """Return a number for each message: a row of the stream, and which of those missing behind it."""
+    """Return a number for each candidate, i64: row in the stream * ``_ROOM`` + place in the gap behind."""
     base = among.rows.astype(np.int64) * _ROOM
     if among.missing is None:
         return base
@@ -126,7 +134,7 @@ def _units(among: Among) -> Integers:
 
 
 def _connected(units: Sequence[Integers]) -> Places:
-    """Return a label for each set of messages, the same for those that share some, or do so by others."""
+    """Return a label for each set of candidates, intp; sets that overlap, directly or by others, share it."""
     label = np.arange(len(units))
     which = np.repeat(label, [len(own) for own in units])
     unit = numbered(np.concatenate(units))[1]
@@ -142,7 +150,7 @@ def _connected(units: Sequence[Integers]) -> Places:
 
 
 def _together(case: Case, shares: Sequence[_ShareUnits], most: int) -> Iterator[Missing]:
-    """Yield the messages of losses that share what they are among (rules 2 to 4)."""
+    """Yield the messages of losses that share candidates (rules 2 to 4)."""
     every = distinct(np.concatenate([units for _, _, units in shares]))
     if sum(entry.number for entry, _, _ in shares) == len(every):
         causes: dict[int, dict[str, _Share]] = {}
@@ -165,7 +173,7 @@ def _together(case: Case, shares: Sequence[_ShareUnits], most: int) -> Iterator[
 
 
 def _entry(case: Case, entry: LedgerEntry, one_of: int | None = None) -> Missing:
-    """Return a message that no packet and no count tells."""
+    """Return a message without packet or sequence count (rules 3 and 4)."""
     msg_id = NO_MSG_ID if entry.traffic.msg_id is None else entry.traffic.msg_id
     link, times_ns = entry.traffic.link, entry.times_ns[:2]
     name = case.topic(msg_id) or case.packet_name(msg_id) or None
@@ -173,7 +181,7 @@ def _entry(case: Case, entry: LedgerEntry, one_of: int | None = None) -> Missing
 
 
 def _message(case: Case, share: _Share, unit: int, text: str) -> Missing:
-    """Return a message that is known: a packet, or a sequence count."""
+    """Return a message that is a packet or a sequence count (rule 2)."""
     entry, among = share
     rows, stream = case.rows, among.stream
     index, place = divmod(unit, _ROOM)
@@ -184,7 +192,7 @@ def _message(case: Case, share: _Share, unit: int, text: str) -> Missing:
         return replace(one, time_ns=start_ns, until_ns=start_ns, number=int(rows.number[row]))
     end_ns = int(rows.time_ns[stream.rows[min(index + 1, len(stream) - 1)]])
     gap = int(stream.missing[index])
-    # Others may be missing there as well.
+    # If other losses share the gap, the count is unknown.
     whole = int(among.missing[np.flatnonzero(among.rows == index)[0]]) >= gap
     count = (int(rows.sequence_count[row]) + 1 + place) % MODULUS
     return replace(

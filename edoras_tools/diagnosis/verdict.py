@@ -1,4 +1,4 @@
-"""What a diagnosis says: one verdict per rule, route and span of time; and what of it is shown."""
+"""Verdicts: what a diagnosis reports for one rule, route and span of time; and the choice of those shown."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ Confidence = Literal["high", "medium", "low"]
 
 
 class Severity(IntEnum):
-    """How much a verdict matters."""
+    """The importance of a verdict."""
 
     HABIT = 0
-    """What these senders always do; nothing is wrong with this link."""
+    """Normal for these senders; nothing is wrong with this link."""
     NOTE = 1
-    """Worth knowing; nothing is lost by it."""
+    """Worth knowing; nothing was lost by it."""
     SECURITY = 2
     """Nothing is wrong with the link: who may do what on it is. A group of its own, without an exit code."""
     WARNING = 3
-    """Odd, refused, or lost at some receivers only."""
+    """Unusual, refused, or lost at some receivers only."""
     ERROR = 4
     """Data was lost or garbled."""
 
@@ -40,12 +40,12 @@ class Severity(IntEnum):
 
 
 class Advice(msgspec.Struct, frozen=True):
-    """What to change at one queue.
+    """Advice on one queue.
 
     Attributes:
-        why: what the queue takes, and whether that was measured.
-        remedy: what to change; lines to paste come last.
-        left: messages that would still be lost, by the queue model; None where it cannot tell.
+        why: capacity of the queue, and whether that was measured.
+        remedy: change to make; lines to paste come last.
+        left: number of messages that would still be lost, by the queue model; None if unknown.
     """
 
     why: str
@@ -62,27 +62,27 @@ _SHOWN: Final = (
 
 
 class Verdict(msgspec.Struct, frozen=True):
-    """One thing that is so, and why that is believed.
+    """One finding of a rule, with its evidence.
 
     Attributes:
-        severity: how much it matters.
-        reason: one sentence: what, where and because of what.
-        msg_id: of the route; None where it concerns no single one.
+        severity: importance.
+        reason: one sentence with the fact, the place and the cause.
+        msg_id: MsgId of the route; None if it concerns no single one.
         topic: configured topic of the route, or None; ``judge`` fills in that of ``msg_id``.
         link: label of the link, or None.
-        hop: where it happened: a pipe, a process, a stretch of network.
-        lost: messages lost; None where that cannot be counted from here.
-        of: messages sent, as far as they are known.
-        span: first and last sign of it, capture time in ns; ``WHOLE`` until ``judge`` knows the capture's.
-        evidence: what was seen, a line each.
-        remedy: what to change.
-        confidence: ``high``: counted or said by cFS; ``medium``: follows from what was seen; ``low``: likely.
-        rule: name of the rule that says so, as its page of documentation has it; ``judge`` fills it in.
-        cause: kind of the loss that it explains, as ``lost_by`` of the balance has it; empty otherwise.
-        by_type: it follows from the types of a mission alone, which may be wrong: ``lost`` are then only
-            those of which counts and datagrams show that they did not arrive.
-        advice: what to change at the queue that lost them, where the queue model tells.
-        spacecraft: its number, where there are several.
+        hop: place: a pipe, a process, a part of the network; or None.
+        lost: number of messages lost; None if nothing counts them.
+        of: number of messages sent; None if unknown.
+        span: capture times of the first and the last sign, ns; ``judge`` replaces ``WHOLE`` by the capture's.
+        evidence: facts that prove it, one sentence each.
+        remedy: change to make.
+        confidence: ``high``: counted, or reported by cFS; ``medium``: deduced from traffic; ``low``: likely.
+        rule: name of the rule, as in its page of documentation; ``judge`` fills it in.
+        cause: kind of the loss that it explains, as in ``lost_by`` of the balance; else empty.
+        by_type: whether it rests on the mission's types alone, which may be wrong: ``lost`` then has only
+            messages that did not arrive by counts and datagrams.
+        advice: advice on the queue that lost the messages; None without any.
+        spacecraft: number of the spacecraft; None if there is only one.
     """
 
     severity: Severity
@@ -105,22 +105,22 @@ class Verdict(msgspec.Struct, frozen=True):
 
     @property
     def start_ns(self) -> int:
-        """First sign of it, capture time."""
+        """Capture time of the first sign, ns."""
         return self.span[0]
 
     @property
     def end_ns(self) -> int:
-        """Last sign of it."""
+        """Capture time of the last sign, ns."""
         return self.span[1]
 
     @property
     def key(self) -> tuple[str, int | None, str | None, str | None]:
-        """What it is about, whenever it was: spans of one trouble share it."""
+        """The subject without its time: equal for all spans of one problem."""
         return self.rule, self.msg_id, self.link, self.hop
 
     @property
     def rank(self) -> tuple[bool, int, bool]:
-        """What people read first has the least: what is said of the capture itself, then what is grave."""
+        """The order for people, least first: the capture itself, then by severity."""
         return self.rule not in CAPTURE_RULES, -self.severity, self.rule == QUOTING_RULE
 
     def as_json(self) -> dict[str, Any]:
@@ -136,7 +136,7 @@ class Verdict(msgspec.Struct, frozen=True):
 
 
 class About(TypedDict, total=False):
-    """What a verdict is about, and what to do: attributes of ``Verdict``."""
+    """The optional attributes of ``Verdict``."""
 
     msg_id: int | None
     topic: str | None
@@ -160,10 +160,14 @@ def verdict(
     place: tuple[str | None, str | None] | None = None,
     **about: Unpack[About],
 ) -> Verdict:
-    """Return a verdict; ``error``, ``warning``, ``note``, ``habit`` and ``security`` have the severity.
+    """Return a verdict; ``error``, ``warning``, ``note``, ``habit`` and ``security`` set the severity.
 
     Args:
-        place: the link's label and the hop, where it is at both.
+        severity: importance.
+        reason: one sentence with the fact, the place and the cause.
+        evidence: facts that prove it, one sentence each.
+        place: label of the link and the hop, in place of ``link`` and ``hop``.
+        about: other attributes of the verdict.
     """
     if place:
         about["link"], about["hop"] = place
@@ -176,17 +180,17 @@ note = partial(verdict, Severity.NOTE)
 habit = partial(verdict, Severity.HABIT)
 security = partial(verdict, Severity.SECURITY)
 QUOTING_RULE: Final = "cfs_errors"
-"""What a rule knows comes before what cFS is only quoted with."""
+"""The rule that quotes error events of cFS: its verdicts come behind the others of equal severity."""
 CAPTURE_RULES: Final = frozenset({"not_examined", "capture_drops", "cut_frames", "out_of_order"})
-"""Rules about the capture itself: what they say goes for everything below."""
+"""Rules about the capture itself, which qualify all other verdicts."""
 NOTHING_SENT: Final = "nothing", "has a value that was sent"
-"""How a verdict begins, and goes on, on a way where nothing that arrives is what was sent."""
+"""Two parts of the reason of a verdict on a way on which no message arrives with its original values."""
 ONE_BY_ONE: Final = frozenset({"bad_command", "bad_network_message"})
-"""Rules whose verdicts are about single datagrams, and are never shown together."""
+"""Rules whose verdicts are about single datagrams, and are never grouped."""
 
 
 def group_verdicts(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
-    """Return the verdicts as people read them: the gravest first, spans of one trouble together."""
+    """Return the verdicts in the order for people; the spans of one problem are one group."""
 
     def order(verdict: Verdict) -> tuple[Any, ...]:
         single = verdict.lost is None or verdict.rule in ONE_BY_ONE
@@ -208,22 +212,22 @@ def group_verdicts(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
 
 
 def alike(groups: Iterable[list[Verdict]]) -> list[list[list[Verdict]]]:
-    """Join the groups of one rule and severity, in the same order."""
+    """Return lists of the groups with one rule and severity, in the same order."""
     return list(by_key(groups, lambda members: (members[0].severity, members[0].rule)).values())
 
 
 class Choice(msgspec.Struct, frozen=True):
-    """Which links, MsgIds and topics of DDS are shown.
+    """A choice of the links, MsgIds and DDS topics to show.
 
     Attributes:
-        text: how people are told of it.
-        takes: called with the label of a link, a MsgId (None where unknown) and, for DDS, a topic; and with
-            ``spacecraft`` where it is not the first. Tells whether what they concern is shown.
+        text: description of the choice for people.
+        takes: function that returns whether something is shown. It gets the label of a link, a MsgId (None if
+            unknown) and, for DDS, a topic; and ``spacecraft``, if it is not the first.
     """
 
     text: str
     takes: Callable[..., bool]
 
     def of(self, spacecraft: int) -> Choice:
-        """Return what is shown of one spacecraft."""
+        """Return the choice for one spacecraft."""
         return replace(self, takes=partial(self.takes, spacecraft=spacecraft))
