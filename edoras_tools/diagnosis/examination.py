@@ -1,4 +1,13 @@
-"""From batches to a diagnosis, in bounded memory: what is too long is judged in chapters."""
+"""From batches to a diagnosis, in bounded memory.
+
+Rules:
+
+1. A capture is examined in chapters of a million datagrams. Messages are never matched across chapters.
+2. If the records of a capture are out of order throughout, a chapter may grow to four times that size.
+3. The diagnosis of the whole has the sums of all chapters, and all their verdicts. A verdict about the whole
+   capture stands once.
+4. Each spacecraft has an examination of its own. Their diagnoses stand side by side.
+"""
 
 from __future__ import annotations
 
@@ -38,34 +47,33 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.faults.fault import Fault
 
 CHAPTER: Final = 1_000_000
-"""Datagrams that are judged together: 100 MB. What crosses from one chapter into the next is not matched."""
+"""Number of datagrams in a chapter; their rows take 160 MB."""
 MOST_SCATTERED: Final = 4
-"""Chapters that are judged together where records of any time stand anywhere in the capture."""
+"""Largest size, in chapters, of a chapter whose records are out of order throughout."""
 
 
 class Diagnosis(msgspec.Struct, frozen=True, dict=True):
-    """What is wrong, where and why.
+    """The result of an examination.
 
     Attributes:
-        verdicts: the gravest first.
-        habits: what these senders always do; nothing is wrong with this link.
-        routes: the account of every route, as in ``doctor --json``.
+        verdicts: verdicts without habits, the gravest first.
+        habits: verdicts about normal behaviour of these senders.
+        routes: accounts of all streams, as in ``doctor --json``.
         peers: SBN connections over time, as in ``doctor --json``.
-        datagrams: how many were judged.
-        start_ns: the first.
-        end_ns: the last.
-        capture: what is known of the capture itself.
-        case: what it was judged by, for plots; of a long capture the last chapter; None where other processes
-            judge.
-        balance: what became of the messages of every route at every hop.
-        left_out: datagrams that belong to no link, are another program's, or were left out for their time.
-        unnamed: of these, what looks like a link's, on ports that nobody named.
+        datagrams: number of datagrams examined.
+        start_ns: capture time of the first one.
+        end_ns: capture time of the last one.
+        capture: facts about the capture itself.
+        case: evidence, for plots: that of the last chapter; None if other processes examined it.
+        balance: rows of the ledger, for each traffic and hop.
+        left_out: number of datagrams of no link, of another program, or outside the examined time.
+        unnamed: ports among these whose traffic looks like a link's, and that no option names.
         topics: index of a configured route to its topic.
-        choice: what is shown of it; None for all.
-        whole: the diagnosis of which this shows a part, or None.
-        missing: every message that was lost, in order of time, if they were asked for; else empty.
-        parts: where there are several spacecraft, the diagnosis of each by itself, by its number.
-        mission: names these.
+        choice: choice of what is shown; None for all.
+        whole: diagnosis of which this is a part by ``choice``; None if it is the whole.
+        missing: lost messages in order of time, if they were requested; else empty.
+        parts: number of a spacecraft to its diagnosis; empty if there is only one spacecraft.
+        mission: mission that has the names of the spacecraft.
     """
 
     verdicts: tuple[Verdict, ...]
@@ -89,79 +97,80 @@ class Diagnosis(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def zero_ns(self) -> int:
-        """What times that people are told count from."""
+        """The zero, in ns, of all times that people read."""
         return self.start_ns if self.capture.zero_ns is None else self.capture.zero_ns
 
     @property
     def lost(self) -> int:
-        """Messages found lost, each once; frames that the capture itself lost are none of them."""
+        """Arrivals lost with a visible cause, in all; without frames that the capture itself lost."""
         return sum(row.all_lost for row in self.balance)
 
     @property
     def superseded(self) -> int:
-        """Messages that gave way to a newer one."""
+        """Arrivals that a newer message replaced."""
         return sum(row.superseded for row in self.balance)
 
     @property
     def unaccounted(self) -> int:
-        """Messages that are missing without a cause that the capture shows."""
+        """Arrivals certainly missing without a visible cause."""
         return sum(row.unaccounted for row in self.balance)
 
     @property
     def uncertain(self) -> int:
-        """Messages that may be lost, or only not seen to arrive."""
+        """Arrivals that are lost, or only not captured."""
         return sum(row.uncertain for row in self.balance)
 
     @property
     def messages_lost(self) -> int:
-        """Messages that surely are lost: not the copies among the arrivals that are."""
+        """Messages proven lost: lost arrivals without the possible copies."""
         return sum(way.messages_lost for way in self.ways)
 
     @property
     def messages_uncertain(self) -> int:
-        """Messages that may be lost besides."""
+        """Messages that may be lost, beyond those proven."""
         return sum(way.messages_uncertain for way in self.ways)
 
     @cached_property
     def ways(self) -> list[WaySum]:
-        """What became of each traffic on its way."""
+        """The sum of each traffic over all its hops."""
         return ways(self.balance)
 
     @cached_property
     def headlines(self) -> list[Headline]:
-        """What became of each route, a line each."""
+        """One line of sums for each route."""
         return headlines(self.balance, self.topics)
 
     @property
     def chains(self) -> list[Chain]:
-        """The way of each command, from its publisher to the robot."""
+        """The chain of hops of each command, from its publisher to the robot."""
         return chains(self.balance, self.topics)
 
     @property
     def worst(self) -> Severity:
-        """How grave the gravest verdict is."""
+        """The severity of the gravest verdict; ``HABIT`` without any."""
         return max((item.severity for item in self.verdicts), default=Severity.HABIT)
 
     @property
     def without_evidence(self) -> bool:
-        """Whether messages were sent, and nothing shows of any of them whether it arrived."""
+        """Whether messages were sent, and no hop has a counter of losses."""
         sent_rows = [row for row in self.balance if row.came]
         return bool(sent_rows) and not any(row.observed for row in sent_rows)
 
     @property
     def bad(self) -> bool:
-        """Whether exit code 3 is due: loss, something not accounted for, an error, or no evidence."""
+        """Whether the exit code is 3: proven loss, capture drops, an error, no datagram, or no evidence."""
         loss = self.lost or self.unaccounted or self.capture.drops or not self.datagrams
         return bool(loss) or self.without_evidence or self.worst is Severity.ERROR
 
     def beyond(self, share: float, *, strict: bool = False) -> list[str]:
-        """Return why exit code 3 is due, a line each, if so much of any route, and of all, may be missing.
+        """Return the reasons for exit code 3, one sentence each, with a tolerated share of losses.
 
-        Where nothing counts what was lost of a route, that is a reason too.
+        The share applies to each route and to the sum of all. A route without a counter, an error without a
+        number of messages, and drops of the capture are reasons too.
 
         Args:
-            share: from 0 to 1.
-            strict: whether what may be lost counts as lost.
+            share: tolerated share of lost messages, 0 to 1.
+            strict: whether uncertain messages count as lost.
         """
         rows = [row for row in self.balance if row.hop != CAPTURE]
         groups = by_key(rows, lambda row: (row.route, row.msg_id))
@@ -184,7 +193,7 @@ class Diagnosis(msgspec.Struct, frozen=True, dict=True):
         return reasons if self.datagrams else ["nothing was examined"]
 
     def limited(self, choice: Choice) -> Diagnosis:
-        """Return what is chosen of it; what qualifies all the rest stays."""
+        """Return the chosen part of the diagnosis; verdicts about the capture itself stay in it."""
 
         def pick(verdicts: Iterable[Verdict]) -> tuple[Verdict, ...]:
             return tuple(
@@ -212,7 +221,7 @@ class Diagnosis(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def not_shown(self) -> dict[str, int] | None:
-        """How much of the whole diagnosis is not shown; None where all is."""
+        """Number of verdicts, routes and lost messages that the choice hides; None without a choice."""
         if self.whole is None:
             return None
         return {
@@ -247,13 +256,13 @@ class Diagnosis(msgspec.Struct, frozen=True, dict=True):
 
 
 class Chapter(NamedTuple):
-    """What a chapter is judged with, besides what was kept of its datagrams.
+    """The inputs of a chapter besides its recorder.
 
     Attributes:
-        capture: what is known of the capture itself.
-        faults: what was done on purpose up to its end.
-        flows: every conversation up to its end, as of ``Conversations``.
-        left_out: its datagrams that belong to no link.
+        capture: facts about the capture itself.
+        faults: faults that a proxy or a replay logged since the chapter before.
+        flows: conversations up to the end of the chapter, as in ``Conversations``.
+        left_out: number of datagrams in the chapter that belong to no link.
     """
 
     capture: Capture
@@ -263,22 +272,23 @@ class Chapter(NamedTuple):
 
 
 class Apart(Protocol):
-    """Other processes that keep and judge chapters, one after the other."""
+    """Other processes that record and examine chapters, one after the other."""
 
     def keep(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take datagrams of the chapter that is read; see ``Recorder.keep``."""
+        """Record datagrams of the present chapter; see ``Recorder.keep``."""
 
     def judge(self, chapter: Chapter) -> Callable[[], Diagnosis]:
-        """Judge the chapter, and begin the next one; return what waits for the result."""
+        """Start to examine the chapter, begin the next one; return a function that waits for the result."""
 
 
 def judge(case: Case, progress: Callable[[int, int], None] = lambda _count, _of: None) -> list[Verdict]:
-    """Ask every rule: first those about single messages, whose figures the balance needs.
+    """Return the verdicts of all rules; those about single messages run first, because the ledger needs them.
 
-    Where nothing is left to judge, only those about what was left out are asked.
+    Without any row, only the rules about left-out datagrams run.
 
     Args:
-        progress: told how many rules were asked, of how many.
+        case: capture.
+        progress: function that gets the number of rules that ran, and of all.
     """
     if not len(case.rows):
         return [_completed(case, rule.__name__, verdict) for rule in others() for verdict in rule(case)]
@@ -296,10 +306,11 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _count, _of:
 def judge_single(
     case: Case, progress: Callable[[int], None] = lambda _count: None
 ) -> dict[str, list[Verdict]]:
-    """Ask the rules about single messages; from then on the case knows what cFS refused.
+    """Return rule to verdicts of the rules about single messages, and add the refused messages to the case.
 
     Args:
-        progress: told how many rules were asked.
+        case: capture.
+        progress: function that gets the number of rules that ran.
     """
     verdicts: dict[str, list[Verdict]] = {}
     for name, rule in rules().items():
@@ -314,14 +325,14 @@ def judge_single(
 
 
 def _completed(case: Case, rule: str, verdict: Verdict) -> Verdict:
-    """Return a rule's verdict with what follows from the case: its topic, and when it was."""
+    """Return a verdict with the name of its rule, and with topic and span from the case if it has none."""
     topic = verdict.topic or (None if verdict.msg_id is None else case.topic(verdict.msg_id))
     span = (case.start_ns, case.end_ns) if verdict.span == WHOLE else verdict.span
     return replace(verdict, rule=rule, topic=topic, span=span)
 
 
 def _lost_here(verdict: Verdict, number: int) -> Verdict:
-    """Return a verdict on messages of which so many were lost there: others never came to it, or arrived."""
+    """Return a verdict with the number of messages lost at its hop; the others count elsewhere."""
     other = (verdict.lost or 0) - number
     if not other or verdict.by_type:
         return replace(verdict, lost=number or None)
@@ -330,19 +341,19 @@ def _lost_here(verdict: Verdict, number: int) -> Verdict:
 
 
 class Examination:
-    """Takes batches as they come; gives a diagnosis of all so far whenever it is asked.
+    """Records batches, and returns a diagnosis of all so far at any time.
 
     Args:
         context: mission, types and options, shared with the decoder.
-        profile: the constants of the cFS on the link.
+        profile: constants of the cFS; by default those of the mission.
 
     Attributes:
-        zero_ns: what times that people are told count from; None for the first datagram that is added.
-        progress: see ``judge``.
-        faults: what a proxy or a replay did on purpose, as the recording says.
-        listing: whether to list every message that was lost.
-        latest: how many of each loss are listed at the most, the latest.
-        accounting: whether to give the account of every route.
+        zero_ns: zero of all times that people read, ns; None for the first datagram.
+        progress: function as in ``judge``.
+        faults: faults that a proxy or a replay logged in the recording.
+        listing: whether the diagnosis lists every lost message.
+        latest: largest number of messages that are listed of each loss, the latest ones.
+        accounting: whether the diagnosis has the accounts of all streams.
     """
 
     def __init__(self, context: Context, profile: SimProfile | None = None) -> None:
@@ -358,11 +369,11 @@ class Examination:
         self._before: list[Callable[[], Diagnosis]] = []
         self._scattered = False
         self._others: dict[int, Examination] = {}
-        """Of spacecraft behind the first: each is examined by itself."""
+        """Number of a spacecraft, except the first one, to its examination."""
         self._whole = self
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch and its columns."""
+        """Add a batch and its columns, each datagram to the examination of its spacecraft."""
         for item in self._evidence.of(columns):
             item.add(batch, columns)
         if (columns.spacecraft != FIRST_SPACECRAFT).any():
@@ -374,32 +385,32 @@ class Examination:
         self.take(batch, columns)
 
     def of(self, number: int) -> Examination:
-        """Return the examination of a spacecraft behind the first."""
+        """Return the examination of a spacecraft that is not the first; it is made if there is none."""
         if number not in self._others:
             other = self._others[number] = Examination(self.context.of(number), self.profile)
             other._whole = self
         return self._others[number]
 
     def take(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take what is of one spacecraft."""
+        """Add datagrams of this spacecraft; begin a new chapter if the present one is full."""
         if len(self._recorder) >= CHAPTER and not self._goes_on():
             self.separate()
         self._recorder.add(batch, columns)
 
     def _goes_on(self) -> bool:
-        """Tell whether a chapter that is full has to take more: what belongs together is not in it yet."""
+        """Return whether a full chapter has to grow, because its records are out of order throughout."""
         if not self._recorder.scattered:
             return False
         self._scattered = len(self._recorder) >= MOST_SCATTERED * CHAPTER
         return not self._scattered
 
     def separate(self) -> None:
-        """Judge what was taken by itself: nothing of what follows is matched with it."""
+        """Examine the present chapter and begin the next one; the two are never matched."""
         for other in self._others.values():
             other.separate()
         if not len(self._recorder):
             return
-        # A chapter has what was done up to its end; the last has the rest.
+        # A chapter has the faults up to its end; the last one has the rest.
         until_ns = self._recorder.last_ns
         faults = [item for item in self.faults if item.time_ns <= until_ns]
         self.faults = [item for item in self.faults if item.time_ns > until_ns]
@@ -407,16 +418,21 @@ class Examination:
         self._recorder.ends = True
         self._before.append(self._judged(capture, faults, last=False))
         size, self._recorder = len(self._recorder), self._begin(self._recorder.conversations)
-        # What a chapter was judged by refers to itself: 150 MB that would stay for long; a short one, little.
+        # A case has reference cycles: 150 MB that would stay for long; those of a short chapter are small.
         gc.collect(2 if size > CHAPTER // 64 else 0)
 
     def let(self, apart: Apart) -> None:
-        """Let other processes keep and judge the chapters, and diagnose once; before anything was taken."""
+        """Use other processes for the chapters. To be called before ``add``; ``diagnose`` works only once."""
         self._apart = apart
         self._recorder = self._begin(self._recorder.conversations)
 
     def diagnose(self, capture: Capture | None = None, *, ends: bool = False) -> Diagnosis:
-        """Judge all that was taken; ``ends``: for the last time."""
+        """Return the diagnosis of all batches so far.
+
+        Args:
+            capture: facts about the capture itself.
+            ends: whether nothing is added after this, so that memory can be freed.
+        """
         self._recorder.ends = ends
         capture = capture or Capture()
         zero_ns = self._zero_ns() if capture.zero_ns is None else capture.zero_ns
@@ -445,7 +461,7 @@ class Examination:
         return self._before[0]().zero_ns if self._before else self.zero_ns
 
     def _missing(self, case: Case) -> tuple[Missing, ...]:
-        """Return what was lost, one by one, if that is asked for."""
+        """Return the lost messages in order of time; none without ``listing``."""
         if not self.listing:
             return ()
         items = [*(missing(case, self.latest) if len(case.rows) else ()), *case.capture.missing()]
@@ -455,7 +471,7 @@ class Examination:
         return Recorder(self.context, conversations, self._apart.keep if self._apart else None)
 
     def _judged(self, capture: Capture, faults: Sequence[Fault], *, last: bool) -> Callable[[], Diagnosis]:
-        """Judge what was taken since the last time, here or elsewhere; return what waits for the result."""
+        """Examine the present chapter, here or elsewhere; return a function that waits for the result."""
         recorder = self._recorder
         chapter = Chapter(capture, faults, recorder.conversations.flows, recorder.left_out)
         if self._apart is not None:
@@ -465,7 +481,7 @@ class Examination:
         return lambda: result
 
     def judged(self, recorder: Recorder, chapter: Chapter) -> Diagnosis:
-        """Judge a chapter here, by what a recorder kept of it."""
+        """Examine a chapter in this process."""
         capture = chapter.capture
         case = Case(recorder, self.profile, capture, proxied(chapter.faults))
         verdicts = [_called(item, case) for item in judge(case, self.progress)]
@@ -501,7 +517,7 @@ class Examination:
 
 
 def _called(verdict: Verdict, case: Case) -> Verdict:
-    """Return a verdict that names applications as the cFS of the capture does."""
+    """Return a verdict with the names that applications have in the cFS of the capture."""
     reason, remedy = case.called(verdict.reason), case.called(verdict.remedy)
     hop = verdict.hop and case.called(verdict.hop)
     if (reason, remedy, hop) == (verdict.reason, verdict.remedy, verdict.hop):
@@ -514,12 +530,12 @@ def _sorted(verdicts: Any) -> tuple[Verdict, ...]:
 
 
 def _verdicts(parts: list[Diagnosis]) -> Iterator[Verdict]:
-    """Yield the verdicts of every chapter; what is said of all chapters once."""
+    """Yield the verdicts of all chapters; those about the whole capture only once."""
     silent = [{item.topic for item in part.verdicts if item.rule == "topic_never_seen"} for part in parts]
     never = set.intersection(*silent)
     for part in parts:
         for item in part.verdicts:
-            # Conversations are counted from the beginning: what the last chapter says of them is all.
+            # Conversations are counted from the beginning, so the last chapter has their totals.
             if item.rule in {"not_examined", "not_cfs"}:
                 if part is parts[-1]:
                     yield item
@@ -530,7 +546,7 @@ def _verdicts(parts: list[Diagnosis]) -> Iterator[Verdict]:
 
 
 def _together(parts: Sequence[Diagnosis]) -> dict[str, Any]:
-    """Return what several diagnoses say, in order, and the sums of what they count, by name."""
+    """Return the joined attributes of several diagnoses, by name: lists in order, and sums of counts."""
     joined: dict[str, Any] = {
         name: [*chain.from_iterable(getattr(part, name) for part in parts)]
         for name in ("verdicts", "habits", "balance", "unnamed", "routes", "peers", "missing")
@@ -544,7 +560,7 @@ def _together(parts: Sequence[Diagnosis]) -> dict[str, Any]:
 
 
 def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
-    """Put chapters together: sums of what counts, every verdict of each."""
+    """Return the diagnosis of all chapters (rule 3)."""
     joined, last = _together(parts), parts[-1]
     joined["verdicts"] = _sorted(_verdicts(parts))
     joined["habits"] = (*{(item.rule, item.msg_id, item.hop): item for item in joined["habits"]}.values(),)
@@ -553,14 +569,14 @@ def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
 
 
 def side_by_side(parts: Mapping[int, Diagnosis], mission: Mission) -> Diagnosis:
-    """Put the diagnoses of spacecraft side by side: each row and verdict says of which it is."""
+    """Return one diagnosis of all spacecraft, in which each row and verdict has the number of its own."""
     own = [_of_one(number, part, mission) for number, part in parts.items()]
     topics = dict(chain.from_iterable(part.topics.items() for part in own))
     return replace(own[0], **_together(own), topics=topics, parts=parts, mission=mission)
 
 
 def _of_one(number: int, part: Diagnosis, mission: Mission) -> Diagnosis:
-    """Return the diagnosis of a spacecraft with its name in what it says; its routes are numbered apart."""
+    """Return the diagnosis of a spacecraft with its name in texts, and with route numbers of its own."""
     name, first = mission.called(number), (number - 1) * len(part.topics)
 
     def renamed(verdicts: Iterable[Verdict]) -> tuple[Verdict, ...]:
@@ -595,7 +611,7 @@ def _of_one(number: int, part: Diagnosis, mission: Mission) -> Diagnosis:
 
 
 def _routes(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Add up the rows of each route."""
+    """Return the accounts with those of one stream in several chapters added up."""
     routes: dict[tuple[Any, ...], dict[str, Any]] = {}
     for row in rows:
         key = row["link"], row["msg_id"], row["sender"], row["receiver"], row["instance"]
@@ -620,7 +636,7 @@ def _crossings(items: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _slower(one: dict[str, Any] | None, other: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Return the greater of two latencies: those of two chapters cannot be put together."""
+    """Return the latency with the greater 99 % quantile: quantiles of two chapters cannot be joined."""
     return max((item for item in (one, other) if item), key=itemgetter("p99_ms"), default=None)
 
 
