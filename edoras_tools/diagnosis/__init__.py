@@ -1,20 +1,21 @@
-"""What became of each message on a link, where it was lost and why: batches and columns in, verdicts out.
+"""The diagnosis of a link: which messages were lost, where and why. Batches and columns in, verdicts out.
 
-No sockets, no clocks, no files. The walk of a capture, folder by folder:
+No sockets, no clocks, no files. The path of a capture, folder by folder:
 
-1. ``evidence``: a row a datagram (``table``), each once and in order of time (``preparation``, ``copies``),
-   as if no clock had been set (``clocks``); who made what (``instances``, ``peers``), what cFS itself says
-   (``payloads``, ``loss_reports``), and in which state everything was (``timeline``). ``quality`` bounds what
-   the capture missed.
-2. ``matching``: rows become streams, and a stream that comes out again as another is a hop (``crossing``).
-3. ``accounting``: ``losses`` has its two values: a ``Loss``, and the ``Fate`` of what goes into cFS, message
-   by message. What CI did not count was lost before it (``ingest``); what was stopped, closed or silent took
-   nothing (``closed``); what is missing from sequence counts (``bus``) and what did not come out (``pipes``)
-   claim the counts of 0x803 together (``claims``). ``commands`` is the order in which all that is asked.
+1. ``evidence``: one row for each datagram (``table``), in order of time and without copies (``preparation``,
+   ``copies``), with set clocks corrected (``clocks``). It also has the senders of packets (``instances``,
+   ``peers``), the reports of cFS itself (``payloads``, ``loss_reports``), and the states of all parts over
+   time (``timeline``). ``quality`` bounds the number of datagrams that the capture missed.
+2. ``matching``: rows become streams. A pair of streams with the same messages in and out of cFS is a hop
+   (``crossing``).
+3. ``accounting``: ``losses`` has its two values: a ``Loss``, and the ``Fate`` of each message of a stream
+   into cFS. Messages that CI did not count were lost in front of it (``ingest``). Stopped, closed or silent
+   parts took no messages (``closed``). Gaps in sequence counts (``bus``) and commands that did not come out
+   (``pipes``) share the counts of 0x803 (``claims``). ``commands`` runs these steps in order.
 4. ``ledger``: every arrival ends at one hop in one way. All figures are sums of its rows (``balance``,
-   ``summary``), all messages selections of its entries (``missing``, ``trace``, ``rounds``).
-5. ``rules``: each yields verdicts with its own id, by ``case``, which holds all of the above; ``docs/rules``
-   describes them. ``advice`` asks the model of queues what helps.
+   ``summary``), all lists of messages are selections of its entries (``missing``).
+5. ``rules``: each rule yields verdicts from the ``case``, which has all of the above. ``docs/rules``
+   describes them. ``advice`` asks the queue model for a remedy.
 
 ``examination`` goes through a capture of any length, and returns a diagnosis.
 """

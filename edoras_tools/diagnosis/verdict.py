@@ -27,7 +27,7 @@ class Severity(IntEnum):
     NOTE = 1
     """Worth knowing; nothing was lost by it."""
     SECURITY = 2
-    """Nothing is wrong with the link: who may do what on it is. A group of its own, without an exit code."""
+    """Who can do what on the link. The link itself works, so this does not change the exit code."""
     WARNING = 3
     """Unusual, refused, or lost at some receivers only."""
     ERROR = 4
