@@ -462,7 +462,7 @@ class Case:
         return self.instances.items[owner].name if owner != NOBODY else ""
 
     def follows(self, into: Stream, out: Stream) -> bool:
-        """Return whether packets that arrive as ``into`` may leave as ``out``, by the same cFS."""
+        """Return whether the cFS that receives ``into`` may be the one that sends ``out``."""
         if self._of_another(into, out):
             return False
         if into.link.only_to_cfs or out.link.last_hop:
@@ -482,7 +482,7 @@ class Case:
         }
 
     def _of_another(self, into: Stream, out: Stream) -> bool:
-        """Return whether ``out`` leaves another address than ``into`` enters, which has its own receiver."""
+        """Return whether ``out`` leaves from another address, which has a receiver like that of ``into``."""
         hosts, name = self.instances.hosts, self.network.identity_of.get
         return (
             hosts[into.receiver] != hosts[out.sender]
@@ -553,7 +553,7 @@ class Case:
 
     @cached_property
     def peers_unseen(self) -> bool:
-        """Whether a cFS sends packets of another cFS on, while the capture has no SBN datagrams."""
+        """Whether Telemetry Output forwards packets of another cFS, and the capture has no SBN datagrams."""
         on_sbn = self.rows.on(lambda link: link.peers).any()
         return not on_sbn and any(
             stream.link.only_from_cfs and stream.instance not in {NOBODY, self.owner(stream)}
@@ -739,7 +739,7 @@ class Case:
         return text
 
     def suppressed(self, span: tuple[int, int]) -> EventRecord | None:
-        """Return the event, near a span, that reports Telemetry Output's socket failed; None without one."""
+        """Return the event near a span by which Telemetry Output reports a failed socket; None without."""
         events = self.said(span[0] - SECOND, span[1] + SECOND, *telemetry_output.NAMES)
         return next((item for item in events if telemetry_output.SUPPRESSED.phrase in item.message), None)
 

@@ -402,7 +402,7 @@ class LedgerWay:
 
     @property
     def onward(self) -> tuple[tuple[str, int], ...]:
-        """Link label and MsgId of each packet that left the last hop, where the application is that hop."""
+        """Link label and MsgId of each packet that the application made; empty in front of it."""
         return tuple(self._hops[-1].about.get("onward", ())) if self._hops else ()
 
     def close(self, out: int) -> None:
@@ -559,7 +559,7 @@ def _by_relay(way: LedgerWay, relayed: LostInRelay, losses: Sequence[Loss]) -> l
 
 
 def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
-    """Add the hops behind the software bus: Telemetry Output for its commands, else the application."""
+    """Add the hops behind the software bus: Telemetry Output for its own commands, and the application."""
     if not (fate.seen or fate.reached is not None or fate.commanded is not None):
         way.end("uncertain", min(fate.ends["earlier"] + fate.ends["unaccounted"], way.left))
     if fate.commanded is not None and fate.ends["unaccounted"] + fate.ends["elsewhere"]:
@@ -577,7 +577,7 @@ def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
 
 
 def _damaged(case: Case) -> Iterator[LedgerWay]:
-    """Yield a way for each MsgId of which only damaged datagrams went to a cFS of the capture."""
+    """Yield a way for each MsgId of damaged datagrams to cFS that belong to no stream."""
     rows = case.damaged_of(None)
     to_cfs = rows.on(lambda link: link.to_cfs and link.packets)
     to_cfs &= (rows.msg_id != NO_MSG_ID) | ~rows.on(lambda link: link.peers)
@@ -669,7 +669,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
 
 
 def _told_before(case: Case, stream: Stream) -> int:
-    """Return how many messages the streams that this one was made of already count as lost behind the bus."""
+    """Return the number of losses behind the bus that the input streams of this one already have."""
     made_of = {id(hop.into): hop.into for hop in case.hops if hop.out is stream}.values()
     losses = chain.from_iterable(map(case.losses_of, made_of))
     return sum(loss.lost for loss in losses if loss.kind in _BEHIND_BUS)
@@ -719,7 +719,7 @@ def _by_proxy(way: LedgerWay, dropped: Sequence[tuple[int, bytes]], number: int,
 
 
 def _all_dropped(case: Case) -> Iterator[LedgerWay]:
-    """Yield a way for each MsgId of which a proxy dropped datagrams and the recording has no stream."""
+    """Yield a way for each MsgId that a proxy dropped and that has no stream in the recording."""
     streams = {id(case.done_to(stream)) for stream in case.streams}
     for (code, _, msg_id), item in case.proxied.items():
         if item.dropped and id(item) not in streams:

@@ -68,7 +68,7 @@ class Missing(msgspec.Struct, frozen=True):
 
     @property
     def concerns(self) -> tuple[str | None, int | None, str]:
-        """Link and MsgId, each None if unknown, and topic, empty without one: what a choice selects by."""
+        """Arguments of ``Choice.takes``: link and MsgId, None if unknown, and topic, empty without one."""
         return self.link or None, None if self.msg_id == NO_MSG_ID else self.msg_id, self.topic or ""
 
     def of(self, spacecraft: int, mission: Mission) -> Missing:

@@ -240,7 +240,7 @@ def assess_quality(
         payloads: contents of these rows.
         instances: instances of cFS that made these rows.
         streams: streams of these rows.
-        hops: pairs of streams of which the second has the messages of the first.
+        hops: pairs of streams in and out of cFS with common messages.
         tracks: instance to the history of its bus counters.
         holes: spans (start, end), ns, in which nothing was captured.
         drops: count as in ``Quality``.
@@ -355,7 +355,7 @@ def check_ci_counts(
 def _rests(
     sent_ns: Integers, made_ns: Integers, total: Integers, holes: Sequence[tuple[int, int]]
 ) -> tuple[Integers, Integers]:
-    """Return what CI counted, and what was captured, between samples at which its socket was empty: i64.
+    """Return the datagrams counted by CI, and captured, between samples with an empty socket: i64 each.
 
     Args:
         sent_ns: times of the datagrams to this CI, in order.
@@ -576,7 +576,7 @@ def _steady(times: Integers, start_ns: int, end_ns: int) -> bool:
 
 
 def _missing_at(rows: Rows, streams: Sequence[Places], start_ns: int) -> tuple[int, int, int]:
-    """Return how many streams miss counts after a time, the number of streams, and of missing packets."""
+    """Return three numbers at a time: streams with missing counts, all streams, and missing packets."""
     missing = number = packets = 0
     for own in streams:
         at = int(np.searchsorted(rows.time_ns[own], start_ns, "right"))

@@ -1,4 +1,4 @@
-"""Verdicts: what a diagnosis reports for one rule, route and span of time; and the choice of those shown."""
+"""Verdicts: the findings of a diagnosis, one for each rule, route and span of time; and their choice."""
 
 from __future__ import annotations
 

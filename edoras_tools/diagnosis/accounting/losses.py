@@ -324,7 +324,7 @@ def _leaving(hops: Sequence[Hop], times: Integers, delay: int) -> tuple[Integers
 
 
 def _longest(delays_ns: Integers) -> int:
-    """Return the largest delay of a message at the end, ns: the usual one, or a little over the last ones."""
+    """Return the largest delay of a message at the end, ns: the usual one, or less if the last are quick."""
     return min(int(np.quantile(delays_ns, 0.99)), 2 * int(delays_ns[-_LAST:].max()) + WAITS_NS)
 
 

@@ -92,7 +92,7 @@ class PeerRestart(NamedTuple):
         dead_ns: time at which its next datagram was due.
         back_ns: time at which the silence ended.
         rows: rows of its last datagram, and of its first SUB behind the silence.
-        read_ns: time until which it surely read what it was sent; for a peer that answers, its last answer.
+        read_ns: time until which it surely read its datagrams; for a peer that answers, its last answer.
     """
 
     last_ns: int

@@ -19,14 +19,14 @@ dropped. Therefore:
 An address translation, as by a Docker host or a router, has the same datagrams on both sides:
 
 8. A host that only forwards a datagram keeps its bytes and its IP identification, and lowers its time to
-   live. A proxy sends it anew and does not lower it: that is a hop of its own.
+   live. A proxy sends it again and does not lower it: that is a hop of its own.
 9. If nearly all datagrams of one conversation, at least eight, appear so within 20 ms in another one, the two
    are one conversation, and its endpoints have two names. For shorter conversations this holds if their
    addresses are already known as two names of one.
 10. Each endpoint gets its name on the inner side: a source the one before translation, a destination the one
     behind it. Many endpoints may share the outer address.
 
-A relay receives datagrams at its own address and sends them anew. A capture of both sides has them twice:
+A relay receives datagrams at its own address and sends them again. A capture of both sides has them twice:
 
 11. A conversation is behind a relay if most of its datagrams, at least eight, went before to the address of
     its sender, or to an address that never sends anything. It is kept, with the original senders, and the

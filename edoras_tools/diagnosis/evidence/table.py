@@ -195,7 +195,7 @@ class Recorder:
         payloads: counters, events and commands.
         errors: recorder of ICMP errors.
         states: recorder of robot states, and of the telemetry that carries them.
-        samples: (link, MsgId) to a few CDR messages by length.
+        samples: (link, MsgId) to length and bytes of a few CDR messages of different lengths.
         left_out: number of datagrams that belong to no link.
         ends: whether ``rows`` is called only once, and nothing is added after it: then memory is freed.
     """

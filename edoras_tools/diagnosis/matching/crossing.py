@@ -78,7 +78,7 @@ class Hop(NamedTuple):
     Attributes:
         into: stream into cFS.
         out: stream out of cFS, or to a robot.
-        rewritten: whether an application wrote the messages anew; else the packets are the same.
+        rewritten: whether an application made new messages of them; else the packets are the same.
         prints: u64 (rows of ``into``,), fingerprint that was searched for; 0 if the row has none.
         arrived: bool (rows of ``into``,), the message came out.
         perhaps: bool (rows of ``into``,), it did not, but an equal message came out that has no origin.
@@ -162,7 +162,7 @@ class Crossing(Protocol):
 
 
 def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list[Hop]:
-    """Return every pair of streams of which the second has messages of the first (rules 1 to 4).
+    """Return every pair of streams in and out of cFS with common messages (rules 1 to 4).
 
     Args:
         streams: streams into cFS, out of cFS and to robots.

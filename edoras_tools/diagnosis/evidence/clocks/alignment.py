@@ -497,7 +497,7 @@ def _one(first: Side, second: Side) -> Callable[..., Mask]:
     """Return a function that decides which pairs of rows with equal bytes are one datagram: bool (pairs,).
 
     With identifications these have to be equal. Without, one datagram has equal endpoints, another time to
-    live, or an endpoint with two names. A datagram that a relay sends anew has none of these.
+    live, or an endpoint with two names. A datagram that a relay sends again has none of these.
     """
     a, b = first.rows, second.rows
     number = _moved(first, second)
