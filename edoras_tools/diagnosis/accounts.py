@@ -39,7 +39,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
     source = route or case.own_struct(stream.msg_id)
     times = rows.time_ns[own]
     lost = sum(loss.lost for loss in case.losses_of(stream))
-    refused = case.commands.fates[id(stream)].refused.total() if id(stream) in case.commands.fates else 0
+    refused = case.commands.fates[stream].refused.total() if stream in case.commands.fates else 0
     unreached = sum(item.number for item in case.unreached if item.stream is stream)
     to_cfs = route.to_cfs if route else stream.is_command
     clean_hz, told_by = clean_rate(case, stream)
@@ -77,7 +77,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
 
 def _crossing(case: Case, hop: Hop) -> dict[str, Any]:
     """Return the figures of one pair of streams in and out of cFS."""
-    fate = case.commands.fates.get(id(hop.into))
+    fate = case.commands.fates.get(hop.into)
     return {
         "from": f"0x{hop.into.msg_id:04x}",
         "from_link": hop.into.link.label,
@@ -111,7 +111,7 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
     assumed_hz, _, _ = limit(stream.link, stream.msg_id, case.profile, to_cfs=to_cfs)
     if lost_at_pipe and assumed_hz and (shown_hz := case.shown_hz(stream, assumed_hz)):
         return round(shown_hz, 1), "measured"
-    fate = case.commands.fates.get(id(stream))
+    fate = case.commands.fates.get(stream)
     arrives = fate.seen if fate is not None else stream.link.only_from_cfs
     fastest_hz = max((span.offered_hz for span in stream.spans), default=0.0)
     if not assumed_hz or (arrives and not lost_at_pipe and fastest_hz > _OVER * assumed_hz):

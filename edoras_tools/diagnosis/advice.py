@@ -217,7 +217,7 @@ def _depth(case: Case, loss: Loss, queue: queues.Queue) -> int:
 
 
 def _key(loss: Loss) -> tuple[object, ...]:
-    return loss.kind, loss.hop, loss.msg_id, loss.instance, id(loss.stream)
+    return loss.kind, loss.hop, loss.msg_id, loss.instance, loss.stream
 
 
 def advise(case: Case, loss: Loss) -> Advice:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
 from functools import cached_property
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 import msgspec
@@ -187,7 +187,7 @@ class Case:
         advice: cache of ``diagnosis.advice``, by queue.
         ingests: accounts of CI, one for each CI.
         outages: stops and restarts of applications that are certain, or visible in the traffic.
-        unheard: id of a stream to its messages that were sent to a silent SBN peer.
+        unheard: stream to its messages that were sent to a silent SBN peer.
         unreached: messages to ports that were closed or not reachable.
         contents: messages that arrived with another content than they were sent with.
         ledger: fates of all messages; the rules about single messages have to run before.
@@ -425,25 +425,25 @@ class Case:
         return find_hops([*self.streams, *self.robots], self.rows, self)
 
     @cached_property
-    def damaged(self) -> dict[int, Rows]:
-        """Id of a stream to its datagrams with a wrong checksum; 0 for datagrams that belong to no stream."""
+    def damaged(self) -> dict[Stream | None, Rows]:
+        """Stream to its datagrams with a wrong checksum; None to those that belong to no stream."""
         rows, hosts = self.prepared.damaged, self.instances.hosts
-        places: dict[int, list[int]] = {}
+        places: dict[Stream | None, list[int]] = {}
         for place, when in enumerate(rows.time_ns.tolist()):
             own = [
-                (max(int(item.time_ns[0]) - when, when - int(item.time_ns[-1]), 0), id(item))
+                (max(int(item.time_ns[0]) - when, when - int(item.time_ns[-1]), 0), item)
                 for item in [*self.streams, *self.robots]
                 if (item.link, item.msg_id) == (rows.link[place], rows.msg_id[place])
                 and item.receiver == rows.destination[place]
                 and hosts[item.sender] == hosts[rows.source[place]]
             ]
-            places.setdefault(min(own, default=(0, 0))[1], []).append(place)
+            places.setdefault(min(own, key=itemgetter(0), default=(0, None))[1], []).append(place)
         none = rows.take(slice(0))
         return defaultdict(lambda: none, {key: rows.take(np.array(own)) for key, own in places.items()})
 
     def damaged_of(self, stream: Stream | None) -> Rows:
         """Return the damaged datagrams of a stream; with None those that belong to no stream."""
-        return self.damaged[0 if stream is None else id(stream)]
+        return self.damaged[stream]
 
     def arrival(self, stream: Stream) -> Hashable:
         """Return a key for ``follows``: equal for streams that enter at one place; None if unsubscribed."""
@@ -639,12 +639,12 @@ class Case:
 
     def unheard_of(self, stream: Stream) -> list[int]:
         """Return the messages of a stream that a silent SBN peer certainly missed, as indices of its rows."""
-        silent = self.unheard.get(id(stream))
+        silent = self.unheard.get(stream)
         return silent.unheard if silent else []
 
     def losses_of(self, stream: Stream) -> list[Loss]:
         """Return the losses of a stream."""
-        return self._losses_of.get(id(stream), [])
+        return self._losses_of.get(stream, [])
 
     def shown_hz(self, stream: Stream, assumed_hz: float) -> float:
         """Return the highest rate, Hz, at which a stream lost nothing for 10 s; 0 if none counts.
@@ -662,8 +662,8 @@ class Case:
         return max((rate for rate in clean if rate > _HIGHER * assumed_hz), default=0.0)
 
     @cached_property
-    def _losses_of(self) -> dict[int, list[Loss]]:
-        return by_key(self.losses, lambda loss: id(loss.stream))
+    def _losses_of(self) -> dict[Stream | None, list[Loss]]:
+        return by_key(self.losses, lambda loss: loss.stream)
 
     @cached_property
     def has_telemetry(self) -> bool:

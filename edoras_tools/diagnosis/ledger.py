@@ -449,9 +449,9 @@ class MessageLedger:
 
 def _ways(case: Case) -> Iterator[LedgerWay]:
     for stream in case.streams:
-        fate = case.commands.fates.get(id(stream))
+        fate = case.commands.fates.get(stream)
         way = _published(case, stream) if fate is None else _sent(case, fate)
-        if (silent := case.unheard.get(id(stream))) is not None:
+        if (silent := case.unheard.get(stream)) is not None:
             _to_peer(case, way, stream, silent)
         for item in case.unreached:
             if item.stream is stream:
@@ -490,14 +490,14 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
 def _sent(case: Case, fate: Fate) -> LedgerWay:
     """Return the way of a stream into cFS: CI or SBN, software bus, application."""
     stream, losses = fate.stream, list(case.losses_of(fate.stream))
-    faults, relayed = case.done_to(stream), case.commands.relayed.get(id(stream))
+    faults, relayed = case.done_to(stream), case.commands.relayed.get(stream)
     # Several receivers may share a MsgId: the proxy's faults stand in the first stream only.
     first = next(item for item in case.streams if case.done_to(item) is faults)
     dropped, doubled = (faults.dropped, min(faults.doubled, len(stream))) if first is stream else ([], 0)
     traffic = LedgerTraffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
     entered = len(stream) + len(dropped) - doubled
     entered += relayed.more if relayed else 0
-    entered += len(case.damaged_of(stream)) + case.commands.never_came.get(id(stream), 0)
+    entered += len(case.damaged_of(stream)) + case.commands.never_came.get(stream, 0)
     doubtful = case.perhaps_doubled[stream.link.code, stream.receiver, stream.msg_id]
     way = LedgerWay(traffic, entered, doubtful)
     if relayed:
@@ -511,7 +511,7 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     if not fate.seen:
         way.lose(losses, _BEHIND_BUS)
     way.lose(losses, _ON_BUS)
-    for item, number, refused in case.commands.refused_of.get(id(stream), ()):
+    for item, number, refused in case.commands.refused_of.get(stream, ()):
         _refuse(way, item, number, refused)
     came = 0 if fate.reached is None else fate.reached + fate.ends["unaccounted"] + fate.ends["elsewhere"]
     way.end("shared", max(0, min(fate.ends["shared"], way.left - came)))
@@ -528,7 +528,7 @@ def _lost_copies(case: Case, fate: Fate, doubled: int) -> tuple[int, int]:
     Args:
         doubled: copies that a proxy made and the capture does not show.
     """
-    stream, relayed = fate.stream, case.commands.relayed.get(id(fate.stream))
+    stream, relayed = fate.stream, case.commands.relayed.get(fate.stream)
     copied = np.isin(stream.rows, case.prepared.duplicates) | find_echoes(case.rows, stream.rows)
     for span in stream.spans if len(stream.spans) > 1 else ():  # each span has its own rate
         copied[span.rows] |= find_echoes(case.rows, stream.rows[span.rows])
@@ -659,7 +659,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     way.lose(losses, _BEHIND_PIPE)
     _lose_damaged(way, case.damaged_of(stream).take(slice(telemetry.ended(stream, "damaged"))))
     way.end("not_captured", telemetry.ended(stream, "away"))
-    way.end("uncertain", sum(telemetry.ends[id(stream)][how] for how in ("uncertain", "untold", "astray")))
+    way.end("uncertain", sum(telemetry.ends[stream][how] for how in ("uncertain", "untold", "astray")))
     # Losses of captured messages: they were lost on the way to the next capture.
     undelivered = (case.rows.undelivered | case.prepared.perhaps_astray)[stream.rows]
     own = ((item.lost, item.among) for item in losses if item.among and item.among.stream is stream)
@@ -670,7 +670,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
 
 def _told_before(case: Case, stream: Stream) -> int:
     """Return the number of losses behind the bus that the input streams of this one already have."""
-    made_of = {id(hop.into): hop.into for hop in case.hops if hop.out is stream}.values()
+    made_of = {hop.into: hop.into for hop in case.hops if hop.out is stream}.values()
     losses = chain.from_iterable(map(case.losses_of, made_of))
     return sum(loss.lost for loss in losses if loss.kind in _BEHIND_BUS)
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.mission import Mission
 
 _Share = tuple[LedgerEntry, Among]
@@ -89,11 +90,11 @@ def missing(case: Case, most: int = ALL) -> list[Missing]:
         most: largest number of messages of each loss; the latest are listed.
     """
     listed: list[Missing] = []
-    groups: dict[tuple[int, bool], list[_Share]] = {}
+    groups: dict[tuple[Stream, bool], list[_Share]] = {}
     for entry in case.ledger.losses():
         among = entry.among
         if isinstance(among, Among):
-            groups.setdefault((id(among.stream), among.missing is None), []).append((entry, among))
+            groups.setdefault((among.stream, among.missing is None), []).append((entry, among))
         else:
             listed += _alone(case, entry, among, most)
     for shares in groups.values():

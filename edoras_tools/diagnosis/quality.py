@@ -301,7 +301,7 @@ def check_inputs(
         holes: spans (start, end), ns, in which nothing was captured.
     """
     start_ns = int(rows.time_ns[0]) if len(rows) else 0
-    best: dict[int, Evidence] = {}
+    best: dict[Stream, Evidence] = {}
     for members in by_key(hops, lambda hop: hop.out.way).values():
         longest_ns = max(hop.last_ns for hop in members)
         leaving = distinct(np.concatenate([hop.out.rows for hop in members]))
@@ -318,8 +318,8 @@ def check_inputs(
             sender = int(hosts[rows.source[into.rows[0]]])
             evidence = Evidence("inputs", sender, int(usable.sum()), int((usable & ~captured).sum()))
             # A stream whose messages come out on several ways is checked by one of these.
-            if evidence.checked > (best[id(into)].checked if id(into) in best else 0):
-                best[id(into)] = evidence
+            if evidence.checked > (best[into].checked if into in best else 0):
+                best[into] = evidence
     yield from best.values()
 
 

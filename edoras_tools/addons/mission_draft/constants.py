@@ -155,7 +155,7 @@ def clean_rates(case: Case) -> dict[tuple[str, int], float]:
     """Return the highest rate, Hz, at which messages lost nothing for ten seconds, by link and MsgId."""
     rates: dict[tuple[str, int], float] = {}
     for stream in case.streams:
-        fate = case.commands.fates.get(id(stream))
+        fate = case.commands.fates.get(stream)
         shows = fate.seen if fate is not None else stream.counted
         if shows and (rate := case.shown_hz(stream, 0.0)):
             key = stream.link.label, stream.msg_id

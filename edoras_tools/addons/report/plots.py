@@ -117,7 +117,7 @@ def _rate(case: Case, stream: Stream, bin_s: float, seconds: float) -> dict[str,
     count = int(seconds / bin_s) + 1
     index = np.clip((times / bin_s).astype(np.int64), 0, count - 1)
     visible = np.bincount(index, minlength=count) / bin_s
-    fate = case.commands.fates.get(id(stream))
+    fate = case.commands.fates.get(stream)
     if fate is None:
         missing = _never_came(case, stream)
         # They were due one after the other, until the next that came.

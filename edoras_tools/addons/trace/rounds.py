@@ -316,7 +316,7 @@ def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRat
         topic: what people call it.
         window: how many messages.
     """
-    fate = case.commands.fates.get(id(stream))
+    fate = case.commands.fates.get(stream)
     rounds = rounds_out(case, stream) if fate is None else rounds_into(case, stream)
     first = max(0, len(rounds) - window)
     times, out = rounds.time_ns[first:], rounds.out[first:]

@@ -211,7 +211,7 @@ class Tracer:
         for place, item in enumerate(legs):
             if place:
                 steps += self._out(item, steps)
-            if id(item.stream) in case.commands.fates:
+            if item.stream in case.commands.fates:
                 steps += self._inside(item, legs[place + 1] if place + 1 < len(legs) else None)
         ended = self._ended(last, steps)
         if len(legs) > 1 and any(step.hop == APPLICATION and step.witness == "by model" for step in steps):
@@ -249,9 +249,9 @@ class Tracer:
         queue = [[leg]]
         while queue:
             way = queue.pop()
-            streams = {id(item.stream) for item in way}
+            streams = {item.stream for item in way}
             every = self._ways_out(way[-1]) if not way[-1].behind else ()
-            onward = [target for _, target in every if id(target.stream) not in streams]
+            onward = [target for _, target in every if target.stream not in streams]
             queue += [[*way, target] for target in reversed(onward)]
             if not onward:
                 yield way
@@ -369,7 +369,7 @@ class Tracer:
         stream = leg.stream
         if stream.link.last_hop:
             return MessageEnd("delivered", "robot", "came out to the robot", "measured")
-        way, fate = self._case.ledger.way(stream), self._case.commands.fates.get(id(stream))
+        way, fate = self._case.ledger.way(stream), self._case.commands.fates.get(stream)
         full = any(step.witness == "by model" and (step.waiting or 0) >= (step.limit or 1) for step in steps)
         is_seen, nobody = fate is None or fate.seen, np.zeros(len(stream), bool)
         absent = nobody if fate is None else ~fate.arrived if is_seen else ~nobody
@@ -466,7 +466,7 @@ def _undecided(absent: Any, exact: Sequence[LedgerEntry]) -> int:
 
 def _passed_on(way: LedgerWay, leg: _Leg, case: Case) -> Iterator[LedgerEntry]:
     """Yield what came out of the application and was lost behind it: the ledger has it on the way out."""
-    fate = case.commands.fates.get(id(leg.stream))
+    fate = case.commands.fates.get(leg.stream)
     if fate is not None and fate.seen and fate.ends["passed_on"]:
         yield LedgerEntry(way.traffic, APPLICATION, "lost", fate.ends["passed_on"], "passed_on", PASSED_ON)
 

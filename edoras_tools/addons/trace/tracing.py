@@ -142,8 +142,8 @@ class Tracing(Examination):
         """Return the streams of a name where its messages are first seen, the first to begin first."""
         self._names |= dict.fromkeys(item for stream in case.streams for item in _names(case, stream.msg_id))
         streams = [item for item in case.streams if name in _names(case, item.msg_id)]
-        behind = {id(hop.out) for hop in case.hops}
-        streams.sort(key=lambda item: (id(item) in behind, int(item.rows[0])))
+        behind = {hop.out for hop in case.hops}
+        streams.sort(key=lambda item: (item in behind, int(item.rows[0])))
         return [item for item in streams if item.link is streams[0].link]
 
     def _every(self, case: Case) -> list[tuple[Stream, str]]:
@@ -176,7 +176,7 @@ def _names(case: Case, msg_id: int) -> list[str]:
 
 
 def _timing(case: Case, stream: Stream, name: str) -> Timing:
-    is_into = id(stream) in case.commands.fates
+    is_into = stream in case.commands.fates
     rounds = rounds_into(case, stream) if is_into else rounds_out(case, stream)
     return Timing(name, stream.link.label, stream.msg_id, rounds, tuple(_endings(case, stream)))
 
@@ -187,6 +187,6 @@ def _endings(case: Case, stream: Stream) -> Sequence[tuple[int, str]]:
     for entry in case.ledger.way(stream).entries():
         text = case.called(entry.text) if entry.ending == "lost" else ENDING_TEXTS[entry.ending]
         sums[text] = sums.get(text, 0) + entry.number
-    fate = case.commands.fates.get(id(stream))
+    fate = case.commands.fates.get(stream)
     behind = fate.ends["passed_on"] if fate is not None else 0
     return [*((number, text) for text, number in sums.items()), *[(behind, PASSED_ON)] * bool(behind)]

@@ -157,7 +157,7 @@ class Telemetry:
 
     Attributes:
         losses: losses.
-        ends: id of a stream to the fates of missing messages that are in no loss.
+        ends: stream to the fates of missing messages that are in no loss.
         silenced: streams, each with the number of messages that Telemetry Output took and did not send until
             it was enabled, and the messages that they are some of.
         parts: missing messages by stream and span.
@@ -166,7 +166,7 @@ class Telemetry:
 
     def __init__(self, case: Case) -> None:
         self._case, self._counts = case, case.loss_counts
-        self.ends: defaultdict[int, Counter[GapEnd]] = defaultdict(Counter)
+        self.ends: defaultdict[Stream | None, Counter[GapEnd]] = defaultdict(Counter)
         self._unled: dict[tuple[int, int], tuple[list[tuple[int, int]], ...]] = {}
         self.silenced: list[tuple[Stream, int, Among]] = []
         self.losses: list[Loss] = []
@@ -178,12 +178,12 @@ class Telemetry:
                 # Damaged packets before the first good one or after the last lie in no gap.
                 times, when = stream.time_ns, case.damaged_of(stream).time_ns
                 outside = (when < times[0]) | (when > times[-1]) | (not stream.counted)
-                self.ends[id(stream)]["damaged"] += int(outside.sum())
+                self.ends[stream]["damaged"] += int(outside.sum())
         self._dropped_unseen()
 
     def ended(self, stream: Stream, how: GapEnd) -> int:
         """Return how many missing messages of a stream have a fate."""
-        return self.ends[id(stream)][how]
+        return self.ends[stream][how]
 
     def passed(self, stream: Stream) -> Integers:
         """Return how many messages were sent to the receiver between each row and the next, i64 (rows,).
@@ -233,7 +233,7 @@ class Telemetry:
             return
         owner, times = case.owner(stream), stream.time_ns
         away = case.is_away(times[gaps.at], times[np.minimum(gaps.at + 1, len(stream) - 1)])
-        self.ends[id(stream)]["away"] = int(gaps.number[away].sum())
+        self.ends[stream]["away"] = int(gaps.number[away].sum())
         gaps = gaps.take(~away)
         closed = closed_at(case, stream, gaps.at)
         way = stream.sender, stream.receiver
@@ -306,7 +306,7 @@ class Telemetry:
         part.outside = int(gaps.number[(low <= counts.times[0]) | (high > counts.times[-1])].sum())
         part.watched = 2 * part.outside <= part.missing
         kinds = (*part.kinds, *(kind for kind in [*COUNTERS][::-1] if kind not in part.kinds))
-        rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, id(part.stream)
+        rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, part.stream
         for members in claimed_alike([counts], low, high):
             span, number = (int(low[members[0]]), int(high[members[0]])), int(gaps.number[members].sum())
             self.claims.append(Claim(key, *span, number, kinds, (part.owner,), rank, flow))
@@ -320,7 +320,7 @@ class Telemetry:
             rest[id(faults)] = rest.get(id(faults), len(faults.dropped)) - self.ended(stream, "proxied")
         for stream in self._case.streams:
             if more := rest.pop(id(self._case.done_to(stream)), 0):
-                self.ends[id(stream)]["proxied"] += more
+                self.ends[stream]["proxied"] += more
 
     def _dropped(self, stream: Stream) -> Integers:
         """Return how many missing messages after each row a proxy or damage explains, i64 (rows,)."""
@@ -336,7 +336,7 @@ class Telemetry:
                 at = np.flatnonzero(fits & (numbers < stream.missing))
                 if len(at):
                     numbers[at[0]] += 1
-                    self.ends[id(stream)][ending] += 1
+                    self.ends[stream][ending] += 1
         return numbers
 
     def _claim_closed(self, part: Part, gap: _Gaps, gaps: _Gaps) -> None:
@@ -352,7 +352,7 @@ class Telemetry:
         if part.owner in self._counts and part.stream.link.only_from_cfs:
             rank, kinds = Rank.OWN_PACKETS if part.cause is None else Rank.CLOSED, tuple(COUNTERS)
             span, number = (int(gap.low_ns[0]), int(gap.high_ns[0])), self._countable(part, gaps)
-            of = len(self.parts), *span, number, kinds, (part.owner,), rank, id(part.stream)
+            of = len(self.parts), *span, number, kinds, (part.owner,), rank, part.stream
             self.claims.append(Claim(*of))
         self.parts.append(part)
 
@@ -423,7 +423,7 @@ class Telemetry:
         if part.silenced:
             self.silenced.append((part.stream, rest, part.among))
         else:
-            self.ends[id(part.stream)]["untold" if part.unled else "closed"] += rest
+            self.ends[part.stream]["untold" if part.unled else "closed"] += rest
 
     def _kinds(self, part: Part, gaps: Integers, *, via: bool) -> tuple[PipeKind, ...]:
         """Return the counters that surely compete for a part's messages (rule 2); adds to its evidence."""
@@ -473,7 +473,7 @@ class Telemetry:
             # All of them were published by then if they went on at the same rate.
             until_ns = made_ns + LEAD_NS + int(most * SECOND / max(part.span.offered_hz, 1))
             of = (part.owner,)
-            self.claims.append(Claim(key, made_ns, until_ns, most, part.kinds, of, Rank.POSSIBLE, id(stream)))
+            self.claims.append(Claim(key, made_ns, until_ns, most, part.kinds, of, Rank.POSSIBLE, stream))
 
     def _named_behind(self, stream: Stream) -> bool:
         """Return whether events name a loss after the last message of a stream."""
@@ -498,7 +498,7 @@ class Telemetry:
     def _tell(self, part: Part) -> None:
         """Turn an open part into losses, by where its messages were lost."""
         rest = part.missing - part.taken.total() - part.shared
-        self.ends[id(part.stream)]["shared"] += part.shared
+        self.ends[part.stream]["shared"] += part.shared
         likeliest = max(part.taken, key=lambda kind: part.taken[kind], default=None)
         more = max(0, min(rest, part.outside)) if part.kinds and likeliest is not None else 0
         if likeliest is not None:  # outside the samples: a pipe that was full before and after was full then
@@ -526,7 +526,7 @@ class Telemetry:
         if part.kinds and not is_counted:
             self._lose(part, part.kinds[0], rest, of, "high").uncounted = rest
         elif not is_counted and self._cut(part.stream):
-            ends, twice = self.ends[id(part.stream)], min(rest, self._missing_at_output(part.stream))
+            ends, twice = self.ends[part.stream], min(rest, self._missing_at_output(part.stream))
             ends["uncertain"] += twice
             ends["untold"] += rest - twice
         else:

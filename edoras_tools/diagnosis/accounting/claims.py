@@ -13,6 +13,7 @@ Its growth is a supply of counts; messages that did not arrive are a demand for 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Hashable
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -136,7 +137,7 @@ class Claim(msgspec.Struct):
         kinds: counters that may have counted them, the likelier first.
         instances: cFS instances that may have counted them.
         rank: order of service, lowest first.
-        flow: id of the stream, or of whatever else identifies their traffic.
+        flow: their stream, or whatever else identifies their traffic.
         taken: counts that were assigned to them, by place.
         reserved: counts that they share with claims of other traffic.
         doubted: messages that are not in ``number``, because the capture may have missed them.
@@ -149,7 +150,7 @@ class Claim(msgspec.Struct):
     kinds: Sequence[PipeKind]
     instances: Sequence[int]
     rank: int = 0
-    flow: int = 0
+    flow: Hashable = None
     taken: dict[Place, int] = msgspec.field(default_factory=dict)
     reserved: int = 0
     doubted: int = 0
@@ -222,7 +223,7 @@ class Rival(NamedTuple):
         most: upper bound of its counts in each second.
     """
 
-    flow: int
+    flow: Hashable
     instance: int
     kind: PipeKind
     start_ns: int
@@ -244,12 +245,12 @@ class Shared(msgspec.Struct):
 
     instance: int
     kind: PipeKind
-    flows: frozenset[int]
+    flows: frozenset[Hashable]
     number: int
     start_ns: int
     end_ns: int
 
-    def add(self, number: int, flows: Iterable[int], span: tuple[int, int]) -> None:
+    def add(self, number: int, flows: Iterable[Hashable], span: tuple[int, int]) -> None:
         """Add counts of one second, and the traffic that may have caused them."""
         self.number += number
         self.flows |= frozenset(flows)
@@ -299,11 +300,11 @@ def hand_on(
         table.left[place[2]] += rest
 
 
-def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: dict[int, int]) -> None:
+def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: dict[Hashable, int]) -> None:
     """Assign the value of a first sample to messages that were sent before it, and are surely lost at a pipe.
 
     Args:
-        missed: id of a stream to the messages of it that the capture may have missed; reduced here.
+        missed: stream to the messages of it that the capture may have missed; reduced here.
     """
     for claim in claims:
         low_ns, own = claim.low_ns, [(at, counts[at]) for at in claim.instances]
@@ -350,7 +351,7 @@ def settle_possible(
     gaps = [item for item in claims if item.rank in (Rank.PRESSED, Rank.MISSING) and item.flow in behind]
     settle(counts, gaps, _APART_NS)
     tables = _tables(counts, claims).values()
-    shared: dict[tuple[int, PipeKind, frozenset[int]], Shared] = {}
+    shared: dict[tuple[int, PipeKind, frozenset[Hashable]], Shared] = {}
     has_rest = True
     for rank in sorted({claim.rank for claim in claims if claim.rank >= Rank.POSSIBLE}):
         for place in range(len(COUNTERS)):
@@ -408,7 +409,7 @@ def share_open(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Sh
 
 
 def _others(
-    counts: Mapping[int, Counts], claims: Sequence[Claim], flow: int
+    counts: Mapping[int, Counts], claims: Sequence[Claim], flow: Hashable
 ) -> tuple[Counter[Place], list[tuple[Claim, int]]]:
     """Return the counts of one traffic that others may have caused, and the claims that would take them."""
     rest = {
@@ -474,7 +475,7 @@ class _Table:
 
     def sharers(
         self, second: int, takers: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]
-    ) -> frozenset[int]:
+    ) -> frozenset[Hashable]:
         """Return the traffic that shares the counts of a second; empty if they are one's own or are enough.
 
         Args:
@@ -499,7 +500,7 @@ class _Table:
     ) -> None:
         """Assign each traffic the counts of a second that all others together cannot have caused."""
         unseen = sum(rival.most for rival in self._unseen(second, rivals, span))
-        open_ = Counter[int]()
+        open_ = Counter[Hashable]()
         for at in takers:
             open_[self._claims[at].flow] += self._claims[at].open
         beyond = int(self.left[second]) - open_.total() - unseen

@@ -256,16 +256,16 @@ class Unheard(msgspec.Struct):
         return [*self.lost, *self.restarted]
 
 
-def unheard(case: Case) -> dict[int, Unheard]:
-    """Return the messages to silent peers, by id of each stream whose peer was ever silent."""
-    by_stream: dict[int, Unheard] = {}
+def unheard(case: Case) -> dict[Stream, Unheard]:
+    """Return the messages to silent peers, by each stream whose peer was ever silent."""
+    by_stream: dict[Stream, Unheard] = {}
     party, closed = case.network.party, case.unreachable.closed
     for ends, connection in case.network.connections.items():
         silences = list(connection.silences(case.end_ns))
         for stream in case.streams if silences or connection.restarts else ():
             if not stream.link.peers or (party(stream.receiver), party(stream.sender)) != ends:
                 continue
-            item = by_stream.setdefault(id(stream), Unheard(connection.peer))
+            item = by_stream.setdefault(stream, Unheard(connection.peer))
             times = stream.time_ns
             for silence in silences:
                 inside = np.flatnonzero((times > silence.start_ns) & (times < silence.until_ns)).tolist()
@@ -331,7 +331,7 @@ def unreached(case: Case) -> list[Unreached]:
     out: list[Unreached] = []
     covered = np.zeros(len(case.rows), bool)
     for stream in case.streams:
-        fate = case.commands.fates.get(id(stream))
+        fate = case.commands.fates.get(stream)
         for hop in fate.hops if fate else ():
             if hop.out.link.last_hop:
                 rows = hop.out.rows[hop.out_rows]
@@ -428,7 +428,7 @@ def outages(case: Case) -> list[Outage]:
 
 
 def _falls_silent(case: Case, app: str, span: StateSpan) -> bool:
-    """Tell whether an application passes nothing on from the command that stops it, of what is sent to it."""
+    """Return whether an application sends nothing on after a command to stop it, though messages come."""
     if (app in _LINKS and app not in command_ingest.NAMES) or app in executive_services.SCHEDULERS:
         return False
     start_ns, end_ns = span.start_lo + WAITS_NS, span.end_lo

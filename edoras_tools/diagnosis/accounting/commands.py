@@ -16,6 +16,7 @@ Each step gives a fate to messages that have none yet, so the order of the steps
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Hashable
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
@@ -78,13 +79,13 @@ class Commands:
 
     Attributes:
         telemetry: losses of telemetry by sequence counts.
-        fates: id of a stream to the fates of its messages.
+        fates: stream to the fates of its messages.
         losses: losses of messages into cFS.
         unplaced: id of a refusal to the number of its messages that no stream has.
         placed: id of a refusal to the number of its messages in a stream, and among which they are.
-        refused_of: id of a stream to the refusals of its messages, each with the values of ``placed``.
-        relayed: id of a stream to the losses in a relay in front of cFS, both sides of which are captured.
-        never_came: id of a stream to the number of its sequence counts that the capture does not have.
+        refused_of: stream to the refusals of its messages, each with the values of ``placed``.
+        relayed: stream to the losses in a relay in front of cFS, both sides of which are captured.
+        never_came: stream to the number of its sequence counts that the capture does not have.
         uncaptured: instance to the losses that it counted while the capturing interface was away, and that no
             captured message explains.
     """
@@ -93,11 +94,11 @@ class Commands:
         self._case, self.telemetry = case, telemetry
         self.losses: list[Loss] = []
         self.unplaced: dict[int, int] = {}
-        self.relayed: dict[int, LostInRelay] = {}
-        self.never_came: dict[int, int] = {}
+        self.relayed: dict[Stream, LostInRelay] = {}
+        self.never_came: dict[Stream, int] = {}
         self.placed: dict[int, tuple[int, Among]] = {}
-        self.fates = {
-            id(stream): follow(case, stream)
+        self.fates: dict[Stream | None, Fate] = {
+            stream: follow(case, stream)
             for stream in case.streams
             if stream.link.only_to_cfs or (stream.link.peers and not stream.counted)
         }
@@ -111,7 +112,7 @@ class Commands:
             self._damaged(fate)
             self._count(fate)
         for stream in case.streams:
-            self._astray(stream, self.fates.get(id(stream)))
+            self._astray(stream, self.fates.get(stream))
         before_ci, pipes = BeforeCi(case, fates, self.losses), Pipes(case, self.losses)
         self._refuse(counted=True)
         for account in case.ingests:
@@ -131,7 +132,7 @@ class Commands:
         shared = settle_known(counts, claims, leftover.rivals())
         if case.quality.lacks_answered:  # a missing message may be lost, or only missed by the capture
             shared += share_open(counts, claims)
-        open_ = Counter[int]()
+        open_ = Counter[Hashable]()
         for claim in claims:
             open_[claim.flow] += claim.open
         settle_first(counts, claims, may_be_missed(case, open_))
@@ -159,10 +160,10 @@ class Commands:
         doubt(case, telemetry, fates, self.losses)
         leftover.tell()
         self.uncaptured = leftover.uncaptured
-        self.refused_of: dict[int, list[tuple[Verdict, int, Among]]] = {}
+        self.refused_of: dict[Stream, list[tuple[Verdict, int, Among]]] = {}
         for item in case.refused:
             if placed := self.placed.get(id(item)):
-                self.refused_of.setdefault(id(placed[1].stream), []).append((item, *placed))
+                self.refused_of.setdefault(placed[1].stream, []).append((item, *placed))
         self._spare_refused()
         self._follow_on(fates)
         self._number(fates)
@@ -211,7 +212,7 @@ class Commands:
         if counted and not accounts[0].lost:
             may = min(number, counted[0])
             evidence.append(f"0x884: CI took {may:,} more than the capture shows")
-        self.never_came[id(stream)] = number
+        self.never_came[stream] = number
         fate.ends["crowded"] += may
         if number > may:
             loss = Loss("network", BEFORE_CI, number - may, ends[0], ends[1], "high", msg_id=stream.msg_id)
@@ -236,7 +237,7 @@ class Commands:
             if stream.link.only_to_cfs and not self._case.ingests_at(stream.receiver):
                 fate.ends["crowded"] += fate.claim(perhaps)
             return
-        self.telemetry.ends[id(stream)]["astray"] = len(perhaps)
+        self.telemetry.ends[stream]["astray"] = len(perhaps)
         if len(rows):
             first_ns, last_ns = stream.time_ns[rows[[0, -1]]].tolist()
             loss = Loss("after", BEHIND, len(rows), first_ns, last_ns, "high", msg_id=stream.msg_id)
@@ -298,7 +299,7 @@ class Commands:
         regroup(case, fate)
 
     def _uncounted(self, fate: Fate, stops: Stops) -> None:
-        """Mark what was sent while CI did not run, where no counts are around that.
+        """Mark messages that were sent while CI did not run, if no counts are around that.
 
         They may still claim counts of the bus: CI may have read some after the last one that came out.
         """
@@ -356,7 +357,7 @@ class Commands:
         for item in (item for item in self._case.prepared.passed if is_command(item.msg_id)):
             stream = streams.get((item.link, item.msg_id, item.receiver))
             if stream is not None:
-                self.relayed[id(stream)] = item
+                self.relayed[stream] = item
             number = len(item.lost_ns)
             # Datagrams that CI counted without a sign of them came out of the relay too.
             unseen = sum(own.not_captured for own in self._case.ingests)
@@ -450,7 +451,7 @@ class Commands:
             near = (loss for loss in unknown if ((when >= loss.start_ns) & (when <= loss.end_ns)).any())
             over = sum(loss.lost for loss in near if self._case.goes_to(fate.stream, loss.instance))
             fate.ends["shared"] += min(over, sum(number for _, number, _ in placed))
-            own = [loss for loss in self.losses if id(loss.stream) == key and loss.kind in COUNTERS]
+            own = [loss for loss in self.losses if loss.stream is key and loss.kind in COUNTERS]
             if own:
                 times = fate.stream.time_ns
                 inside = times >= min(loss.start_ns for loss in own)
@@ -470,12 +471,12 @@ class Commands:
         The types are wrong if a message arrived that does not fit them.
         """
         self.unplaced |= dict.fromkeys(map(id, refused), 0)
-        verdicts: dict[int, list[tuple[Verdict, Mask]]] = {}
+        verdicts: dict[Stream, list[tuple[Verdict, Mask]]] = {}
         for item in refused:
             for fate, within in self._alike(item):
-                verdicts.setdefault(id(fate), []).append((item, within))
+                verdicts.setdefault(fate.stream, []).append((item, within))
         for fate in self.fates.values():
-            own = verdicts.get(id(fate), []) if fate.seen else []
+            own = verdicts.get(fate.stream, []) if fate.seen else []
             if any((item.lost or 0) > (within & ~fate.arrived).sum() for item, within in own):
                 continue
             for item, within in own:
@@ -493,7 +494,7 @@ class Commands:
         for hop in fate.hops:
             fate.strange |= hop.perhaps
             for content in self._case.contents:
-                places, sure = content.replaced.get(id(hop), (open_[:0], open_[:0]))
+                places, sure = content.replaced.get((hop.into, hop.out), (open_[:0], open_[:0]))
                 fate.strange[places], own = True, places[sure]
                 fate.open[own], fate.blind[own] = fate.open[own] | fate.blind[own], False
                 fate.passed[own[fate.open[own]]] = True
@@ -628,7 +629,7 @@ class Commands:
         """
         rest, counts = [item.number for item in shared], self._case.loss_counts
         for fate in fates:
-            own = [at for at, item in enumerate(shared) if id(fate.stream) in item.flows]
+            own = [at for at, item in enumerate(shared) if fate.stream in item.flows]
             fate.ends["shared"] = sum(shared[at].number for at in own)
             if fate.seen:
                 self._rest(fate)
@@ -648,14 +649,14 @@ class Commands:
             fate: fates of the stream.
             to_end: the application's own pipe lost messages up to its last count.
         """
-        profile, out = self._case.profile, {id(hop.out) for hop in fate.hops}
+        profile, out = self._case.profile, {hop.out for hop in fate.hops}
         times = fate.stream.time_ns[fate.waits & ~fate.newer]
         pipe = queues.application_pipe(profile, over_network=fate.stream.link.peers)
         rounds = np.ptp(times) // pipe.round_ns if len(times) and fate.keeps_newest else 0
         lost = [fate.waiting - int(rounds) * pipe.usual_limit] if to_end else []
         for part in self.telemetry.parts:
             stream = part.stream
-            if part.kinds and id(stream) in out and part.span.last == len(stream) - 1 and len(times):
+            if part.kinds and stream in out and part.span.last == len(stream) - 1 and len(times):
                 next_ = (queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe)(profile)
                 passed = int(np.ptp(times) // next_.round_ns) * next_.limit(stream.msg_id)
                 lost.append(len(times) - passed)
@@ -663,7 +664,7 @@ class Commands:
 
     def _rest(self, fate: Fate) -> None:
         ends = fate.ends
-        behind = sum(self._tails.get(id(hop.out), 0) for hop in fate.hops)
+        behind = sum(self._tails.get(hop.out, 0) for hop in fate.hops)
         fate.passed[np.flatnonzero(fate.open & fate.edge)[:behind]] = True
         ends["passed_on"] = int((fate.open & fate.passed).sum())
         fate.open &= ~fate.passed
@@ -718,7 +719,7 @@ def hold_back(case: Case, claims: Sequence[Claim]) -> None:
     This concerns gaps that no event names and where no pipe was full. If the capture surely missed frames,
     messages sent while nobody received them are served before all others, because they are lost in any case.
     """
-    groups: dict[int, list[Claim]] = {}
+    groups: dict[Hashable, list[Claim]] = {}
     for claim in claims:
         if claim.rank == Rank.MISSING:
             groups.setdefault(claim.flow, []).append(claim)
@@ -729,7 +730,7 @@ def hold_back(case: Case, claims: Sequence[Claim]) -> None:
     came = sum(len(stream) for stream in case.streams if stream.counted)
     if missing and not case.quality.excludes(missing / (came + missing)):
         for stream in case.streams:
-            own = groups.get(id(stream), [])
+            own = groups.get(stream, [])
             for claim, share in zip(own, _missed(case, stream, [item.number for item in own]), strict=True):
                 claim.number, claim.doubted = claim.number - share, claim.doubted + share
 
@@ -746,15 +747,14 @@ def _spans(fates: Sequence[Fate]) -> Integers:
     return np.array([[edge(fate.stream.time_ns) for fate in fates] for edge in (np.min, np.max)])
 
 
-def may_be_missed(case: Case, lacking: Counter[int]) -> dict[int, int]:
+def may_be_missed(case: Case, lacking: Counter[Hashable]) -> dict[Hashable, int]:
     """Return how many missing messages of each stream the capture may have missed.
 
     Args:
         case: the capture.
-        lacking: id of a stream to its number of missing messages.
+        lacking: stream to its number of missing messages.
     """
-    own = (item for item in case.streams if id(item) in lacking)
-    return {id(item): case.may_lack(len(item), lacking[id(item)]) for item in own}
+    return {item: case.may_lack(len(item), lacking[item]) for item in case.streams if item in lacking}
 
 
 def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Sequence[Loss]) -> None:
@@ -771,16 +771,16 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
     """
     _leave_quiet(case, telemetry)
     streamed = case.rows.streamed
-    gaps: dict[int, list[tuple[Loss, int]]] = {}
+    gaps: dict[Stream, list[tuple[Loss, int]]] = {}
     for loss in telemetry.losses:
         number = loss.lost if loss.kind in _UNEXPLAINED else loss.uncounted
         if number and loss.stream is not None and not streamed[loss.stream.rows[0]]:
-            gaps.setdefault(id(loss.stream), []).append((loss, number))
+            gaps.setdefault(loss.stream, []).append((loss, number))
     missing = sum(number for own in gaps.values() for _, number in own)
     sent = sum(len(item) for item in case.streams if item.counted) + missing
     spare = _mistaken(case, [*telemetry.losses, *losses])
     for stream in case.streams if missing and not case.quality.excludes(missing / sent) else ():
-        own = gaps.get(id(stream), [])
+        own = gaps.get(stream, [])
         for (loss, number), share in zip(own, _missed(case, stream, [many for _, many in own]), strict=True):
             _take_back(telemetry, loss, min(number, share + spare))
             spare -= min(spare, number - share)
@@ -796,10 +796,10 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
 
 def _mistaken(case: Case, losses: Sequence[Loss]) -> int:
     """Return how many messages whose loss was counted may be others, because the capture missed these."""
-    lost = Counter[int]()
+    lost = Counter[Hashable]()
     for loss in losses if case.quality.lacks_answered else ():
         if loss.kind in COUNTERS and loss.stream is not None:
-            lost[id(loss.stream)] += loss.lost
+            lost[loss.stream] += loss.lost
     return sum(may_be_missed(case, lost).values())
 
 
@@ -815,4 +815,4 @@ def _leave_quiet(case: Case, telemetry: Telemetry) -> None:
 
 def _take_back(telemetry: Telemetry, loss: Loss, number: int) -> None:
     loss.lost -= number
-    telemetry.ends[id(loss.stream)]["uncertain"] += number
+    telemetry.ends[loss.stream]["uncertain"] += number

@@ -68,8 +68,8 @@ class WayContent(msgspec.Struct, frozen=True):
         late: rows of the table with a value that was sent once and took too long.
         rounds_ns: longest time that a message usually takes.
         longest_ns: longest time that an old or late message took.
-        replaced: id of each hop to the messages that others may stand for, as indices into its ``into``, and
-            a mask of those of which that is sure.
+        replaced: streams of each hop to the messages that others may stand for, as indices into its ``into``,
+            and a mask of those of which that is sure.
     """
 
     into: Stream
@@ -81,7 +81,7 @@ class WayContent(msgspec.Struct, frozen=True):
     late: Places
     rounds_ns: int
     longest_ns: int
-    replaced: dict[int, tuple[Places, Mask]] = msgspec.field(default_factory=dict)
+    replaced: dict[tuple[Stream, Stream], tuple[Places, Mask]] = msgspec.field(default_factory=dict)
 
 
 def judge_contents(case: Case) -> list[WayContent]:
@@ -209,7 +209,7 @@ def _once_more(rows: Rows, out: Places) -> Mask:
 
 def _replaced(
     case: Case, hops: Sequence[Hop], out: Places, odd: Mask, old: Mask
-) -> tuple[dict[int, tuple[Places, Mask]], Places]:
+) -> tuple[dict[tuple[Stream, Stream], tuple[Places, Mask]], Places]:
     """Pair messages that did not come out with others that came out in their place.
 
     Args:
@@ -223,7 +223,7 @@ def _replaced(
         ``WayContent.replaced``, and the rows that have changed.
     """
     rows, rest, chance = case.rows, out[odd | old], 0.0
-    pairs: dict[int, tuple[Places, Places]] = {}
+    pairs: dict[tuple[Stream, Stream], tuple[Places, Places]] = {}
     for hop in hops:
         absent = np.flatnonzero((hop.known | (rows.claimed[hop.into.rows] > 0)) & ~hop.arrived)
         own = np.intersect1d(rest, hop.out.rows[hop.origin < 0])
@@ -233,8 +233,8 @@ def _replaced(
         side = np.repeat([0, 1], [len(absent), len(own)])
         order = np.lexsort((side, when, between))
         opening, closing = brackets(between[order], side[order] == 0)
-        pairs[id(hop)] = absent[order[opening]], own[order[closing] - len(absent)]
-        rest = np.setdiff1d(rest, pairs[id(hop)][1])
+        pairs[hop.into, hop.out] = absent[order[opening]], own[order[closing] - len(absent)]
+        rest = np.setdiff1d(rest, pairs[hop.into, hop.out][1])
         chance = max(chance, float((np.diff(into) > 1).mean()) if len(into) > 1 else 0.0)
     first = min(int(hop.out.rows[hop.out_rows[0]]) for hop in hops)
     changed = np.setdiff1d(out[odd], rest)
@@ -243,7 +243,7 @@ def _replaced(
         changed = changed[:0]
     stands = np.union1d(changed, out[old])
     # Nothing shows the values of a command that the capture cut off.
-    cut = [pairs[id(hop)][1][~hop.known[pairs[id(hop)][0]]] for hop in hops]
+    cut = [pairs[hop.into, hop.out][1][~hop.known[pairs[hop.into, hop.out][0]]] for hop in hops]
     changed = np.setdiff1d(changed, np.concatenate(cut))
     return {key: (places, np.isin(own, stands)) for key, (places, own) in pairs.items()}, changed
 

@@ -447,11 +447,11 @@ class _Counted:
             account.unsure += max(0, min(int(self._sent_until(ended_ns)) - lost, before + read) - surely)
         most_read, total = before + read, before + sooner.count
         if cause == "down" and self._arrived is None and account.lost_on_network:
-            # The network may have lost what its last count lacks, too.
+            # The network may have lost the datagrams that its last count lacks.
             account.unsure += max(0, int(self._sent_until(sooner.seen_ns)) - lost - total)
         before = int(self._sent_until(ended_ns)) - lost
         if before > most_read:
-            # What waited in its socket is gone with it.
+            # The datagrams that waited in its socket are lost with it.
             span = self._own[last].seen_ns, ended_ns
             account.losses.append(Before(cause, before - most_read, *span, more=read - sooner.count))
             lost, before = lost + before - most_read, most_read
@@ -489,7 +489,7 @@ class _Counted:
         return ended_ns + (int(np.quantile(steps, 0.9)) if len(steps) else 0)
 
     def _stop(self, account: Ingest) -> None:
-        """Add what was sent since a CI was stopped, where it did not start again."""
+        """Add the datagrams sent after CI was stopped, if it was not started again."""
         for item in self._outages():
             if item.end_ns is None:
                 stops_ns = self._commanded_ns(self._own[-1].seen_ns - SECOND, item.ended_ns)
@@ -499,7 +499,7 @@ class _Counted:
                     account.losses.append(Before("ci_stopped", unread, *span, said=item.witness))
 
     def _outages(self) -> list[Outage]:
-        """Return when this CI did not run."""
+        """Return the outages of this CI."""
         names, system = command_ingest.NAMES, self._system
         return [item for item in self._case.outages if item.app in names and item.system == system]
 
@@ -757,7 +757,7 @@ def _spread_evenly(rows: Places, number: int) -> Places:
 
 
 _LONG: Final = 3
-"""For so many times as long as usual no ICMP error comes where somebody listens."""
+"""If no ICMP error comes for this many times the usual interval, somebody listens."""
 _OUTAGES: Final = frozenset({"down", "restart", "ci_stopped"})
 
 
@@ -835,7 +835,7 @@ class BeforeCi:
             self.losses.append(Loss(before.cause, hop, rest, *span, "medium", evidence=evidence))
 
     def _strange(self, account: Ingest, before: Before) -> int:
-        """Return how many datagrams of programs that are no bridge came to a CI while it lost some."""
+        """Return how many datagrams of programs that are no bridges came to a CI while it lost some."""
         case, rows = self._case, account.rows
         strange = {flow.source for flow in case.prepared.flows if flow.kind is ConversationKind.STRANGER}
         places = [at for at, endpoint in enumerate(case.endpoints) if endpoint in strange]
@@ -888,7 +888,7 @@ class BeforeCi:
     def outnumbered(self, account: Ingest) -> None:
         """Make losses before CI of messages that did not come out and that CI cannot have read (rule 9)."""
         fates = [fate for fate in self._to(account) if fate.seen]
-        outs = {id(hop.out): hop.out for fate in fates for hop in fate.hops}.values()
+        outs = {hop.out: hop.out for fate in fates for hop in fate.hops}.values()
         if not account.not_captured or not all(out.link.last_hop for out in outs):
             return
         if self._case.quality.missing:

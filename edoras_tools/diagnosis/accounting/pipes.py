@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Mapping  # noqa: TC003  TICKS is annotated with it
 from itertools import chain
 from math import ceil
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import numpy as np
@@ -37,6 +37,7 @@ from edoras_tools.diagnosis.accounting.claims import (
     hand_on,
     settle,
 )
+from edoras_tools.diagnosis.accounting.closed import Outage
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
@@ -61,7 +62,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.diagnosis.accounting.claims import Place
-    from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, PipeKind, ReportedLoss
     from edoras_tools.diagnosis.matching.crossing import Hop
@@ -138,7 +138,7 @@ class Pipes:
 
     def __init__(self, case: Case, losses: list[Loss]) -> None:
         self._case, self._counts, self.losses = case, case.loss_counts, losses
-        self._same: dict[tuple[int, PipeKind, int, Span], Loss] = {}
+        self._same: dict[tuple[Stream, PipeKind, int, Span], Loss] = {}
         self.claims: list[Claim] = []
         self._whose: list[_Own] = []
 
@@ -169,7 +169,7 @@ class Pipes:
                 own = rows[members]
                 span = int(low_ns[own[0]]), int(high_ns[own[0]])
                 self.claims.append(
-                    Claim(len(self._whose), *span, len(own), tuple(kinds), group, rank, id(stream))
+                    Claim(len(self._whose), *span, len(own), tuple(kinds), group, rank, stream)
                 )
                 self._whose.append(_Own(fate, int(which[own[0]]), own, place))
 
@@ -240,7 +240,7 @@ class Pipes:
             among: indices of the messages that they are some of.
             first: the first 0x803 of the capture had already counted some of them.
         """
-        key = id(stream), kind, instance, cut
+        key = stream, kind, instance, cut
         if (loss := self._same.get(key)) is not None:
             loss.lost += number
             before = loss.among.rows if loss.among else among[:0]
@@ -414,7 +414,7 @@ class Leftover:
 
     Args:
         case: the capture.
-        fates: id of a stream to what became of its messages.
+        fates: stream to what became of its messages.
         pipes: losses at application pipes, which are added to.
 
     Attributes:
@@ -422,7 +422,7 @@ class Leftover:
             captured message explains.
     """
 
-    def __init__(self, case: Case, fates: Mapping[int, Fate], pipes: Pipes) -> None:
+    def __init__(self, case: Case, fates: Mapping[Stream | None, Fate], pipes: Pipes) -> None:
         self._case, self._counts, self._fates = case, case.loss_counts, fates
         self._pipes, self._losses = pipes, pipes.losses
         self._older_ns = {item.endpoint: item.older_until_ns for item in case.ingests}
@@ -435,12 +435,8 @@ class Leftover:
         Args:
             shared: counts that several kinds of traffic share: each becomes a loss of its own.
         """
-        names = {id(item): (item.link.label, item.msg_id, self._pipe(item)) for item in self._case.streams}
-        names |= {id(item): ("", item.msg_id, item.pipe) for item in self._case.reported_losses}
-        for lost, _ in self._ticked():
-            names[id(lost)] = "", self._case.of_known(TICKS[lost.app]), f"pipe of {lost.app}"
         for item in shared:
-            self._together(item, {names[flow] for flow in item.flows})
+            self._together(item, {self._named(flow) for flow in item.flows})
         for instance, counts in self._counts.items():
             away = self._away(counts)
             for kind, rest in counts.left.items():
@@ -454,9 +450,9 @@ class Leftover:
                 rest[old] = 0
 
     def _away(self, counts: Counts) -> Mask:
-        """Tell which seconds may count what was sent while the capturing interface was away.
+        """Return which seconds may count messages that were sent while the capturing interface was away.
 
-        What is counted now was sent up to a round of CI before.
+        A message may have been sent up to a round of CI before it was counted.
         """
         return self._case.is_away(counts.times[:-1] - WAITS_NS - LEAD_NS, counts.times[1:])
 
@@ -485,7 +481,7 @@ class Leftover:
                     )
         for item, report, kind, stream in self._followed():
             if claims := self._settled(item, report, kind):
-                own = [claim for claim in self._pipes.claims if claim.flow == id(stream)]
+                own = [claim for claim in self._pipes.claims if claim.flow == stream]
                 hand_on(self._counts[item.instance], item.instance, kind, claims, own)
 
     def _settled(self, item: ReportedLoss, report: LossEvents, kind: PipeKind) -> list[Claim]:
@@ -496,7 +492,7 @@ class Leftover:
         times, claims = self._case.instances.made_ns[[record.row for record in report.records]], []
         for key, (_, members) in enumerate(by_value(counts.seconds(times))):
             span, of = (int(times[members].min()), int(times[members].max())), (item.instance,)
-            claims.append(Claim(key, *span, len(members), (kind,), of, Rank.PRESSED, id(item)))
+            claims.append(Claim(key, *span, len(members), (kind,), of, Rank.PRESSED, item))
         for slack_ns in (0, WAITS_NS):
             settle(self._counts, claims, slack_ns)
         return claims
@@ -514,23 +510,23 @@ class Leftover:
         for item, report, kind in self._absent():
             is_stopped = events[item.instance, kind] >= STOPS_AFTER - 2
             end_ns = NEVER if is_stopped else report.last_ns + TAIL_NS
-            out.append(Rival(id(item), item.instance, kind, report.first_ns - TAIL_NS, end_ns))
+            out.append(Rival(item, item.instance, kind, report.first_ns - TAIL_NS, end_ns))
         for outage, end_ns in self._ticked():  # its wake-ups fill the pipe while nobody reads it
             most = ceil((end_ns - outage.start_ns) / SECOND) - self._case.profile.app_msg_limit
             own = [at for at in self._counts if self._case.instances.systems[at] == outage.system]
-            out += [Rival(id(outage), at, "limit", outage.start_ns, end_ns, most) for at in own if most > 0]
+            out += [Rival(outage, at, "limit", outage.start_ns, end_ns, most) for at in own if most > 0]
         # Messages after the last one of a stream leave no gap; a count then may be of other traffic.
         ends_ns = np.sort([item.time_ns[-1] for item in self._case.streams if item.counted])
         for at in self._counts:
             for each in self._candidates(at, "limit"):
-                fate = self._fates.get(id(each.stream))
+                fate = self._fates.get(each.stream)
                 if fate is None or fate.seen:
                     continue
                 for place, span in enumerate(each.spans):
                     times = span.start_ns - LEAD_NS, span.end_ns + each.counted_ns
                     most = min(each.most(range(place, place + 1)), int(fate.open[span.rows].sum()))
                     if most and np.ptp(np.searchsorted(ends_ns, (times[0] - DRAINS_NS, times[1]))):
-                        out.append(Rival(id(each.stream), at, "limit", *times, most))
+                        out.append(Rival(each.stream, at, "limit", *times, most))
         return [*out, *self._behind_full()]
 
     def _behind_full(self) -> Iterator[Rival]:
@@ -544,7 +540,7 @@ class Leftover:
             limit = [pipe(case.profile).limit(stream.msg_id), *limits][-1]
             alone = at in self._counts and same[stream.sender, stream.msg_id] == 1
             if alone and len(_full(stream.time_ns[-limit:], case.profile.to_wake_ns, limit)):
-                yield Rival(id(stream), at, "limit", last_ns, last_ns + LATE_NS)
+                yield Rival(stream, at, "limit", last_ns, last_ns + LATE_NS)
 
     def _ticked(self) -> Iterator[tuple[Outage, int]]:
         """Yield the outages of applications that are woken once a second, each with its end."""
@@ -568,7 +564,7 @@ class Leftover:
             both = [(place[2], most) for place, most in places.items() if place[:2] == (at, kind)]
             spans = [(self._counts[at].span([second]), most) for second, most in both if second != BEFORE]
             for item in self._candidates(at, kind):
-                if (fate := self._fates.get(id(item.stream))) is not None and not fate.seen:
+                if (fate := self._fates.get(item.stream)) is not None and not fate.seen:
                     sent = fate.stream.time_ns[fate.open]
                     more = sum(max(0, min(most, item.beyond(sent, *span))) for span, most in spans)
                     fate.ends["earlier"] = min(len(sent), fate.ends["earlier"] + more)
@@ -581,7 +577,7 @@ class Leftover:
             for place, part in chain.from_iterable(places):
                 given[place[1]] += part * (place[0] == instance and place[2] != BEFORE and away[place[2]])
             for kind, rest in counts.left.items():
-                # What was sent here may have been given another's count, of what was not captured.
+                # A captured message may have got the count of one that was not captured.
                 spared = min(given[kind], int(rest.sum()))
                 self.uncaptured[instance] += spared
                 if number := int(rest.sum()) - spared:
@@ -599,7 +595,7 @@ class Leftover:
         candidates, rest, old = self._candidates(instance, kind), counts.left[kind], self._old(instance)
         older, first_ns = counts.first.get(kind, 0) + int(rest[old].sum()), counts.times[int(old.sum())]
         for item in candidates:
-            fate = self._fates.get(id(item.stream))
+            fate = self._fates.get(item.stream)
             if fate is not None and not fate.seen:
                 sent = fate.stream.time_ns[fate.open]
                 fate.ends["earlier"] += min(older, int((sent < first_ns).sum()))
@@ -621,9 +617,9 @@ class Leftover:
                 self._blame(rivals[0], active_[0][1], (instance, kind), share, times)
             elif rivals:
                 for item in rivals:
-                    if (fate := self._fates.get(id(item.stream))) is not None:
+                    if (fate := self._fates.get(item.stream)) is not None:
                         fate.ends["shared"] += min(share, len(fate.stream))
-                flows = frozenset(id(item.stream) for item in rivals if item.stream is not None)
+                flows = frozenset(item.stream for item in rivals if item.stream is not None)
                 self._together(Shared(instance, kind, flows, share, *times), {item.named for item in rivals})
             number -= share
             for second in seconds:
@@ -665,11 +661,11 @@ class Leftover:
     ) -> _Candidate:
         case, spans, since_ns = self._case, stream.spans, self._older_ns.get(stream.receiver, 0)
         ingests = case.ingests_at(stream.receiver)
-        # Where CI read others, more came than is here, and what waited in its full socket comes at once; an
-        # application that was stopped takes nothing.
+        # The pipe's load is known only if CI read nothing else, its socket was never full (then many come at
+        # once), and the application was running.
         full = any(loss.cause == "socket" for item in ingests for loss in item.losses)
         visible = stream.link.only_to_cfs and not (full or any(item.not_captured for item in ingests))
-        fate = self._fates.get(id(stream))
+        fate = self._fates.get(stream)
         visible &= fate is None or fate.unfollowed is None
         queue = queues.application_pipe(case.profile) if visible else None
         late = [item for item in ingests if item.waiting or item.older_until_ns or item.lost]
@@ -694,19 +690,19 @@ class Leftover:
         case = self._case
         application, output = queues.application_pipe(case.profile), queues.telemetry_pipe(case.profile)
         leaving = [stream for stream in case.streams if stream.link.only_from_cfs]
-        followed = {id(hop.into): hop for hop in map(case.upstream, leaving) if hop}
+        followed = {hop.into: hop for hop in map(case.upstream, leaving) if hop}
         msg_ids = {stream.msg_id for stream in leaving}
         for stream in case.streams:
             if stream.is_housekeeping and not stream.link.only_to_cfs:
                 continue
-            fate, times = self._fates.get(id(stream)), self._came_ns(stream)
+            fate, times = self._fates.get(stream), self._came_ns(stream)
             if stream.link.only_to_cfs and not (fate and fate.seen):
                 if more_at_once(times, application.round_ns, application.usual_limit):
                     yield self._candidate(stream, APP)
             elif stream.link.peers and stream.msg_id in msg_ids and case.goes_to(stream, instance):
                 over = more_at_once(times, output.round_ns, output.limit(stream.msg_id))
                 if over and case.owner(stream) != instance:
-                    item, hop = self._candidate(stream, telemetry_output.PIPE), followed.get(id(stream))
+                    item, hop = self._candidate(stream, telemetry_output.PIPE), followed.get(stream)
                     yield item if hop is None else _not_seen(item, hop)
 
     def _came_ns(self, stream: Stream) -> Integers:
@@ -717,9 +713,13 @@ class Leftover:
                 times[(times > span.start_lo) & (times < span.end_hi)] = min(span.end_hi, case.end_ns)
         return times
 
-    def _pipe(self, stream: Stream) -> str:
-        """Return the pipe that a stream goes into: an application's, Telemetry Output's or an SBN peer's."""
-        return APP if id(stream) in self._fates else self._case.pipe_of(stream)
+    def _named(self, flow: Any) -> tuple[str, int, str]:
+        """Return link label ("" if not captured), MsgId and pipe of traffic that shares a count."""
+        if isinstance(flow, Stream):
+            return flow.link.label, flow.msg_id, APP if flow in self._fates else self._case.pipe_of(flow)
+        if isinstance(flow, Outage):
+            return "", self._case.of_known(TICKS[flow.app]), f"pipe of {flow.app}"
+        return "", flow.msg_id, flow.pipe
 
     def _together(self, item: Shared, rivals: set[tuple[str, int, str]]) -> None:
         """Make one loss without a MsgId of counts that several kinds of traffic share."""
@@ -737,7 +737,7 @@ class Leftover:
         cut = item.spans[spans[-1]] if item.spans else None
         among = None
         if cut is not None and item.stream is not None:  # the messages of the span without a fate
-            rows, fate = np.arange(cut.first, cut.last + 1), self._fates.get(id(item.stream))
+            rows, fate = np.arange(cut.first, cut.last + 1), self._fates.get(item.stream)
             if fate is not None and fate.unfollowed is not None and len(spans) == 1:
                 fate.followed += number * bool(fate.unfollowed[rows].all())
             among = Among(item.stream, rows if fate is None else rows[fate.open[rows]])

@@ -327,7 +327,7 @@ def rate_over_limit(case: Case) -> Iterator[Verdict]:
 
 
 def _watched(case: Case, stream: Stream) -> bool:
-    fate = case.commands.fates.get(id(stream))
+    fate = case.commands.fates.get(stream)
     if fate is not None and fate.seen:
         return True
     times = stream.time_ns[:: max(1, len(stream) // _ASKED)].tolist()

@@ -111,7 +111,7 @@ def _every(case: Case) -> list[Silence]:
         published = stream.link.from_cfs or stream.link.peers
         # Of packets without a time nothing tells whether their cFS ran on.
         dated = stream.instance != NOBODY or not (stream.counted or stream.known_id in MSG_ID_NAMES)
-        dated &= "untold" not in case.telemetry.ends[id(stream)]
+        dated &= "untold" not in case.telemetry.ends[stream]
         if published and dated and len(stream) >= _LEAST and stream.known_id not in _EVENTS:
             silences += _silences(case, stream)
     return silences
@@ -182,9 +182,9 @@ def _others_go_on(case: Case, silence: Silence, members: Sequence[Silence]) -> b
     Commands and topics do, and for a packet of cFS's own its others.
     """
     start_ns, end_ns = silence.start_ns, silence.end_ns
-    own = {id(item.stream) for item in members}
+    own = {item.stream for item in members}
     for other in case.streams:
-        if id(other) not in own and (silence.stream.is_housekeeping or not other.is_housekeeping):
+        if other not in own and (silence.stream.is_housekeeping or not other.is_housekeeping):
             times = other.time_ns
             later = (times > start_ns + (end_ns - start_ns) // 4) & (times < end_ns)
             if int(later.sum()) > _FEW and (times <= start_ns).any():
