@@ -458,6 +458,17 @@ def test_what_a_peer_sends_unseen_is_no_ground_for_a_cause(tmp_path):
     assert not {item.rule for item in found.verdicts} & {"no_subscriber", "lost_after_cfs"}
 
 
+def test_a_pipe_is_not_blamed_for_as_much_as_it_can_lose_where_others_lost_more(tmp_path):
+    """A limit counted 258: 29 of a command, 229 of telemetry that is not here, nor is what the robot gets."""
+    name = "season3/q01_two_causes_one_counter"
+    kept = [item for item in captured(name) if item.destination[1] != 8585 and msg_id(item) != 0x827]
+    found = diagnosed(write(tmp_path / "x.pcap", kept), name)
+    assert wrong_rows(found.balance) == []
+    assert (found.lost, found.unaccounted) == (258, 0)
+    (row,) = [item for item in found.balance if item.msg_id == 0x1827 and item.hop == "software bus"]
+    assert 10 <= row.proven <= 29 <= row.proven + row.shared  # ten have an event
+
+
 @pytest.mark.long
 def test_what_two_cfs_tell_of_one_loss_is_counted_once(tmp_path):
     """Gaps behind one, counters of the other: without SBN nothing tells that they are the same messages."""

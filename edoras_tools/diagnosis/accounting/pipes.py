@@ -614,7 +614,13 @@ class Leftover:
             most = sum(item.most(spans) for item, (_, spans) in zip(rivals, active_, strict=True))
             share = min(number, most)
             if len(rivals) == 1:
-                self._blame(rivals[0], active_[0][1], (instance, kind), share, times)
+                if number > most:  # others lost some, too: nothing shows which are its own but events
+                    said, fate = rivals[0].said, self._fates.get(rivals[0].stream)
+                    share = min(share, said.within(times[0] - LEAD_NS, times[1]) if said else 0)
+                    if fate is not None:
+                        fate.ends["shared"] += most - share
+                if share:
+                    self._blame(rivals[0], active_[0][1], (instance, kind), share, times)
             elif rivals:
                 for item in rivals:
                     if (fate := self._fates.get(item.stream)) is not None:
