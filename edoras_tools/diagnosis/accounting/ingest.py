@@ -435,11 +435,7 @@ class _Counted:
         # A datagram sent by then that came out later had waited in the socket.
         read_ns = max([ended_ns, *(int(out[sent <= ended_ns].max(initial=0)) for sent, out in self._read)])
         commands = self._commanded_ns(sooner.seen_ns - SECOND, later.seen_ns)
-        cause: Cause = "down" if self._restarts[first] else "restart"
-        stops = (item for item in self._outages() if not item.restarted and item.start_ns < later.seen_ns)
-        if cause == "restart" and any((item.end_ns or 0) > sooner.seen_ns for item in stops):
-            cause = "ci_stopped"
-        read = self._most_read(self._own[last:first], read_ns)
+        cause, read = self._why_ended(first), self._most_read(self._own[last:first], read_ns)
         if not commands and self._arrived is None and sooner.instance == later.instance:
             # Nothing shows when it ended: it may have read on until it started again.
             surely = before + read
@@ -466,6 +462,14 @@ class _Counted:
             before += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
             ended_ns = until_ns
         return (cause, ended_ns), lost, before
+
+    def _why_ended(self, first: int) -> Cause:
+        """Return why it did not run for a time before a sample: it, or its cFS, was started again."""
+        sooner_ns, later_ns = self._seen[first - 1], self._seen[first]
+        stops = (item for item in self._outages() if not item.restarted and item.start_ns < later_ns)
+        if self._restarts[first]:
+            return "down"
+        return "ci_stopped" if any((item.end_ns or 0) > sooner_ns for item in stops) else "restart"
 
     def _end_with_outage(self, account: Ingest, begin: tuple[Cause, int]) -> None:
         """Shorten the losses of an outage to the last datagram that can be one: CI read all later ones."""

@@ -396,7 +396,7 @@ class _Candidate(msgspec.Struct, frozen=True):
         return number - (end_ns - start_ns) // queue.round_ns * queue.limit(self.msg_id) if queue else number
 
     @property
-    def named(self) -> tuple[str, int, str]:
+    def labels(self) -> tuple[str, int, str]:
         """Label of its link ("" if not captured), MsgId and pipe."""
         return self.stream.link.label if self.stream else "", self.msg_id, self.pipe
 
@@ -436,7 +436,7 @@ class Leftover:
             shared: counts that several kinds of traffic share: each becomes a loss of its own.
         """
         for item in shared:
-            self._together(item, {self._named(flow) for flow in item.flows})
+            self._together(item, {self._labels(flow) for flow in item.flows})
         for instance, counts in self._counts.items():
             away = self._away(counts)
             for kind, rest in counts.left.items():
@@ -573,12 +573,12 @@ class Leftover:
         """Make losses of an unknown MsgId of the counts that nothing explains."""
         for instance, counts in self._counts.items():
             away, places = self._away(counts).tolist(), (own.taken.items() for own in self._pipes.claims)
-            given: Counter[PipeKind] = Counter()
+            assigned: Counter[PipeKind] = Counter()
             for place, part in chain.from_iterable(places):
-                given[place[1]] += part * (place[0] == instance and place[2] != BEFORE and away[place[2]])
+                assigned[place[1]] += part * (place[0] == instance and place[2] != BEFORE and away[place[2]])
             for kind, rest in counts.left.items():
                 # A captured message may have got the count of one that was not captured.
-                spared = min(given[kind], int(rest.sum()))
+                spared = min(assigned[kind], int(rest.sum()))
                 self.uncaptured[instance] += spared
                 if number := int(rest.sum()) - spared:
                     span = counts.span(np.flatnonzero(rest))
@@ -593,15 +593,7 @@ class Leftover:
 
     def _leftover(self, instance: int, counts: Counts, kind: PipeKind) -> None:
         candidates, rest, old = self._candidates(instance, kind), counts.left[kind], self._old(instance)
-        older, first_ns = counts.first.get(kind, 0) + int(rest[old].sum()), counts.times[int(old.sum())]
-        for item in candidates:
-            fate = self._fates.get(item.stream)
-            if fate is not None and not fate.seen:
-                sent = fate.stream.time_ns[fate.open]
-                fate.ends["earlier"] += min(older, int((sent < first_ns).sum()))
-                for second in counts.set_back:
-                    more = item.beyond(sent, *counts.span([second])) - int(rest[second])
-                    fate.ends["earlier"] += max(0, more)
+        self._leave_earlier(candidates, counts, kind, old)
         groups: dict[tuple[tuple[int, range], ...], list[int]] = {}
         for second in np.flatnonzero(rest).tolist():
             times = counts.span([second])
@@ -615,8 +607,8 @@ class Leftover:
             share = min(number, most)
             if len(rivals) == 1:
                 if number > most:  # others lost some, too: nothing shows which are its own but events
-                    said, fate = rivals[0].said, self._fates.get(rivals[0].stream)
-                    share = min(share, said.within(times[0] - LEAD_NS, times[1]) if said else 0)
+                    events, fate = rivals[0].said, self._fates.get(rivals[0].stream)
+                    share = min(share, events.within(times[0] - LEAD_NS, times[1]) if events else 0)
                     if fate is not None:
                         fate.ends["shared"] += most - share
                 if share:
@@ -626,12 +618,31 @@ class Leftover:
                     if (fate := self._fates.get(item.stream)) is not None:
                         fate.ends["shared"] += min(share, len(fate.stream))
                 flows = frozenset(item.stream for item in rivals if item.stream is not None)
-                self._together(Shared(instance, kind, flows, share, *times), {item.named for item in rivals})
+                self._together(Shared(instance, kind, flows, share, *times), {item.labels for item in rivals})
             number -= share
             for second in seconds:
                 part = min(int(rest[second]), number)
                 number -= part
                 rest[second] = part
+
+    def _leave_earlier(
+        self, candidates: Sequence[_Candidate], counts: Counts, kind: PipeKind, old: Mask
+    ) -> None:
+        """Count messages as uncertain that a first sample, or one before a reset, may have counted.
+
+        Args:
+            old: mask of the seconds whose counts may be of messages from before the capture.
+        """
+        rest = counts.left[kind]
+        older, first_ns = counts.first.get(kind, 0) + int(rest[old].sum()), counts.times[int(old.sum())]
+        for item in candidates:
+            fate = self._fates.get(item.stream)
+            if fate is not None and not fate.seen:
+                sent = fate.stream.time_ns[fate.open]
+                fate.ends["earlier"] += min(older, int((sent < first_ns).sum()))
+                for second in counts.set_back:
+                    more = item.beyond(sent, *counts.span([second])) - int(rest[second])
+                    fate.ends["earlier"] += max(0, more)
 
     def _candidates(self, instance: int, kind: PipeKind) -> list[_Candidate]:
         """Return traffic that may explain counts: that which events name, else that which is too fast."""
@@ -719,7 +730,7 @@ class Leftover:
                 times[(times > span.start_lo) & (times < span.end_hi)] = min(span.end_hi, case.end_ns)
         return times
 
-    def _named(self, flow: Any) -> tuple[str, int, str]:
+    def _labels(self, flow: Any) -> tuple[str, int, str]:
         """Return link label ("" if not captured), MsgId and pipe of traffic that shares a count."""
         if isinstance(flow, Stream):
             return flow.link.label, flow.msg_id, APP if flow in self._fates else self._case.pipe_of(flow)
