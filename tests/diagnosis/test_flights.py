@@ -973,3 +973,8 @@ def test_what_a_peer_unsubscribes_is_told():
     found = truth.examined(ROOT / "tests/captures/f_sbn_disconnect.pcap.zst")
     reasons = [item.reason for item in found.verdicts if item.rule == "sbn_disconnected"]
     assert "SBN peer 66:3 unsubscribed 0x082a at 49.2 s: it gets none until 65.0 s" in reasons
+
+
+def test_a_cfs_that_stood_still_when_the_capture_began_did_not_restart_and_no_clock_was_set():
+    rules = {item.rule for item in examined("stood_still_at_the_start").verdicts}
+    assert not rules & {"cfs_restart", "clock_jump"}

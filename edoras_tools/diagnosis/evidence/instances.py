@@ -116,7 +116,7 @@ class Instances:
         offset = int(rows.delay_ns(members).min())
         sources = np.unique(rows.source[members])
         for index, item in enumerate(self.items):
-            if not item.first_ns < first_ns <= last_ns < item.last_ns:
+            if not item.first_ns - BOOT_APART_NS < first_ns <= last_ns < item.last_ns:
                 continue
             alike = (self.of_row == index) & np.isin(rows.source, sources)
             since_ns = first_ns - (offset - item.offset_ns) + BOOT_APART_NS

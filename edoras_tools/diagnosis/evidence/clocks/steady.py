@@ -164,6 +164,8 @@ def _by_output(delay: Integers, output: Places) -> Integers:
     waits = int(delay[output].min())
     late = delay[output] - waits
     late = _smoothed(late)  # a single outlier was delayed
+    if late[0] - late[1] > 2 * _CYCLE_NS:  # so was the first one
+        late[0] = late[1]
     behind = np.searchsorted(output, np.arange(len(delay)))
     before, after = late[np.maximum(behind - 1, 0)], late[np.minimum(behind, len(late) - 1)]
     fits = (after <= delay) & (delay - after <= waits + _JITTER_NS)
