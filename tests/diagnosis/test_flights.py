@@ -116,6 +116,7 @@ FLIGHTS = {
     "captured_in_two_parts": (43, {"limit": 43}),
     "processor_restarted_twice": (22, {"down": 22}),
     "ci_restarted_without_a_count": (76, {"restart": 29, "limit": 47}),
+    "first_fragments_vanish": (40, {"after": 40}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -978,3 +979,10 @@ def test_what_a_peer_unsubscribes_is_told():
 def test_a_cfs_that_stood_still_when_the_capture_began_did_not_restart_and_no_clock_was_set():
     rules = {item.rule for item in examined("stood_still_at_the_start").verdicts}
     assert not rules & {"cfs_restart", "clock_jump"}
+
+
+@pytest.mark.parametrize("name", ["large_frames_vanish", "first_fragments_vanish"])
+def test_where_only_long_datagrams_vanish_that_is_told(name):
+    assert "look at the MTU on the way, and at firewalls: above 300 bytes none came" in first_screen(
+        examined(name)
+    )
