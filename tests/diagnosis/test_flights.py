@@ -117,6 +117,7 @@ FLIGHTS = {
     "processor_restarted_twice": (22, {"down": 22}),
     "ci_restarted_without_a_count": (76, {"restart": 29, "limit": 47}),
     "first_fragments_vanish": (40, {"after": 40}),
+    "long_commands_vanish": (18, {"network": 18}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -986,3 +987,8 @@ def test_where_only_long_datagrams_vanish_that_is_told(name):
     assert "look at the MTU on the way, and at firewalls: above 300 bytes none came" in first_screen(
         examined(name)
     )
+
+
+def test_where_just_as_many_commands_are_long_as_were_lost_that_is_told():
+    text = first_screen(examined("long_commands_vanish"))
+    assert "look at the MTU on the way: just as many are 696 bytes or longer" in text

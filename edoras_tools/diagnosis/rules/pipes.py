@@ -325,6 +325,8 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
             uplink = f"look at the {'network' if peers else 'uplink'}{more}"
             if any(line.startswith(QUOTED) for line in loss.evidence):
                 uplink = "look at the route to that host, and at firewalls on the way: ICMP errors came back"
+            elif size := _least_length(case, loss):
+                uplink = f"look at the MTU on the way: just as many are {size:,} bytes or longer"
             yield loss_verdict(
                 case,
                 loss,
@@ -343,6 +345,19 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
                 remedy="capture on the cFS host",
                 confidence="medium",
             )
+
+
+def _least_length(case: Case, loss: Loss) -> int:
+    """Return from what length on just as many were sent as were lost; 0 where no length tells."""
+    if loss.stream is None or loss.among is None or loss.lost < _MANY:
+        return 0
+    longest = np.sort(case.rows.length[loss.stream.rows[loss.among.rows]])[::-1]
+    parts = loss.lost < len(longest) and longest[loss.lost - 1] > longest[loss.lost]
+    return int(longest[loss.lost - 1]) if parts else 0
+
+
+_MANY: Final = 8
+"""So many of one length are lost by no chance."""
 
 
 def ci_backlog(case: Case) -> Iterator[Verdict]:
