@@ -992,3 +992,10 @@ def test_where_only_long_datagrams_vanish_that_is_told(name):
 def test_where_just_as_many_commands_are_long_as_were_lost_that_is_told():
     text = first_screen(examined("long_commands_vanish"))
     assert "look at the MTU on the way: just as many are 696 bytes or longer" in text
+
+
+def test_from_the_ground_a_network_that_loses_looks_like_a_full_socket():
+    text = "what the network lost before it at that time looks alike"
+    assert text in first_screen(examined("three_losses_ground"))
+    assert text not in first_screen(together("three_losses_ground", "three_losses_flight"))
+    assert text not in first_screen(examined("thousand_a_second"))
