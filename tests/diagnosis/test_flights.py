@@ -999,3 +999,7 @@ def test_from_the_ground_a_network_that_loses_looks_like_a_full_socket():
     assert text in first_screen(examined("three_losses_ground"))
     assert text not in first_screen(together("three_losses_ground", "three_losses_flight"))
     assert text not in first_screen(examined("thousand_a_second"))
+
+
+def test_what_a_dead_uplink_lost_is_no_backlog():
+    assert "ci_backlog" not in {item.rule for item in examined("uplink_dead_at_the_end").verdicts}

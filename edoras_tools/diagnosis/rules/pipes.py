@@ -13,7 +13,7 @@ from edoras_tools.cfs.executive_services import STARTS
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.ingest import QUOTED
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKET, SBN_SOCKET, TAIL_NS, Loss
-from edoras_tools.diagnosis.accounting.pipes import TICKS, measured_depth
+from edoras_tools.diagnosis.accounting.pipes import TICKS, measured_depth, more_at_once
 from edoras_tools.diagnosis.advice import (
     advise,
     clean_round,
@@ -374,7 +374,8 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
             evidence = (*loss.evidence, *_by_kernel(case))
             yield loss_verdict(case, loss, reason, link="ci", remedy=advise(case, loss), evidence=evidence)
     for account in case.ingests:
-        if account.unread > socket.reads:
+        sent_ns = case.rows.time_ns[account.rows]
+        if account.unread > socket.reads and more_at_once(sent_ns, socket.round_ns, socket.reads):
             yield warning(
                 f"{plural(account.unread, 'datagram')} wait in CI's socket, or were dropped: {reads}",
                 f"0x884: CI took {account.taken:,}",
