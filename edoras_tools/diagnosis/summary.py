@@ -309,6 +309,9 @@ def _name(result: Diagnosis, row: Row) -> str:
 
 
 def _names(result: Diagnosis, rows: Iterable[Row]) -> str:
+    rows = list(rows)
+    if len(rows) > 1 and all(row.among for row in rows):  # of all that share them
+        rows = [replace(rows[0], among=tuple(chain.from_iterable(row.among for row in rows)))]
     names = list(dict.fromkeys(_name(result, row) for row in rows))
     return " and ".join(names) if len(names) <= _NAMES else f"messages of {len(names)} MsgIds"
 

@@ -214,6 +214,7 @@ def test_what_nothing_counts_is_a_narrow_range(name, lost):
         ("second_beside_the_first", 57),
         ("errors_seconds_apart", 54),
         ("killed_on_a_losing_network", 75),
+        ("bursts_around_a_restart", 31),
     ],
 )
 def test_what_witnesses_leave_to_several_places_is_a_range(name, lost):
@@ -1003,3 +1004,8 @@ def test_from_the_ground_a_network_that_loses_looks_like_a_full_socket():
 
 def test_what_a_dead_uplink_lost_is_no_backlog():
     assert "ci_backlog" not in {item.rule for item in examined("uplink_dead_at_the_end").verdicts}
+
+
+def test_of_several_rows_that_share_losses_each_msg_id_is_named_once():
+    text = first_screen(examined("bursts_around_a_restart"))
+    assert "of 0x082d or 0x1827 or 0x1885 at software bus" in text
