@@ -1009,3 +1009,8 @@ def test_what_a_dead_uplink_lost_is_no_backlog():
 def test_of_several_rows_that_share_losses_each_msg_id_is_named_once():
     text = first_screen(examined("bursts_around_a_restart"))
     assert "of 0x082d or 0x1827 or 0x1885 at software bus" in text
+
+
+def test_what_was_sent_before_the_first_that_came_out_is_told_so():
+    text = "may be lost: they were sent before the first that came out as 0x0828, or behind the last"
+    assert text in first_screen(examined("ci_started_over_sbn"))

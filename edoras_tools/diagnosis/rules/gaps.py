@@ -86,11 +86,13 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
         )
     unaccounted = fate.ends["unaccounted"]
     went_in = f"{unaccounted or fate.ends['beyond']:,} of {len(stream):,} messages that went into cFS"
-    proven = "are not accounted for" if unaccounted else "may be lost"
+    out = f"came out {' or '.join(ways)}"
+    why = f"may be lost: they were sent before the first that {out}, or behind the last"
+    if unaccounted:
+        why = f"are not accounted for: they never {out}, and the capture cannot show why"
     return verdict(
         Severity.ERROR if unaccounted else Severity.WARNING,
-        f"{went_in} on {case.name(stream.msg_id)} {proven}: they never came out {' or '.join(ways)}, and the "
-        "capture cannot show why",
+        f"{went_in} on {case.name(stream.msg_id)} {why}",
         *evidence,
         *case.drops_text(),
         msg_id=stream.msg_id,
