@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.examination import Diagnosis
 
-_AT_QUEUES: Final = frozenset({"limit", "overflow", "socket"})
-"""The verdict says what its queue takes."""
+_AT_QUEUES: Final = frozenset({"limit", "overflow", "socket", "unknown"})
+"""The verdict says what its queue takes, or what events name there."""
 _HARM: Final = frozenset({"struct_overrun", "ci_cut", "ground_bridge_buffer", "flight_bridge_length"})
 """What these rules tell of arrives in part, or damaged."""
 _NAMES: Final = 2

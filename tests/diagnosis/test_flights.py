@@ -1014,3 +1014,9 @@ def test_of_several_rows_that_share_losses_each_msg_id_is_named_once():
 def test_what_was_sent_before_the_first_that_came_out_is_told_so():
     text = "may be lost: they were sent before the first that came out as 0x0828, or behind the last"
     assert text in first_screen(examined("ci_started_over_sbn"))
+
+
+def test_of_counts_that_nothing_explains_what_events_name_is_told():
+    name = "season3/q07_uplink_dup_loss_reorder_ground"
+    text = first_screen(truth.examined(ROOT / f"tests/captures/{name}.pcap.zst"))
+    assert "at a place that the capture does not show: events name 0x1827 alone" in text
