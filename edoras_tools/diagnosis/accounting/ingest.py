@@ -787,9 +787,15 @@ class BeforeCi:
                 fate.ends["crowded"] += fate.claim(inside)
         for before in account.losses:
             self._before_ci(account, before)
-        most = [int(fate.open.sum()) for fate in fates]
-        for fate, share in zip(fates, shares(account.unsure, most, most), strict=True):
-            fate.ends["crowded"] += fate.claim(np.flatnonzero(fate.open)[:share])
+        self._leave_open([(fate, fate.open) for fate in fates], account.unsure)
+
+    @staticmethod
+    def _leave_open(may: Sequence[_May], number: int) -> None:
+        """Make the first ``number`` of messages that may be lost uncertain."""
+        windows = [np.flatnonzero(own) for _, own in may]
+        most = [len(inside) for inside in windows]
+        for (fate, _), inside, share in zip(may, windows, shares(number, most, most), strict=True):
+            fate.ends["crowded"] += fate.claim(inside[:share])
 
     def _to(self, account: Ingest) -> list[Fate]:
         """Return the fates of the streams to a CI."""
@@ -928,11 +934,8 @@ class BeforeCi:
             text = "so many did not come out, and its counts leave room for them"
             self._spread(may, before, min(max(0, number - missed), before.more), [text])
         for before in account.losses:
-            if strange := min(before.more, self._strange(account, before)):
-                may = self._open(self._to(account), before, before.since_ns)
-                most = [int(own.sum()) for _, own in may]
-                for (fate, own), part in zip(may, shares(strange, most, most), strict=True):
-                    fate.ends["crowded"] += fate.claim(np.flatnonzero(own)[:part])
+            may = self._open(self._to(account), before, before.since_ns)
+            self._leave_open(may, min(before.more, self._strange(account, before)))
 
     def wait(self, account: Ingest) -> None:
         """Mark the latest messages without a fate as waiting in CI's socket at its last count.

@@ -579,7 +579,7 @@ class Leftover:
             for kind, rest in counts.left.items():
                 # A captured message may have got the count of one that was not captured.
                 spared = min(assigned[kind], int(rest.sum()))
-                self.uncaptured[instance] += spared
+                self.uncaptured += Counter({instance: spared})  # which drops 0
                 if number := int(rest.sum()) - spared:
                     span = counts.span(np.flatnonzero(rest))
                     text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"

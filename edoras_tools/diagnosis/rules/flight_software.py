@@ -55,13 +55,12 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
         if earlier is None:
             continue
         span, boot_ns = (earlier.last_ns, later.first_ns), later.boot_ns(case.profile)
-        clock_ns = earlier.last_ns - earlier.offset_ns
-        went_on = later.first_ns - later.offset_ns >= clock_ns  # its clock, which so tells no boot
+        moved_ns = later.offset_ns - earlier.offset_ns
+        went_on = span[1] - span[0] >= moved_ns  # its clock, which so tells no boot
         if went_on or not max(case.start_ns, earlier.first_ns) < boot_ns < earlier.last_ns - _OVERLAP_NS:
             boot_ns = 0
         if earlier.name or later.name or _down(case, *span):  # frames that were cut name nobody
-            moved = (later.offset_ns - earlier.offset_ns) / SECOND
-            how = f"mission time against the capture's moved by {moved:.1f} s"
+            how = f"mission time against the capture's moved by {moved_ns / SECOND:.1f} s"
             yield _restarted(case, case.label(index), span, how, boot_ns)
 
 

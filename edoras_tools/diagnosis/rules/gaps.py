@@ -13,7 +13,6 @@ from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT, one_sided
 from edoras_tools.diagnosis.accounting.losses import BUS, Fate, Loss
 from edoras_tools.diagnosis.advice import loss_verdict, lost_at
-from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.ledger import CAUSES
 from edoras_tools.diagnosis.quality import overlapping
@@ -175,7 +174,7 @@ def _lost_after(case: Case, members: list[Loss], relay: str) -> Verdict:
     if first.kind == "fragments":
         where = "never became whole: a firewall or a router drops their later fragments"
         remedy = "let fragments through on the way, or raise its MTU above the longest of these"
-    elif longest := _longest(case, members):
+    elif one and (longest := _longest(case, first)):
         where = f"are missing, and none longer than {longest:,} bytes came meanwhile, though shorter ones did"
         remedy = f"look at the MTU on the way, and at firewalls: above {longest:,} bytes none came meanwhile"
     elif relay:
@@ -203,29 +202,17 @@ def _lost_after(case: Case, members: list[Loss], relay: str) -> Verdict:
     )
 
 
-def _longest(case: Case, members: list[Loss]) -> int:
+def _longest(case: Case, loss: Loss) -> int:
     """Return how long what came was while none of these did, where all of it is shorter; 0 elsewhere."""
-    rows, spans, least, sender = case.rows, list[tuple[int, int]](), np.iinfo(np.int64).max, NOBODY
-    for loss in members:
-        if loss.stream is None or loss.among is None or loss.among.missing is None:
-            return 0
-        missing, sender = loss.among.missing, loss.stream.sender
-        at = loss.among.rows[missing >= _IN_A_ROW]
-        if 2 * missing[missing >= _IN_A_ROW].sum() <= missing.sum():
-            return 0
-        ends = np.minimum(at + 1, len(loss.stream) - 1)
-        spans += zip(loss.stream.time_ns[at].tolist(), loss.stream.time_ns[ends].tolist(), strict=True)
-        least = min(least, int(rows.length[loss.stream.rows].min()))
-    inside = (rows.source == sender) & overlapping(rows.time_ns, rows.time_ns, spans)
-    longest, others = (
-        int(rows.length[inside].max(initial=0)),
-        (item for item in case.losses if item not in members),
-    )
-    shorter = any(
-        item.kind == "after" and item.stream and rows.length[item.stream.rows].min() < least
-        for item in others
-    )
-    return longest if inside.sum() >= _IN_A_ROW and longest < least and not shorter else 0
+    rows, stream, among = case.rows, loss.stream, loss.among
+    if stream is None or among is None or among.missing is None:
+        return 0
+    at, times = among.rows[among.missing >= _IN_A_ROW], np.append(stream.time_ns, NEVER)
+    spans = list(zip(times[at].tolist(), times[at + 1].tolist(), strict=True))
+    inside = (rows.source == stream.sender) & overlapping(rows.time_ns, rows.time_ns, spans)
+    longest = int(rows.length[inside].max(initial=0))
+    fewer = inside.sum() < _IN_A_ROW or 2 * among.missing[among.missing >= _IN_A_ROW].sum() <= loss.lost
+    return 0 if fewer or longest >= rows.length[stream.rows].min() else longest
 
 
 def perhaps_lost(case: Case) -> Iterator[Verdict]:
