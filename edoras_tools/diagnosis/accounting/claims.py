@@ -199,15 +199,11 @@ def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int 
 def _tables(
     counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0, kinds: int = len(COUNTERS)
 ) -> dict[tuple[int, PipeKind], _Table]:
-    """Return a table of claims for each counter with counts left, or whose claims may move to another."""
-    several: set[int] = set()
-    if len(counts) > 1:
-        several.update(at for claim in claims if len(claim.instances) > 1 for at in claim.instances)
+    """Return a table of claims for each counter; without counts left, too: a path may lead through it."""
     return {
-        (instance, kind): _Table((instance, kind), own, claims, slack_ns, kinds)
-        for instance, own in counts.items()
+        (at, kind): _Table((at, kind), own, claims, slack_ns, kinds)
+        for at, own in counts.items()
         for kind in COUNTERS
-        if own.left[kind].any() or instance in several
     }
 
 
@@ -424,13 +420,7 @@ def _others(
         rest[at].left[kind][second] += number
         places[at, kind, second] = int(rest[at].left[kind][second])
     copies = [replace(item, taken=dict(item.taken)) for item in others]
-    # Tables without counts as well: a path may lead through them.
-    tables = {
-        (at, kind): _Table((at, kind), own, copies, 0, len(COUNTERS))
-        for at, own in rest.items()
-        for kind in COUNTERS
-    }
-    _improve(tables, copies)
+    _improve(_tables(rest, copies), copies)
     for at, kind, second in places:
         places[at, kind, second] -= int(rest[at].left[kind][second])
     takers = zip(others, copies, strict=True)
