@@ -134,11 +134,7 @@ class Conversations(msgspec.Struct, eq=False):
         rows = np.flatnonzero(batch.length > 0 if mask is None else (batch.length > 0) & mask)
         link = columns.link
         marks = _marks(batch, columns, rows, self.context.known)
-        source = batch.source_address[rows].astype(np.uint64)
-        target = batch.destination_address[rows].astype(np.uint64)
-        ports = batch.source_port[rows].astype(np.uint64) << np.uint64(16) | batch.destination_port[rows]
-        key = (source * _MIX ^ target) * _MIX ^ ports << np.uint64(8) ^ batch.ip_version[rows]
-        first, which = numbered(key)
+        first, which = numbered(conversation_of(batch)[rows])
         total = np.bincount(which, minlength=len(first))
         sound = marks["sound"]
         sums = {name: _count(which, marks[name], total) for name in _SUMS}
@@ -224,7 +220,8 @@ def conversation_of(batch: PacketBatch) -> Integers:
     """Return a number for each datagram by its endpoints: i64 (n,)."""
     ends = batch.source_address.astype(np.uint64) << np.uint64(32) | batch.destination_address
     ports = batch.source_port.astype(np.uint64) << np.uint64(16) | batch.destination_port
-    return ((ends * _MIX ^ ports) >> np.uint64(1)).astype(np.int64)
+    # Mixed once more: ports that differ in their last bit differ in what is kept.
+    return ((ends * _MIX ^ ports) * _MIX >> np.uint64(1)).astype(np.int64)
 
 
 def in_doubt(batch: PacketBatch, columns: Columns, context: Context) -> Mask:
