@@ -30,12 +30,8 @@ def not_examined(case: Case) -> Iterator[Verdict]:
     Say so first: what is below is not the whole link.
     """
     for item in case.unnamed:
-        yield error(
-            item.advice,
-            "lengths, types and MsgIds in it agree as only that link's do",
-            hop="capture",
-            remedy=item.remedy,
-        )
+        agree = "lengths, types and MsgIds in it agree as only that link's do"
+        yield error(item.advice, agree, hop="capture", remedy=item.remedy)
     away = []
     for outage in case.capture.outages:
         end_ns = outage.end_ns or max(case.end_ns, outage.start_ns)
@@ -58,13 +54,11 @@ def not_examined(case: Case) -> Iterator[Verdict]:
 def more_senders(case: Case) -> Iterator[Verdict]:
     """Senders beyond the number that is judged: those that sent least are counted together, and left out."""
     if len(crowd := case.prepared.crowd):
-        yield warning(
-            f"{plural(len(crowd), 'more sender')} of what comes from cFS, each of at most {crowd.max():,}, "
-            f"not examined: {plural(int(crowd.sum()), 'datagram')}",
-            "so many are no flight software: addresses are forged, or another program sends to these ports",
-            hop="capture",
-            remedy="record what counts alone: edoras record FILE --where 'source == ADDRESS' -o OUT.pcap",
-        )
+        who = f"{plural(len(crowd), 'more sender')} of what comes from cFS, each of at most {crowd.max():,}"
+        why = "so many are no flight software: addresses are forged, or another program sends to these ports"
+        remedy = "record what counts alone: edoras record FILE --where 'source == ADDRESS' -o OUT.pcap"
+        left_out = f"{who}, not examined: {plural(int(crowd.sum()), 'datagram')}"
+        yield warning(left_out, why, hop="capture", remedy=remedy)
 
 
 def capture_drops(case: Case) -> Iterator[Verdict]:
@@ -72,16 +66,11 @@ def capture_drops(case: Case) -> Iterator[Verdict]:
 
     Say so before anything else is blamed.
     """
-    drops = case.capture.drops
-    if drops:
-        yield error(
-            f"the capture itself lost {drops:,} frames: what is missing below may be among them",
-            "the capture's own drop counter",
-            hop="capture",
-            lost=drops,
-            of=drops + len(case.rows),
-            remedy="capture on a faster host or to a faster disk, with a filter on the links' ports",
-        )
+    if drops := case.capture.drops:
+        reason = f"the capture itself lost {drops:,} frames: what is missing below may be among them"
+        remedy = "capture on a faster host or to a faster disk, with a filter on the links' ports"
+        of, why = drops + len(case.rows), "the capture's own drop counter"
+        yield error(reason, why, hop="capture", lost=drops, of=of, remedy=remedy)
 
 
 def cut_frames(case: Case) -> Iterator[Verdict]:
@@ -181,14 +170,10 @@ def out_of_order(case: Case) -> Iterator[Verdict]:
 
     Say that they were sorted.
     """
-    count = case.prepared.disordered
-    if count:
-        yield note(
-            f"{count:,} records of the capture stand behind later ones; all were put in order of time",
-            "capture times run back, and the times in cFS's packets with them",
-            hop="capture",
-            remedy="none; reordercap writes such a file in order",
-        )
+    if count := case.prepared.disordered:
+        reason = f"{count:,} records of the capture stand behind later ones; all were put in order of time"
+        why = "capture times run back, and the times in cFS's packets with them"
+        yield note(reason, why, hop="capture", remedy="none; reordercap writes such a file in order")
 
 
 def duplicated(case: Case) -> Iterator[Verdict]:
@@ -200,33 +185,27 @@ def duplicated(case: Case) -> Iterator[Verdict]:
     for rows, by_network in ((case.rows.take(prepared.duplicates), True), (prepared.doubled, False)):
         for _, own in by_value(rows.way()):
             sender, receiver = (case.endpoints[end[own[0]]] for end in (rows.source, rows.destination))
+            how, remedy = "doubled by the network", "none; whoever receives them gets them twice"
+            if not by_network:
+                how = "captured twice; nothing shows whether the network doubled what was sent"
+                remedy = "capture what CI counts (0x884), or what comes out: that tells how often they came"
             which = f"{plural(len(own), 'datagram')} from {sender} to {receiver}"
-            was = "was" if len(own) == 1 else "were"
-            yield note(
-                f"{which} {was} doubled by the network"
-                if by_network
-                else f"{which} {was} captured twice; nothing shows whether the network doubled what was sent",
-                "the same bytes with the same IP identification, captured at one place",
-                hop="network",
-                span=(int(rows.time_ns[own].min()), int(rows.time_ns[own].max())),
-                remedy="none; whoever receives them gets them twice"
-                if by_network
-                else "capture what CI counts (0x884), or what comes out: that tells how often they came",
-            )
+            reason = f"{which} {'was' if len(own) == 1 else 'were'} {how}"
+            why = "the same bytes with the same IP identification, captured at one place"
+            span = int(rows.time_ns[own].min()), int(rows.time_ns[own].max())
+            yield note(reason, why, hop="network", span=span, remedy=remedy)
     rows = case.rows
     late = np.flatnonzero((rows.reordered != 0) & ~rows.streamed)
     for _, own in groups(rows.way(), late):
         # A row may tell that an earlier one was not late after all.
         if (number := int(rows.reordered[own].sum())) > 0:
             sender, receiver = (case.endpoints[end[own[0]]] for end in (rows.source, rows.destination))
-            yield note(
-                f"{plural(number, 'datagram')} from {sender} to {receiver} came late: the network put "
-                f"{'it behind a later one' if number == 1 else 'them behind later ones'}",
-                "their sequence counts are lower than those before, and nothing began anew",
-                hop="network",
-                span=case.span(own),
-                remedy="none; who receives them sees an older value after a newer one",
-            )
+            put = "it behind a later one" if number == 1 else "them behind later ones"
+            which = f"{plural(number, 'datagram')} from {sender} to {receiver}"
+            why = "their sequence counts are lower than those before, and nothing began anew"
+            remedy = "none; who receives them sees an older value after a newer one"
+            reason = f"{which} came late: the network put {put}"
+            yield note(reason, why, hop="network", span=case.span(own), remedy=remedy)
 
 
 def clock_jump(case: Case) -> Iterator[Verdict]:
@@ -275,13 +254,9 @@ def proxy_faults(case: Case) -> Iterator[Verdict]:
     Say what was done to each MsgId.
     """
     if case.prepared.relayed:
-        yield note(
-            f"{plural(case.prepared.relayed, 'datagram')} were captured in front of the proxy: they are its "
-            "own recording's once more, and not counted again",
-            "what the proxy dropped is among them",
-            hop=PROXY_HOP,
-            remedy="none",
-        )
+        which = f"{plural(case.prepared.relayed, 'datagram')} were captured in front of the proxy"
+        reason = f"{which}: they are its own recording's once more, and not counted again"
+        yield note(reason, "what the proxy dropped is among them", hop=PROXY_HOP, remedy="none")
     for (link, to_cfs, msg_id), item in case.proxied.items():
         counts = [
             f"{number:,} {action}"

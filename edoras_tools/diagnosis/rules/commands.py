@@ -360,17 +360,12 @@ def identity_from_two_addresses(case: Case) -> Iterator[Verdict]:
         order = [addresses[host] for host in hosts[rows.source[members[first]]].tolist()]
         counts = np.bincount(address).tolist()
         times = [case.at(when) for when in rows.time_ns[members[first]].tolist()]
-        yield security(
-            f"SBN peer {peer_of(who)} has {len(order)} addresses, and cFS hears all: {', '.join(order)}",
-            *(
-                f"{name}: {plural(count, 'datagram')}, the first at {when}"
-                for name, count, when in list(zip(order, counts, times, strict=True))[:_MOST]
-            ),
-            place=("sbn", "SBN"),
-            span=(int(rows.time_ns[members[first[1]]]), int(rows.time_ns[members[-1]])),
-            remedy="give each peer its own processor_id; if there is only one, somebody else uses its name",
-            confidence="medium",
-        )
+        each = list(zip(order, counts, times, strict=True))[:_MOST]
+        why = [f"{name}: {plural(count, 'datagram')}, the first at {when}" for name, count, when in each]
+        reason = f"SBN peer {peer_of(who)} has {len(order)} addresses, and cFS hears all: {', '.join(order)}"
+        remedy = "give each peer its own processor_id; if there is only one, somebody else uses its name"
+        span = int(rows.time_ns[members[first[1]]]), int(rows.time_ns[members[-1]])
+        yield security(reason, *why, place=("sbn", "SBN"), span=span, remedy=remedy, confidence="medium")
 
 
 def repeated_commands(case: Case) -> Iterator[Verdict]:

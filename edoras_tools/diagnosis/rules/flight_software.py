@@ -235,15 +235,12 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
         losses = sum(track.growth(name) for name in ("msg_limits", "pipe_overflows"))
         if unsent > losses + refused and not any("sends failed" in line for line in quotes):
             reported = any(app == NAME and number in _FAILED for _, app, number in groups)
-            yield warning(
-                f"{plural(unsent - losses - refused, 'send')} on the software bus of {case.label(instance)} "
-                f"failed, {'as cFS reports' if reported else 'and neither a pipe nor an event says why'}",
-                f"0x803: MessageSendErrors +{unsent:,}, of them {losses:,} at pipes",
-                hop="software bus",
-                span=(track.times[0], track.times[-1]),
-                remedy="look at the console of cFS",
-                confidence="medium",
-            )
+            cause = "as cFS reports" if reported else "and neither a pipe nor an event says why"
+            number = plural(unsent - losses - refused, "send")
+            reason = f"{number} on the software bus of {case.label(instance)} failed, {cause}"
+            why = f"0x803: MessageSendErrors +{unsent:,}, of them {losses:,} at pipes"
+            span, remedy = (track.times[0], track.times[-1]), "look at the console of cFS"
+            yield warning(reason, why, hop="software bus", span=span, remedy=remedy, confidence="medium")
 
 
 def _is_told(case: Case, record: EventRecord) -> bool:

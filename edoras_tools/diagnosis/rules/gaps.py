@@ -280,14 +280,9 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
     for stream in case.streams:
         if untold := case.telemetry.ended(stream, "untold"):
             why, remedy = _untold(case, stream)
-            yield warning(
-                f"{untold:,} of {case.name(stream.msg_id)} may be lost: {why}",
-                *case.drops_text(),
-                **stream_subject(case, stream),
-                of=len(stream) + untold,
-                remedy=remedy,
-                confidence="low",
-            )
+            reason = f"{untold:,} of {case.name(stream.msg_id)} may be lost: {why}"
+            about = stream_subject(case, stream) | {"of": len(stream) + untold, "confidence": "low"}
+            yield warning(reason, *case.drops_text(), **about, remedy=remedy)
 
 
 def _untold(case: Case, stream: Stream) -> tuple[str, str]:

@@ -471,12 +471,10 @@ def topic_never_seen(case: Case) -> Iterator[Verdict]:
             confidence="medium",
         )
     for link, topics in absent.items():
-        yield note(
-            f"no datagram of the {link.label.upper()} link is here to show what {', '.join(topics)} did",
-            f"links seen: {', '.join(sorted(item.label.upper() for item in links)) or 'none'}",
-            place=(link.label, "capture"),
-            remedy=f"capture where the {link.label.upper()} link passes, or on all hosts: record -r A -r B",
-        )
+        reason = f"no datagram of the {link.label.upper()} link is here to show what {', '.join(topics)} did"
+        why = f"links seen: {', '.join(sorted(item.label.upper() for item in links)) or 'none'}"
+        remedy = f"capture where the {link.label.upper()} link passes, or on all hosts: record -r A -r B"
+        yield note(reason, why, place=(link.label, "capture"), remedy=remedy)
 
 
 def not_configured(case: Case) -> Iterator[Verdict]:

@@ -40,15 +40,12 @@ def damaged(case: Case) -> Iterator[Verdict]:
     for (link, msg_id, hop), own in places.items():
         number = sum(item.number for item in own)
         whose = "unknown MsgIds" if msg_id is None else case.name(msg_id)
-        yield error(
-            f"{plural(number, 'datagram')} on {whose} came damaged: what has a wrong checksum is dropped",
-            "their checksums are wrong, and those of most others of the same hosts are not",
-            msg_id=msg_id,
-            place=(link, hop),
-            lost=number,
-            span=(min(item.times_ns[0] for item in own), max(item.times_ns[1] for item in own)),
-            remedy="look at the interfaces on the way: ethtool -S, nstat -az UdpInCsumErrors, tc -s qdisc",
-        )
+        reason = f"{plural(number, 'datagram')} on {whose} came damaged: what has a wrong checksum is dropped"
+        why = "their checksums are wrong, and those of most others of the same hosts are not"
+        remedy = "look at the interfaces on the way: ethtool -S, nstat -az UdpInCsumErrors, tc -s qdisc"
+        place = link, hop
+        span = min(item.times_ns[0] for item in own), max(item.times_ns[1] for item in own)
+        yield error(reason, why, msg_id=msg_id, place=place, lost=number, span=span, remedy=remedy)
 
 
 def sbn_timeout(case: Case) -> Iterator[Verdict]:
@@ -260,14 +257,9 @@ def sbn_disconnected(case: Case) -> Iterator[Verdict]:
                 continue
             back = next((item for item in connection.changes[at + 1 :] if item.state == "connected"), None)
             sequel = f"connected again at {case.at(back.time_ns)}" if back else "not back in this capture"
-            yield note(
-                f"SBN peer {connection.peer} disconnected from {connection.observer} at "
-                f"{case.at(change.time_ns)}, in order; {sequel}",
-                change.why,
-                place=("sbn", f"SBN peer {connection.peer}"),
-                span=(change.time_ns, back.time_ns if back else case.end_ns),
-                remedy="none",
-            )
+            who, span = f"SBN peer {connection.peer}", (change.time_ns, back.time_ns if back else case.end_ns)
+            bye = f"disconnected from {connection.observer} at {case.at(change.time_ns)}, in order"
+            yield note(f"{who} {bye}; {sequel}", change.why, place=("sbn", who), span=span, remedy="none")
 
 
 def _unsubscribed(case: Case) -> Iterator[Verdict]:
@@ -334,22 +326,17 @@ def sbn_table(case: Case) -> Iterator[Verdict]:
     heard = {peer_of(who): members for who, members in groups(rows.sbn_sender(), spoken)}
     for peer, members in heard.items():
         if peer not in table:
-            yield warning(
-                f"{peer} sends on SBN, and is not in the table that was given: such a cFS refuses it",
-                f"{plural(len(members), 'datagram')} of it, from {case.endpoints[rows.source[members[0]]]}",
-                place=("sbn", "SBN"),
-                span=(int(rows.time_ns[members[0]]), case.end_ns),
-                remedy=f"add {peer} to sbn_conf_tbl, or give the bridge an identity that is in it",
-                confidence="medium",
-            )
+            reason = f"{peer} sends on SBN, and is not in the table that was given: such a cFS refuses it"
+            why = f"{plural(len(members), 'datagram')} of it, from {case.endpoints[rows.source[members[0]]]}"
+            remedy = f"add {peer} to sbn_conf_tbl, or give the bridge an identity that is in it"
+            span = int(rows.time_ns[members[0]]), case.end_ns
+            yield warning(reason, why, place=("sbn", "SBN"), span=span, remedy=remedy, confidence="medium")
     for peer, place in table.items():
         if peer not in heard:
-            yield note(
-                f"{peer}, in the table that was given at {place.address}:{place.port}, sends nothing here",
-                f"on SBN are {', '.join(map(str, heard))}",
-                place=("sbn", "SBN"),
-                remedy="see whether it runs; capture where its datagrams pass",
-            )
+            where, why = f"{place.address}:{place.port}", f"on SBN are {', '.join(map(str, heard))}"
+            reason = f"{peer}, in the table that was given at {where}, sends nothing here"
+            remedy = "see whether it runs; capture where its datagrams pass"
+            yield note(reason, why, place=("sbn", "SBN"), remedy=remedy)
 
 
 _ANSWERED_NS: Final = 2 * SECOND
@@ -490,17 +477,11 @@ def wrong_ident(case: Case) -> Iterator[Verdict]:
     for row, index in zip(listed["row"][other].tolist(), listed["said"][other].tolist(), strict=True):
         by_ident.setdefault((int(rows.source[row]), contents[index].ident), []).append(row)
     for (source, ident), members in by_ident.items():
-        said_by_cfs = answers(case, case.span(members)[0], facts.OTHER_IDENT.phrase)
-        yield _refused(
-            case,
-            members,
-            f"{plural(len(members), 'subscription message')} of "
-            f"{case.network.identity_of.get(source, 'a peer')}: another $Id than cFS's: refused"
-            f"{_consequence(said_by_cfs)}",
-            "build bridge and cFS from the same SBN sources, or copy its $Id",
-            said_by_cfs,
-            f": {ident!r}, wanted {sbn.IDENT!r}",
-        )
+        who, detail = case.network.identity_of.get(source, "a peer"), f": {ident!r}, wanted {sbn.IDENT!r}"
+        lines = answers(case, case.span(members)[0], facts.OTHER_IDENT.phrase)
+        reason = f"{plural(len(members), 'subscription message')} of {who}: another $Id than cFS's: refused"
+        remedy = "build bridge and cFS from the same SBN sources, or copy its $Id"
+        yield _refused(case, members, reason + _consequence(lines), remedy, lines, detail)
 
 
 def _refused(

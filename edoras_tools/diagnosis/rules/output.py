@@ -348,12 +348,10 @@ def to_taken_over(case: Case) -> Iterator[Verdict]:
             old, new = (case.endpoints[rows.source[item.row]].address for item in (before, after))
             if before.address == after.address or old == new:
                 continue
+            reason = f"{new} had all telemetry sent to {after.address}; {before.address} of {old} gets none"
+            why = packet(case, after.row), f"before: {packet(case, before.row)}"
+            msg_id, span = case.of_known(telemetry_output.COMMAND_MSG_ID), case.span([after.row])
+            remedy = "let only the station reach CI's port, and enable TO again"
             yield security(
-                f"{new} had all telemetry sent to {after.address}; {before.address} of {old} gets none",
-                packet(case, after.row),
-                f"before: {packet(case, before.row)}",
-                msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
-                place=("to", telemetry_output.NAME),
-                span=case.span([after.row]),
-                remedy="let only the station reach CI's port, and enable TO again",
+                reason, *why, msg_id=msg_id, place=("to", telemetry_output.NAME), span=span, remedy=remedy
             )

@@ -303,12 +303,9 @@ def host_drops(case: Case) -> Iterator[Verdict]:
         ),
     ):
         if count:
-            yield warning(
-                f"{count:,} {text}; they may be others' than these links'",
-                "/edoras/host: the kernel's counters of the host",
-                hop="host",
-                remedy=remedy,
-            )
+            reason = f"{count:,} {text}; they may be others' than these links'"
+            why = "/edoras/host: the kernel's counters of the host"
+            yield warning(reason, why, hop="host", remedy=remedy)
 
 
 def lost_before_ci(case: Case) -> Iterator[Verdict]:
@@ -460,13 +457,9 @@ def app_outage(case: Case) -> Iterator[Verdict]:
         since = f"stopped at {case.at(item.start_ns)}" if item.start_ns >= case.start_ns else "not running"
         until = "" if item.end_ns is None else f" and started again at {case.at(item.end_ns)}"
         event = f"restarted at {case.at(item.start_ns)}" if item.restarted else since + until
-        yield warning(
-            f"{item.app} was {event}; what it lost, if anything, cannot be seen here",
-            item.witness,
-            hop=item.app,
-            span=(start_ns, end_ns),
-            remedy=revival(case, item.app, restarts=item.restarted),
-        )
+        reason = f"{item.app} was {event}; what it lost, if anything, cannot be seen here"
+        span, remedy = (start_ns, end_ns), revival(case, item.app, restarts=item.restarted)
+        yield warning(reason, item.witness, hop=item.app, span=span, remedy=remedy)
 
 
 START_AGAIN: Final = "start cFS again, not that application alone: see its console, often a socket is in use"
