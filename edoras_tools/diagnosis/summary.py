@@ -22,7 +22,7 @@ from edoras_tools.diagnosis.accounting.closed import UDP_PORT
 from edoras_tools.diagnosis.accounting.losses import APP, SBN_SOCKET
 from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
-from edoras_tools.diagnosis.ledger import CAUSES, PEER, Row, cause_text
+from edoras_tools.diagnosis.ledger import CAPTURE, CAUSES, PEER, Row, cause_text
 from edoras_tools.diagnosis.verdict import (
     CAPTURE_RULES,
     NOTHING_SENT,
@@ -431,7 +431,8 @@ def _fine(result: Diagnosis) -> str:
     arrived, unseen = fates.get("arrived", ()), fates.get("unseen", ())
     whole = plural(sum(rows[-1].out for rows in arrived), "message")
     others = sum(rows[-1].out for rows in (*arrived, *fates.get("open", ())))
-    open_ended = sum(row.waiting + row.not_captured + row.shared for row in result.balance)
+    here = (row for row in result.balance if row.hop != CAPTURE)  # frames that it lost are told by itself
+    open_ended = sum(row.waiting + row.not_captured + row.shared for row in here)
     # What a network doubles it may also lose, and no count shows that.
     hides = any(row.copies > row.sure_copies for row in result.balance)
     arrival = "arrived, as far as this capture shows." if _leaves_host(result) else "arrived."

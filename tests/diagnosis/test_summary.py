@@ -129,3 +129,9 @@ def test_a_small_screen_has_the_worst_problem_and_counts_the_others(diagnosed):
     assert "  3,641  of 4,239 0x0828 at TO_LAB_TLM_PIPE" in text
     rest = found.lost - 3641
     assert f"Also {rest:,} lost in " in text
+
+
+def test_frames_that_the_capture_lost_are_no_messages(lab):
+    found = lab.examine(lab.simulate()[0], drops=500)
+    numbers = [int(word) for word in summarize(found).fine.replace(",", "").split() if word.isdigit()]
+    assert max(numbers) < 500 == sum(row.not_captured for row in found.balance if row.hop == "capture")
