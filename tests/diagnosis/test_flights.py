@@ -1020,3 +1020,21 @@ def test_of_counts_that_nothing_explains_what_events_name_is_told():
     name = "season3/q07_uplink_dup_loss_reorder_ground"
     text = first_screen(truth.examined(ROOT / f"tests/captures/{name}.pcap.zst"))
     assert "at a place that the capture does not show: events name 0x1827 alone" in text
+def without(name, *ports):
+    """Return the frames of a flight but for what went to some ports."""
+    items = mutations.frames(FOLDER / f"{name}.pcap.zst")
+    return [item for item in items if not mutations.is_to(item.data, *ports)]
+
+
+def from_another_port(item):
+    return item._replace(data=item.data[:34] + b"\x9c\x40" + item.data[36:40] + b"\0\0" + item.data[42:])
+
+
+def test_a_peer_may_unsubscribe_from_another_port(tmp_path):
+    """SBN goes by the ids in the header."""
+    items = [
+        from_another_port(item) if mutations.is_to(item.data, 2234) and item.data[44] == 2 else item
+        for item in mutations.frames(FOLDER / "unsubscribed.pcap.zst")
+    ]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert by_cause(found) == {"unsubscribed": 14}

@@ -190,9 +190,11 @@ class Network:
     def _identify(self, rows: Rows, network: Places) -> None:
         short = rows.has(Finding.TRUNCATED, network) & ~rows.has(Finding.CAPTURE_CUT, network)
         sound = network[~(rows.has(Finding.SBN_UNKNOWN_TYPE, network) | short)]
-        for source, own in groups(rows.source, sound):
+        for source, own in sorted(groups(rows.source, sound), key=lambda item: -len(item[1])):
             name, number = rows.usual_sender(own)
-            if number >= _LEAST_ROWS:
+            # SBN goes by the ids in the header: a peer may send from other ports as well.
+            party = name, int(self._hosts[source])
+            if number >= _LEAST_ROWS or party in map(self.party, self.identity_of):
                 self.identity_of[source] = name
             self.datagrams[name] += number
 
