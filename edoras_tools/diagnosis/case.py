@@ -738,6 +738,11 @@ class Case:
             text = text.replace(usual, other)
         return text
 
+    def end_of(self, item: closed.Outage) -> str:
+        """Return when an application ended: ``at 2.0 s``, or between which times where no command tells."""
+        start, end = self.at(item.start_ns), self.at(item.ended_ns)
+        return f"between {start} and {end}" if item.witness.startswith("event") else f"at {start}"
+
     def suppressed(self, span: tuple[int, int]) -> EventRecord | None:
         """Return the event near a span by which Telemetry Output reports a failed socket; None without."""
         events = self.said(span[0] - SECOND, span[1] + SECOND, *telemetry_output.NAMES)

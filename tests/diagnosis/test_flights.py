@@ -118,6 +118,7 @@ FLIGHTS = {
     "ci_restarted_without_a_count": (76, {"restart": 29, "limit": 47}),
     "first_fragments_vanish": (40, {"after": 40}),
     "long_commands_vanish": (18, {"network": 18}),
+    "downlink_alone": (48, {"limit": 38, "unknown": 10}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -1038,3 +1039,25 @@ def test_a_peer_may_unsubscribe_from_another_port(tmp_path):
     ]
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
     assert by_cause(found) == {"unsubscribed": 14}
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("ci_stopped_for_good", "CI_LAB_APP was stopped between 16.7 s and 23.0 s"),
+        ("stopped_at_the_end", "EDORAS_APP was stopped between 21.7 s and 23.1 s"),
+    ],
+)
+def test_without_its_command_an_application_ended_between_its_last_housekeeping_and_the_event(
+    tmp_path, name, text
+):
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", without(name, 1234)))
+    assert any(text in item.reason for item in found.verdicts)
+
+
+def test_what_ends_before_an_application_does_is_not_its_doing(tmp_path):
+    """0x82d ended at 9 s, and CI was restarted between 11 and 16 s."""
+    found = examined("downlink_alone")
+    assert [item.reason for item in found.verdicts if "0x082d stopped" in item.reason] == [
+        "0x082d stopped at 9.0 s and did not come back (12 Hz before): the capture cannot show why"
+    ]

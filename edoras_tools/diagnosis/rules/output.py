@@ -318,7 +318,7 @@ def _ended(case: Case) -> Iterator[Verdict]:
     why = (
         f"it sends to {order.value}, for which it was enabled at {case.at(order.not_before_ns)}"
         if order
-        else f"{stopped[-1].app}, which asks for housekeeping, was stopped at {case.at(stopped[-1].start_ns)}"
+        else f"{stopped[-1].app}, which asks for housekeeping, was stopped {case.end_of(stopped[-1])}"
         if stopped
         else "no counter and no event tells what became of them"
     )

@@ -454,9 +454,9 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             own = [loss for loss in own if case.called(loss.hop) == item.app]
         if own:
             continue
-        since = f"stopped at {case.at(item.start_ns)}" if item.start_ns >= case.start_ns else "not running"
+        since = f"stopped {case.end_of(item)}" if item.start_ns >= case.start_ns else "not running"
         until = "" if item.end_ns is None else f" and started again at {case.at(item.end_ns)}"
-        event = f"restarted at {case.at(item.start_ns)}" if item.restarted else since + until
+        event = f"restarted {case.end_of(item)}" if item.restarted else since + until
         reason = f"{item.app} was {event}; what it lost, if anything, cannot be seen here"
         span, remedy = (start_ns, end_ns), revival(case, item.app, restarts=item.restarted)
         yield warning(reason, item.witness, hop=item.app, span=span, remedy=remedy)

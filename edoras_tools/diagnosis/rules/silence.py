@@ -89,9 +89,7 @@ _TELLS_CAUSE: Final = frozenset(
 def note_silences(case: Case) -> None:
     """Note under each verdict what fell silent with what it tells of, once all rules were asked."""
     for members in _together([item for item in _every(case) if _explained(case, item)]):
-        first, start_ns = members[0], members[0].start_ns
-        # A cause comes before the next message would have.
-        next_ns = start_ns + (_SLACK_NS + int(SECOND / first.rate.hz) if first.rate else _NEAR_NS)
+        start_ns, next_ns = members[0].start_ns, _next_ns(members[0])
         causes = [
             (abs(item.start_ns - start_ns), place)
             for place, item in enumerate(case.verdicts)
@@ -102,6 +100,12 @@ def note_silences(case: Case) -> None:
             text = _stopped(case, members)
             before = case.verdicts[place]
             case.verdicts[place] = replace(before, evidence=(*before.evidence, text))
+
+
+def _next_ns(silence: Silence) -> int:
+    """Return when the next message would have come: a cause comes before that."""
+    rate = silence.rate
+    return silence.start_ns + (_SLACK_NS + int(SECOND / rate.hz) if rate else _NEAR_NS)
 
 
 def _every(case: Case) -> list[Silence]:
@@ -158,7 +162,7 @@ def _causes(case: Case, members: Sequence[Silence]) -> list[str]:
     first, last = members[0].start_ns, members[-1].start_ns
     overruns = [item for item in case.verdicts if item.rule == "struct_overrun" and item.msg_id is not None]
     closed = [
-        f"nobody listened on {span.port} from {case.at(span.start_ns)} on"
+        f"nobody listened on {span.port} at {case.at(span.start_ns)}"
         for span in case.unreachable.spans
         if first - _NEAR_NS < span.start_ns < last + _NEAR_NS
     ]
@@ -168,9 +172,9 @@ def _causes(case: Case, members: Sequence[Silence]) -> list[str]:
         if abs(item.start_ns - first) < _NEAR_NS
     ]
     return closed + [
-        f"{item.app} was {'restarted' if item.restarted else 'stopped'} at {case.at(item.start_ns)}"
+        f"{item.app} was {'restarted' if item.restarted else 'stopped'} {case.end_of(item)}"
         for item in case.outages
-        if item.start_ns - _NEAR_NS < last
+        if item.start_ns < max(map(_next_ns, members))
         and first < item.ended_ns + _NEAR_NS
         and item.start_ns >= case.start_ns
     ]

@@ -27,6 +27,7 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs import executive_services, sbn, software_bus, telemetry_output, time_services
 from edoras_tools.cfs.arguments import SB_MSG_ID, TIME_MSG_ID
+from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE, Connection, Network, SbnParty
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
@@ -141,20 +142,28 @@ class SoftwareChanges(msgspec.Struct, dict=True):
             yield replace(change, subject=_OUTPUT, state="disabled")
             yield replace(change, subject=_ALL_ENTRIES, state="as at the start")
 
-    def _asked_ns(self, app: str, ended_ns: int) -> int:
+    def _asked_ns(self, app: str, ended_ns: int, system: int) -> int:
         """Return the earliest time, ns, at which an application that ended by ``ended_ns`` may have ended.
 
-        That is 10 s before, or directly behind its last earlier command.
+        That is 10 s before, or directly behind its last earlier command or housekeeping packet.
         """
+        names = MSG_ID_NAMES.items()
+        own = [number for number, name in names if name[-3:] == "_HK" and f"{app}_".startswith(name[:-2])]
+        made_ns = self._instances.made_ns[np.isin(self._rows.known_id, own) & (self._whose == system)]
         times = [item.time_ns for item in self._payloads.about_apps() if item.app == app]
+        times += made_ns[made_ns < ended_ns - _ROUND_NS].tolist()
         return max([ended_ns - _ENDS_NS, *(when + 1 for when in times if when < ended_ns)])
+
+    @cached_property
+    def _whose(self) -> Integers:
+        """The number of each row's cFS: i64 (rows,), ``NOBODY`` for rows without a time."""
+        return np.array([*self._instances.systems, NOBODY])[self._instances.of_row]
 
     def _silenced(self, change: Change) -> Change:
         """Return the change of an ended Telemetry Output, from its last packet on if it fell silent."""
-        rows, instances, told_ns = self._rows, self._instances, change.not_before_ns
+        rows, told_ns = self._rows, change.not_before_ns
         own = rows.on(lambda link: link.only_from_cfs) & (rows.time_ns > told_ns - _ROUND_NS)
-        whose = np.array([*instances.systems, NOBODY])[instances.of_row]
-        times = np.append(rows.time_ns[own & (whose == change.system)], NEVER)
+        times = np.append(rows.time_ns[own & (self._whose == change.system)], NEVER)
         quiet = times[:-1][np.diff(times) > _SLACK_NS]
         if not len(quiet) or quiet[0] >= told_ns + _ENDS_NS:
             return change
@@ -182,16 +191,17 @@ class SoftwareChanges(msgspec.Struct, dict=True):
         witness = f"event {event}"
 
         def change(subject: StateOwner, state: str, value: int | str | None = None) -> Change:
-            # An application stops reading some time before the event reports its end.
-            low = made_ns - (_ENDS_NS if state == "stopped" else _ROUND_NS)
-            return Change(system, subject, state, low, made_ns, witness, (event.row,), value)
+            return Change(system, subject, state, made_ns - _ROUND_NS, made_ns, witness, (event.row,), value)
 
         if event.app == executive_services.NAME:
             for number, state, pattern in _APP_EVENTS:
                 if event.event_id == number and (match := pattern.search(event.message)):
                     result = change(StateOwner("app", match[1]), state)
-                    if event.event_id != executive_services.STARTED and state == "running":
-                        asked_ns = self._asked_ns(match[1], made_ns)
+                    # An application reads no more for some time before it is said to have ended.
+                    asked_ns = self._asked_ns(match[1], made_ns, system)
+                    if state == "stopped":
+                        result = replace(result, not_before_ns=asked_ns)
+                    elif number != executive_services.STARTED:
                         yield replace(result, state="restarting", not_before_ns=asked_ns)
                         result = replace(result, not_before_ns=max(result.not_before_ns, asked_ns))
                     yield result
