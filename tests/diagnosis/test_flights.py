@@ -1061,3 +1061,14 @@ def test_what_ends_before_an_application_does_is_not_its_doing(tmp_path):
     assert [item.reason for item in found.verdicts if "0x082d stopped" in item.reason] == [
         "0x082d stopped at 9.0 s and did not come back (12 Hz before): the capture cannot show why"
     ]
+
+
+def test_a_sender_that_counts_may_go_on_from_another_port(tmp_path):
+    items = mutations.frames(FOLDER / "sender_that_counts.pcap.zst")
+    half = items[len(items) // 2].time_ns
+    moved = [
+        from_another_port(item) if item.time_ns > half and mutations.is_to(item.data, 1234) else item
+        for item in items
+    ]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", moved))
+    assert by_cause(found) == {"network": 17}

@@ -335,16 +335,17 @@ def _count_moves(rows: Rows, members: NDArray[np.intp], missing: NDArray[np.int3
 def counted_gaps(rows: Rows, stream: Stream) -> Integers:
     """Return the sequence counts missing behind each row of a stream of commands, i64 (rows,).
 
-    All are 0 unless the stream has one sender and most of its counts step by one. A count that the sender
-    used for another MsgId is not missing.
+    All are 0 unless the stream has one sender, which may go on from another port, and most of its counts step
+    by one. A count that the sender used for another MsgId is not missing.
     """
     own = stream.rows
     count, source = rows.sequence_count[own].astype(np.int64), rows.source[own]
     ones = int((np.diff(count) % MODULUS == 1).sum())
-    if ones < _LEAST_ONES or 2 * ones < len(own) or (source != source[0]).any():
+    moves = np.append(np.diff(source) != 0, False)
+    if ones < _LEAST_ONES or 2 * ones < len(own) or moves.sum() >= len(distinct(source)):
         return np.zeros(len(own), np.int64)
-    missing = np.where(stream.missing <= _MOST_MISSING, stream.missing, 0)
-    others = np.flatnonzero((rows.source == source[0]) & (rows.msg_id != stream.msg_id))
+    missing = np.where((stream.missing <= _MOST_MISSING) & ~moves, stream.missing, 0)
+    others = np.flatnonzero(np.isin(rows.source, source) & (rows.msg_id != stream.msg_id))
     for at in np.flatnonzero(missing).tolist() if len(others) else ():
         near = others[slice(*np.searchsorted(rows.time_ns[others], stream.time_ns[at : at + 2]))]
         ahead = (rows.sequence_count[near].astype(np.int64) - count[at]) % MODULUS
