@@ -119,6 +119,7 @@ FLIGHTS = {
     "first_fragments_vanish": (40, {"after": 40}),
     "long_commands_vanish": (18, {"network": 18}),
     "downlink_alone": (48, {"limit": 38, "unknown": 10}),
+    "robot_ends_after_its_commands": (0, {}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -1072,3 +1073,9 @@ def test_a_sender_that_counts_may_go_on_from_another_port(tmp_path):
     ]
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", moved))
     assert by_cause(found) == {"network": 17}
+
+
+def test_housekeeping_that_ends_with_the_states_of_the_robot_says_so():
+    assert "the robot's states stopped at 14.3 s, and 0x0827 with them" in " ".join(
+        first_screen(examined("robot_ends_after_its_commands")).split()
+    )

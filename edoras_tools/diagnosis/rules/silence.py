@@ -171,6 +171,11 @@ def _causes(case: Case, members: Sequence[Silence]) -> list[str]:
         for item in overruns
         if abs(item.start_ns - first) < _NEAR_NS
     ]
+    for item in case.passed_states:
+        left, sent = (times[times < members[0].end_ns - _SLACK_NS] for times in (item.time_ns, item.sent_ns))
+        if len(left) and abs(left[-1] - first) < _SLACK_NS and sent[-1] < first + _SLACK_NS:
+            name = case.name(item.msg_id)
+            closed.append(f"the robot's states stopped at {case.at(int(sent[-1]))}, and {name} with them")
     return closed + [
         f"{item.app} was {'restarted' if item.restarted else 'stopped'} {case.end_of(item)}"
         for item in case.outages
