@@ -1079,3 +1079,13 @@ def test_housekeeping_that_ends_with_the_states_of_the_robot_says_so():
     assert "the robot's states stopped at 14.3 s, and 0x0827 with them" in " ".join(
         first_screen(examined("robot_ends_after_its_commands")).split()
     )
+
+
+def test_what_output_was_to_send_behind_its_last_stop_is_lost(tmp_path):
+    """Telemetry Output is stopped at 23.8 s, and poses come at 5 Hz; the last of them may still wait."""
+    items = mutations.frames(ROOT / "tests/captures/season3/p4_apps_stopped.pcap.zst")
+    items = [item for item in items if item.time_ns < items[0].time_ns + 32 * SECOND]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert by_cause(found).keys() == {"stopped"}
+    assert 25 <= found.lost <= 5 * (32.0 - 23.5)
+    assert "what it lost" not in first_screen(found)

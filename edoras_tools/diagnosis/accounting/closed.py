@@ -28,7 +28,7 @@ Applications and links that did not run:
 11. Messages from or to SBN are lost while SBN was stopped, and while their peer was away or had not
     subscribed to them. If the application keeps only the newest, that is one message a round.
 12. Messages that an application was to send by Telemetry Output are lost while that sent nothing until it was
-    enabled.
+    enabled, and after it was stopped for good.
 """
 
 from __future__ import annotations
@@ -633,6 +633,15 @@ class Stops:
             text = f"Telemetry Output sent nothing until it was enabled, {case.at(end_ns)}"
             inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
             self.mark(fate, inside, "disabled", telemetry_output.NAME, text)
+        last_ns = max((int(_sent_by(case, out.sender)[-1]) for out in outs), default=NEVER)
+        for item in case.outages:
+            if (
+                item.app in telemetry_output.NAMES
+                and item.end_ns is None
+                and last_ns < item.ended_ns + TAIL_NS
+            ):
+                inside = fate.open & (fate.stop < 0) & (times > max(item.start_ns, last_ns))
+                self.mark(fate, inside, "stopped", item.app, item.witness)
 
     def tell(self) -> None:
         """Turn the marked messages into losses, but not those that may be lost behind the application."""

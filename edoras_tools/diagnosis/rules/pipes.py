@@ -448,11 +448,11 @@ def app_outage(case: Case) -> Iterator[Verdict]:
         start_ns = max(item.start_ns, case.start_ns)
         end_ns = max(start_ns, item.end_ns if item.end_ns is not None else case.end_ns)
         own = [loss for loss in losses if loss.start_ns <= end_ns + case.profile.ci_wake_ns]
-        if item.app in telemetry_output.NAMES:
-            own = [loss for loss in own if loss.closed and loss.end_ns >= start_ns]
-        else:
-            own = [loss for loss in own if case.called(loss.hop) == item.app]
-        if own:
+        output = item.app in telemetry_output.NAMES
+        if any(
+            loss.end_ns >= start_ns if output and loss.closed else case.called(loss.hop) == item.app
+            for loss in own
+        ):
             continue
         since = f"stopped {case.end_of(item)}" if item.start_ns >= case.start_ns else "not running"
         until = "" if item.end_ns is None else f" and started again at {case.at(item.end_ns)}"
