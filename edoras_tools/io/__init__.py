@@ -1,8 +1,8 @@
 """Where datagrams come from and where they go: files, live capture, sockets, recordings.
 
-A ``Source`` yields packet batches, a ``Sink`` writes them. What not every one of them can do has a default
-here, so that nobody asks for the class of one: a source is made from :class:`SourceDefaults`, or from
-:class:`SourceOver` where it changes what another one yields; a sink from :class:`Sink`.
+A ``Source`` yields packet batches, a ``Sink`` writes them. Methods that only some of them implement have a
+default here, so that callers need not ask for a class: a source derives from :class:`SourceDefaults`, or from
+:class:`SourceOver` where it changes what another source yields; a sink derives from :class:`Sink`.
 """
 
 from __future__ import annotations
@@ -21,77 +21,77 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.faults.fault import Fault
 
     Room = Callable[[int], NDArray[np.uint8]]
-    """Returns memory of a size, u8."""
+    """Returns memory of a given size in bytes, u8."""
     Choice = Callable[[NDArray[np.uint8], NDArray[np.int32]], NDArray[np.bool_]]
-    """Tells which datagrams are chosen, by the link and the MsgId of each."""
+    """Returns which datagrams are needed, from the link and the MsgId of each."""
 
 __all__ = ["Sink", "Source", "SourceDefaults", "SourceOver"]
 
 
 class SourceDefaults(Protocol):
-    """What a source can do besides being read, and is: the defaults are those of a file of frames."""
+    """Properties and methods of a source besides reading; the defaults are those of a file of frames."""
 
     @property
     def live(self) -> bool:
-        """Whether it has no end of its own: ``stop`` ends it."""
+        """Whether the source has no end of its own: only ``stop`` ends it."""
         return False
 
     @property
     def on_this_host(self) -> bool:
-        """Whether it captures on this host now: the times are this clock's, the drops this kernel's."""
+        """Whether the source captures on this host now: times and drops are those of this host."""
         return False
 
     @property
     def part(self) -> int:
-        """Number of the clock of the last batch; the order of events of two clocks is not known."""
+        """Number of the clock of the last batch; the order of events of two different clocks is unknown."""
         return 0
 
     @property
     def section(self) -> int:
-        """How often all files that had begun before the last batch had ended before it."""
+        """Number of breaks before the last batch: times at which every file begun so far had ended."""
         return 0
 
     @property
     def header(self) -> Mapping[str, Any]:
-        """The header of a file of cFE; else empty."""
+        """The header of a cFE file; empty for other formats."""
         return {}
 
     def stop(self) -> None:
-        """Let a live source's batches end after what has arrived; for any thread or signal handler."""
+        """End the batches of a live source after what has arrived; for any thread or signal handler."""
         self.discard()
 
     def discard(self) -> int:
-        """Let a live source's batches end at once; return how many frames had arrived and are not yielded."""
+        """End the batches of a live source at once; return the number of frames that were discarded."""
         return 0
 
     def pace(self, gather_s: float, idle_s: float) -> None:
-        """Set the least time between two batches of a live source, and the most, where nothing arrives."""
+        """Set the shortest time in s between batches of a live source, and the longest without traffic."""
         del gather_s, idle_s
 
     def follow(self, framings: Mapping[int, Framing]) -> None:
-        """Read the TCP streams of these ports, and no others; without it, of the links' usual ports.
+        """Read the TCP streams of these ports only; by default, of the links' usual ports.
 
         Call it before the first batch.
         """
         del framings
 
     def narrow(self, period: Callable[[int], tuple[int, int]]) -> None:
-        """Take note that only datagrams of a time are asked for: a source with an index may pass over others.
+        """Announce that only the datagrams of a period are needed: a source with an index may skip others.
 
-        All of that time come, in their order; the first datagram of all, and the last, too. Call it before
-        the first batch.
+        All datagrams of the period are yielded in order, and also the first and the last datagram of the
+        input. Call it before the first batch.
 
         Args:
-            period: takes the time of the first datagram, ns since 1970; returns the first time that is asked
-                for, and the one after the last.
+            period: takes the time of the first datagram, ns since 1970; returns the first time of the period,
+                and the first time after it.
         """
         del period
 
     def choose(self, choice: Choice) -> None:
-        """Take note of which datagrams are asked for: a recording that knows may pass over others.
+        """Announce which datagrams are needed: a recording with an index may skip others.
 
-        Those of no link come too, the first of all, the earliest, the latest, and the first of each endpoint
-        that has an identity. Call it before the first batch.
+        Some are yielded in any case: datagrams of no link, the first of all, the earliest, the latest, and
+        the first of each endpoint that has an identity. Call it before the first batch.
 
         Args:
             choice: takes links and MsgIds.
@@ -99,16 +99,16 @@ class SourceDefaults(Protocol):
         del choice
 
     def published(self, number: NDArray[np.int64]) -> NDArray[np.int64] | None:
-        """Return publish times of datagrams of the last batch, if others that they need were passed over."""
+        """Return recorded publish times of datagrams of the last batch, ns, after ``choose``; else None."""
         return None
 
     @property
     def files(self) -> Sequence[str]:
-        """The names of the files that are read as one; none of one file."""
+        """The names of the files that are read as one source; empty for a single file."""
         return ()
 
     def origin(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the place in ``files`` of what datagrams of the last batch are from; 0 of one file."""
+        """Return the index in ``files`` of the origin of datagrams of the last batch; 0 for a single file."""
         return number * 0
 
     def borrow(self, room: Room) -> None:
@@ -119,19 +119,19 @@ class SourceDefaults(Protocol):
         del room
 
     def decoded(self, batch: PacketBatch, decode: Callable[[PacketBatch], Columns]) -> Columns:
-        """Return the columns of the batch that was yielded last, by ``decode`` if they are not there yet."""
+        """Return the columns of the batch yielded last; ``decode`` makes them if the source has none."""
         return decode(batch)
 
     def recorder_counts(self) -> str:
-        """Return what its recorder counted, as JSON, of a recording that is just as it was completed."""
+        """Return the recorder's counters as JSON; empty if the recording was changed or has none."""
         return ""
 
     def faults(self) -> list[Fault]:
-        """Return the faults that a proxy or a replay injected, of a recording that has them."""
+        """Return the faults that a proxy or a replay injected, if the recording contains them."""
         return []
 
     def host(self) -> list[HostCounters]:
-        """Return what the kernel of the recording host counted, of a recording that has it."""
+        """Return the counters of the recording host's kernel, if the recording contains them."""
         return []
 
 
@@ -161,23 +161,23 @@ class Source(SourceDefaults, Protocol):
 
 
 class SourceOver(SourceDefaults):
-    """A source over another one: all that it does not change is the other's."""
+    """A source that wraps another one; it behaves like the inner source where it does not override it."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
 
     @property
     def info(self) -> SourceInfo:
-        """Information on the other."""
+        """Information on the inner source."""
         return self._source.info
 
     @property
     def statistics(self) -> SourceStatistics:
-        """The other's counts."""
+        """The counts of the inner source."""
         return self._source.statistics
 
     def close(self) -> None:
-        """Close the other."""
+        """Close the inner source."""
         self._source.close()
 
 
@@ -205,7 +205,7 @@ class Sink(Protocol):
         del faults
 
     def write_host(self, host: HostCounters) -> None:
-        """Write what the kernel of this host counts now, if the format stores it."""
+        """Write the present counters of this host's kernel, if the format stores them."""
         del host
 
     def flush(self) -> None:
@@ -216,7 +216,7 @@ class Sink(Protocol):
         """
 
     def cut_short(self, *, empty: bool) -> None:
-        """Take note, before ``close``, that the input did not come to its end; ``empty``: nothing came."""
+        """Note, before ``close``, that the input ended early; ``empty``: it had no datagram."""
         del empty
 
     def close(self, statistics: SourceStatistics) -> None:
@@ -239,5 +239,5 @@ class DisplaySink(Sink, Protocol):
         ...
 
     def summary(self) -> dict[str, Any]:
-        """Return what clients were sent, in the form of ``foxglove`` in ``live --json``."""
+        """Return counts of what clients were sent, in the form of ``foxglove`` in ``live --json``."""
         ...

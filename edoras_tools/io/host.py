@@ -1,4 +1,4 @@
-"""What the kernel of this machine counts of the links' sockets, and the limits that lose messages.
+"""The kernel's counters of the links' sockets on this machine, and the limits that lose messages.
 
 Everything is read from ``/proc``; no privilege is needed. The sockets are those of this network namespace.
 """
@@ -24,16 +24,16 @@ _INTERFACE_DROPS: Final = 3
 _STEAL: Final = 7
 _READ_BYTES: Final = 1 << 16
 _PROTOCOLS: Final = ("Ip:", "Udp:")
-"""Those whose counters are read."""
+"""Protocols whose counters are read."""
 
 
 def read_host(ports: Container[int], time_ns: int, proc: Path = PROC) -> HostCounters:
     """Return the kernel's counters now.
 
     Args:
-        ports: UDP ports whose sockets are wanted.
-        time_ns: the time now, ns since 1970.
-        proc: where the kernel's files are.
+        ports: UDP ports whose sockets to read.
+        time_ns: present time, ns since 1970.
+        proc: folder of the kernel's files.
     """
     snmp, snmp6 = _pairs(_text(f"{proc}/net/snmp")), _text(f"{proc}/net/snmp6").split()
     later = dict(zip(snmp6[::2], snmp6[1::2], strict=False))
@@ -106,7 +106,7 @@ def _sockets(text: str, ports: Container[int]) -> Iterator[SocketCounters]:
 
 
 def _address(text: str) -> str:
-    """Return an address of ``/proc/net/udp``: words of 32 bits, each as this machine orders bytes."""
+    """Return an address of ``/proc/net/udp``: words of 32 bits in the machine's byte order."""
     words = struct.pack(f"={len(text) // 8}I", *(int(text[at : at + 8], 16) for at in range(0, len(text), 8)))
     return str(ip_address(socket.inet_ntoa(words) if len(words) == 4 else words))
 

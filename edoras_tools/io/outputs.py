@@ -1,4 +1,4 @@
-"""Output files: locked, watched, complete before they replace another; no other user's link is followed.
+"""Output files: locked, watched, complete before they replace another file, safe from others' links.
 
 The rule on links is that of Linux's ``fs.protected_symlinks``, which is not enabled on every system: in a
 sticky folder that others may write to, a link is followed only if it belongs to the user who follows it or to
@@ -28,15 +28,15 @@ ENDING: Final = tuple(
 )
 """The signals that end a program which writes: Ctrl-C, ``kill``, and a closed terminal."""
 STDOUT: Final = Path("-")
-"""Stands for standard output, as a path."""
+"""Path that stands for standard output."""
 _PIECES: Final = 1024
-"""Most buffers in one write, Linux's IOV_MAX."""
+"""Most buffers in one write: Linux's IOV_MAX."""
 _WRITE: Final = os.O_WRONLY | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
 _LONGEST: Final = 200
-"""Bytes of a name that are in the name of the file beside it; file systems allow 255 bytes."""
+"""Most bytes of the original name in a temporary name; file systems allow 255 bytes."""
 _FULL: Final = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 _LOOK_S: Final = 0.2
-"""How often a recorder looks whether a full disk has room again."""
+"""Time between two tries of a recorder to write to a full disk."""
 _REFUSED: Final = "is another user's link in a shared folder; name another output"
 
 
@@ -63,7 +63,7 @@ def check_links(path: Path) -> None:
     """Refuse a path that leads through another user's link.
 
     Raises:
-        OSError: it does.
+        OSError: it leads through such a link.
     """
     path = path.absolute()
     for place in (path, *path.parents):
@@ -74,20 +74,20 @@ def check_links(path: Path) -> None:
 
 
 class NewFile:
-    """A file that gets its name when it is complete; what has that name stays as it is until then.
+    """A file that gets its name when it is complete; until then, an existing file of that name is unchanged.
 
-    Until then it has no name, so that a killed program leaves nothing; where the file system cannot do that,
-    it is written beside, as ``.NAME.PID.part``. A pipe or device is written directly.
+    Until then it has no name, so that a killed program leaves nothing. If the file system does not support
+    that, it is written beside its place as ``.NAME.PID.part``. A pipe or device is written directly.
     As a context manager it is completed at the end of the block, and removed after an exception.
 
     Attributes:
-        file: to write to.
-        place: where it can be opened until it is complete.
-        regular: whether it gets a name: it is no pipe and no device.
+        file: file object to write to.
+        place: path where it can be opened until it is complete.
+        regular: whether it will get a name: False for a pipe or device.
 
     Raises:
-        OSError: from every method: it cannot be written, another user's link would be followed, or what has
-            the name is being written (``BlockingIOError``).
+        OSError: from every method: it cannot be written, another user's link would be followed, or another
+            program is writing the existing file (``BlockingIOError``).
     """
 
     def __init__(self, path: Path) -> None:
@@ -100,7 +100,7 @@ class NewFile:
         self._older = lock_older(self._path) if self._part else -1
         fileno = -1
         if self._part:
-            self._part.unlink(missing_ok=True)  # of a process that was killed and had the same number
+            self._part.unlink(missing_ok=True)  # left by a killed process that had the same number
             fileno = _nameless(self._path.parent)
         self._named = fileno < 0
         mode = "wb" if fileno >= 0 or not self._part else "xb"
@@ -121,7 +121,7 @@ class NewFile:
             self.remove()
 
     def keep(self) -> None:
-        """Complete the file, and give it its name; if that fails, it is removed."""
+        """Complete the file and give it its name; if that fails, remove it."""
         try:
             self.file.flush()
             if self._part and not self._named:
@@ -141,7 +141,7 @@ class NewFile:
             os.close(older)
 
     def remove(self) -> None:
-        """Close and remove what was written; a file that is complete stays."""
+        """Close the file and remove it, unless it is complete."""
         self._let_go()
         with suppress(OSError):
             self.file.close()
@@ -151,7 +151,7 @@ class NewFile:
 
 
 def write_bytes(path: Path, data: bytes, *, folders: bool = False) -> None:
-    """Write a whole file, or leave what is there as it is.
+    """Write a whole file; if that fails, an existing one stays unchanged.
 
     Args:
         path: the file; an existing one is replaced when the new one is complete.
@@ -169,14 +169,14 @@ def write_bytes(path: Path, data: bytes, *, folders: bool = False) -> None:
 
 
 def to_write(files: Mapping[Path, bytes], *, force: bool) -> list[Path]:
-    """Return which files have to be written: all but those that are there with the same contents.
+    """Return the files that have to be written: all except those that exist with the same contents.
 
     Args:
-        force: what is there may be replaced.
+        force: whether existing files may be replaced.
 
     Raises:
-        ConfigError: a file is there with other contents.
-        CaptureError: one cannot be read.
+        ConfigError: a file exists with other contents.
+        CaptureError: an existing file cannot be read.
     """
     try:
         others = [path for path, data in files.items() if not (path.is_file() and path.read_bytes() == data)]
@@ -191,11 +191,11 @@ def to_write(files: Mapping[Path, bytes], *, force: bool) -> list[Path]:
 
 
 def write_files(files: Mapping[Path, bytes], *, force: bool) -> None:
-    """Write files, or none where one is there with other contents; see ``to_write``. Folders are made.
+    """Write files, or none if one exists with other contents; see ``to_write``. Missing folders are made.
 
     Raises:
-        ConfigError: a file is there with other contents.
-        CaptureError: one cannot be read or written.
+        ConfigError: a file exists with other contents.
+        CaptureError: a file cannot be read or written.
     """
     for path in files:
         check_folder(Path(*path.parts[:1]))
@@ -204,10 +204,10 @@ def write_files(files: Mapping[Path, bytes], *, force: bool) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse ``-`` as a folder: none is called that by accident.
+    """Refuse ``-`` as a folder: it stands for standard output.
 
     Raises:
-        ConfigError: it is that.
+        ConfigError: the folder is ``-``.
     """
     if folder == STDOUT:
         raise ConfigError("-: several files are not written to standard output; name a folder")
@@ -217,7 +217,7 @@ def in_the_way(path: Path, *, split: bool = False) -> Path | None:
     """Return the file that writing to a path would destroy; None if there is none, or it is empty.
 
     Args:
-        split: ``NAME_0.mcap``, ``NAME_1.mcap`` and so on will be written, so parts of another run count.
+        split: the output will be ``NAME_0.mcap``, ``NAME_1.mcap`` and so on, so such files count.
     """
     parts = [item for item in path.parent.glob(f"{escape(path.stem)}_*{escape(path.suffix)}") if split]
     for file in (path, *sorted(item for item in parts if item.stem[len(path.stem) + 1 :].isdigit())):
@@ -238,23 +238,23 @@ def refuse_input(path: Path, inputs: Iterable[Path]) -> None:
 
 
 def refuse_existing(existing: Path | None) -> None:
-    """Refuse to replace what is there, if anything.
+    """Refuse to replace an existing file; None: nothing exists.
 
     Raises:
-        ConfigError: something is.
+        ConfigError: a file exists.
     """
     if existing is not None:
         raise ConfigError(f"{existing} exists; name another output, or replace it with --force")
 
 
 def check_new(path: Path, inputs: Iterable[Path] = (), *, force: bool) -> None:
-    """Refuse to write a file over an input, or over what exists.
+    """Refuse to write a file over an input, or over an existing file.
 
     Args:
-        force: what exists may be replaced, if it is no input.
+        force: whether an existing file may be replaced, if it is no input.
 
     Raises:
-        ConfigError: it would be written over, or is ``-``: no file is called that by accident.
+        ConfigError: a file would be written over, or the path is ``-``, which is standard output.
     """
     if path == STDOUT:
         raise ConfigError("-: this is not written to standard output; name a file")
@@ -267,10 +267,10 @@ def check_new(path: Path, inputs: Iterable[Path] = (), *, force: bool) -> None:
 
 
 def lock_older(path: Path) -> int:
-    """Lock a file or folder that is to be replaced until its descriptor, which is returned, is closed.
+    """Lock a file or folder that is to be replaced, until the returned descriptor is closed.
 
     Returns:
-        -1 where there is none, or it cannot be opened.
+        The descriptor; -1 if there is no such file, or it cannot be opened.
 
     Raises:
         BlockingIOError: another program is writing it.
@@ -290,7 +290,7 @@ def lock_older(path: Path) -> int:
 
 
 def name_that_fits(name: str, suffix: str) -> str:
-    """Return a file name that file systems take: what is too long for them ends in a hash of the whole."""
+    """Return a file name that file systems accept: a name that is too long is cut and ends in a hash."""
     data = os.fsencode(name)
     if len(data) + len(os.fsencode(suffix)) > _LONGEST:
         from hashlib import sha256
@@ -300,7 +300,7 @@ def name_that_fits(name: str, suffix: str) -> str:
 
 
 def to_disk(path: Path) -> None:
-    """Return once a file's contents, and its name in its folder, are on the disk and survive a power cut.
+    """Return when a file's contents, and its name in its folder, are on the disk and survive a power cut.
 
     Raises:
         OSError: the disk failed, or the file does not exist.
@@ -319,11 +319,11 @@ def _is_for_all(folder: Path) -> bool:
 
 
 class Patience(NamedTuple):
-    """How a recorder behaves while the disk is full.
+    """Behaviour of a recorder while the disk is full.
 
     Attributes:
-        tell: called with a line when it begins to wait, and when it goes on.
-        over: whether to wait no longer.
+        tell: called with a line of text when it begins to wait, and when it continues.
+        over: returns whether to stop waiting.
     """
 
     tell: Callable[[str], None]
@@ -332,7 +332,7 @@ class Patience(NamedTuple):
 
 @contextmanager
 def waiting_for_room(patience: Patience) -> Iterator[None]:
-    """Let all recordings of this process wait while the disk is full; not those that have not begun."""
+    """Let all recordings of this process wait while the disk is full, except those without any bytes yet."""
     before, OutputFile.patience = OutputFile.patience, patience
     try:
         yield
@@ -343,20 +343,20 @@ def waiting_for_room(patience: Patience) -> Iterator[None]:
 class OutputFile:
     """A file that is written from its beginning, by one program at a time.
 
-    It is locked (``flock``), so that a second writer is refused and nothing is lost. Where a file with
-    contents has the name, that one is locked too and stays as it is until ``finish``: until then the new one
-    has a free name beside it (``path_beside``). A pipe or device (``/dev/null``) and ``STDOUT`` are only
+    It is locked (``flock``), so that a second writer is refused and nothing is lost. If a file with contents
+    exists at the path, that one is locked too and stays unchanged until ``finish``; the new file has a free
+    name beside it until then (``path_beside``). A pipe or device (``/dev/null``) and ``STDOUT`` are only
     written.
 
     Args:
         path: the file; an existing one is replaced by ``finish``.
 
     Attributes:
-        path: where it is written; from ``finish`` on as given.
+        path: where the file is written; after ``finish`` the path of the caller.
         older: the file that will be replaced; None if there is none.
-        spares: ``finish`` leaves the older file, and this one beside it.
+        spares: whether ``finish`` keeps the older file, and this one beside it.
         size: bytes written so far.
-        waits: from when to when the disk was full, ns since 1970.
+        waits: begin and end of each time that the disk was full, ns since 1970.
 
     Raises:
         OSError: from every method: it cannot be opened or written; ``BlockingIOError`` if another program is
@@ -396,7 +396,7 @@ class OutputFile:
         self._inode = status.st_dev, status.st_ino
 
     def write(self, *pieces: bytes | memoryview) -> None:
-        """Write bytes; they have left the process on return. A file that was truncated gets no more."""
+        """Write bytes; on return the operating system has them. A truncated file gets no more."""
         if self._is_cut():
             return
         rest = [memoryview(piece) for piece in pieces]
@@ -418,7 +418,7 @@ class OutputFile:
                 rest[complete] = rest[complete][count:]
 
     def _waits(self) -> bool:
-        """Wait a little for room on the disk; return whether to try again."""
+        """Wait shortly for room on the disk; return whether to try again."""
         patience = self.patience
         if patience is None or patience.over():
             return False
@@ -437,9 +437,9 @@ class OutputFile:
             )
 
     def fate(self) -> str:
-        """Return what another program did to the file, e.g. ``was deleted``; an empty text if nothing.
+        """Return what another program did to the file, e.g. ``was deleted``; empty if nothing.
 
-        Once it is closed, nobody knows where it was moved.
+        A closed file that was moved cannot be found.
         """
         if not self._regular:
             return ""
@@ -460,7 +460,7 @@ class OutputFile:
 
     @property
     def place(self) -> Path | None:
-        """Where the file is now, if the system can say; None if it has no name any more."""
+        """The present path of the file, if the system knows it; None if it has no name any more."""
         try:
             now = Path(f"/proc/self/fd/{self._fileno}").readlink()
             status = now.stat()
@@ -470,7 +470,7 @@ class OutputFile:
 
     @property
     def linked(self) -> bool:
-        """Whether the file has a name somewhere; a service may not see the folder (``ProtectHome=``)."""
+        """Whether the file still has a name; a service may not see its folder (``ProtectHome=``)."""
         return self._fileno >= 0 and os.fstat(self._fileno).st_nlink > 0
 
     def _is_cut(self) -> bool:
@@ -483,7 +483,7 @@ class OutputFile:
         return self._fileno
 
     def finish(self) -> None:
-        """Close the file, which is complete: it replaces the older one, unless that is spared."""
+        """Close the complete file; it replaces the older one, unless that is spared."""
         older, self.older = self.older, self.older if self.spares else None
         if older and not self.spares and not self.fate():
             self.path.replace(older.resolve() if older.is_symlink() else older)
@@ -491,16 +491,16 @@ class OutputFile:
         self.close()
 
     def remove(self) -> None:
-        """Close the file, and delete it, unless another one has its name now."""
+        """Close and delete the file, unless another file has its name now."""
         if self._own and not self.fate():
             with suppress(OSError):
                 self.path.unlink()
         self.close()
 
     def close(self) -> None:
-        """Close the file, and unlock it; closing twice does nothing. A file that is empty still is removed.
+        """Close and unlock the file; closing twice does nothing. An empty file is deleted.
 
-        A service that is started again and again while the disk is full would leave one each time.
+        Otherwise, a service that restarts again and again on a full disk would leave one file each time.
         """
         fileno, self._fileno = self._fileno, -1
         lock, self._held = self._held, -1
@@ -517,7 +517,7 @@ class OutputFile:
 
 
 def _nameless(folder: Path) -> int:
-    """Return the descriptor of a new file without a name in a folder, or -1 where there is no such thing."""
+    """Return the descriptor of a new file without a name in a folder, or -1 if that is not supported."""
     try:
         fileno = os.open(folder, os.O_TMPFILE | os.O_WRONLY | os.O_CLOEXEC, 0o666)
     except (AttributeError, OSError):
@@ -529,7 +529,7 @@ def _nameless(folder: Path) -> int:
 
 
 def output_name(path: Path) -> str:
-    """Return what an output is called in messages."""
+    """Return the name of an output in messages."""
     return "standard output" if path == STDOUT else str(path)
 
 
@@ -543,7 +543,7 @@ def path_beside(path: Path) -> Path:
 
 
 def _take_after(fileno: int, older: os.stat_result) -> None:
-    """Give a new file the permissions of the one that it replaces, and its owner where that is allowed."""
+    """Give a new file the permissions of the file that it replaces, and its owner if that is allowed."""
     with suppress(OSError):
         os.fchmod(fileno, stat.S_IMODE(older.st_mode))
         os.fchown(fileno, older.st_uid, older.st_gid)

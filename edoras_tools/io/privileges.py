@@ -1,7 +1,7 @@
 """Dropping root's privileges for good, once everything that needs them is open.
 
-A packet socket needs them when it is created, not when it is bound or read: an open one continues to work,
-and can be bound again.
+A packet socket needs them when it is created, not when it is bound or read: an open socket continues to
+work, and can be bound again.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ class User(NamedTuple):
     """The account that a process changes to.
 
     Attributes:
-        name: of the account.
-        uid: its number.
-        gid: its own group.
-        groups: all its groups.
+        name: name of the account.
+        uid: user id.
+        gid: primary group id.
+        groups: ids of all its groups.
     """
 
     name: str
@@ -64,7 +64,7 @@ def check_writable(user: User, folder: Path) -> None:
     user id during the call.
 
     Raises:
-        CaptureError: it cannot.
+        CaptureError: it cannot create files there.
     """
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
@@ -82,7 +82,7 @@ def check_readable(user: User, *files: Path) -> None:
     """Check that an account can read these files, e.g. modules that are loaded later.
 
     Raises:
-        CaptureError: it cannot.
+        CaptureError: it cannot read one.
     """
     for file in files:
         try:
@@ -96,9 +96,9 @@ def check_readable(user: User, *files: Path) -> None:
 
 
 def forbid_new_privileges() -> None:
-    """Let no program that is started have more privileges than this one (Linux: ``no_new_privs``).
+    """Let no program that is started get more privileges than this one (Linux: ``no_new_privs``).
 
-    It holds for the thread that calls and for those that are started later.
+    It holds for the calling thread and for threads that are started later.
     """
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None).prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
@@ -108,7 +108,7 @@ def become(user: User) -> None:
     """Drop root's privileges for good, in all threads.
 
     Raises:
-        CaptureError: they cannot be dropped, or not for good.
+        CaptureError: privileges cannot be dropped, or could be regained.
     """
     try:
         os.setgroups(user.groups)
@@ -126,7 +126,7 @@ def become(user: User) -> None:
 
 @contextmanager
 def _as(user: User) -> Iterator[None]:
-    """Access files as another user for a while."""
+    """Access files as another user inside the block."""
     groups, gid, uid = os.getgroups(), os.getegid(), os.geteuid()
     try:
         os.setgroups(user.groups)

@@ -3,14 +3,14 @@
 Two threads that work in numpy pass Python's lock to each other hundreds of times per batch; two processes do
 not. Arrays go through shared memory, everything else is pickled through a socket. The rules:
 
-1. The processes take turns, so answers come in the order of the tasks. Each has at most so many tasks whose
-   answers were not taken; whoever submits more takes the oldest first.
+1. The processes take turns, so answers come in the order of the tasks. Each has at most ``_TASKS`` tasks (or
+   as many as the caller says) whose answers were not taken; before submitting more, take the oldest answer.
 2. The arrays of an answer are valid until the next task is submitted.
-3. A source may read into lent memory, on either side. What lies in it is not copied; it is lent again when
-   the tasks that use it are done, or the answers that use it are no longer valid.
+3. A source may read into lent memory, on either side. Its contents are not copied; the memory is lent again
+   when the tasks that use it are done, or the answers that use it are no longer valid.
 4. A process ends when the other end of its socket is closed, and is killed when its parent dies, so that
-   nothing keeps writing for nobody.
-5. Where no process can be forked, there are none, and whoever asks does the work.
+   no process continues without a receiver.
+5. If no process can be forked, there are none, and the caller does the work.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ SLOT_BYTES: Final = 32 << 20
 ROOM_BYTES: Final = 9 << 20
 """Space for a source to read into: a window of a file, and the rest of the one before."""
 _TASKS: Final = 3
-"""Tasks of each process: the one that it works on, and others, so that it never waits for whoever submits."""
+"""Tasks of each process: the present one, and others, so that it never waits for the submitter."""
 _ALIGNMENT: Final = 64
 _LENGTH_BYTES: Final = 8
 """Bytes of the length before every message."""
@@ -53,11 +53,11 @@ _PR_SET_PDEATHSIG: Final = 1
 _STANDARD_ERROR: Final = 2
 
 Packed = tuple[bytes, list[tuple[int, int]]]
-"""A pickle, and where its arrays are in the shared memory."""
+"""A pickle, and the places of its arrays in the shared memory."""
 
 
 class Memory:
-    """Memory that processes forked later share: rooms to read into, then slots for values on their way.
+    """Memory shared with processes that are forked later: rooms to read into, then slots for values.
 
     Raises:
         OSError: no memory.
@@ -68,14 +68,14 @@ class Memory:
         size = self._rooms_end + slots * SLOT_BYTES
         self._bytes: NDArray[np.uint8] = np.frombuffer(mmap.mmap(-1, size), np.uint8)
         self._last_use = [0] * rooms
-        """The number of the last value in each room, from 1; only one side lends."""
+        """Number of the last value in each room, from 1; only one side lends memory."""
         self._room = 0
 
     def lend(self, size: int, await_use: Callable[[int], None]) -> NDArray[np.uint8]:
         """Return memory to read into: u8, ``size`` bytes; the next room, or new memory if that is too small.
 
         Args:
-            await_use: returns when the value with a number is no longer read.
+            await_use: takes the number of a value, and returns when that value is no longer read.
         """
         if size > ROOM_BYTES:
             return np.empty(size, np.uint8)
@@ -88,7 +88,7 @@ class Memory:
         """Pickle a value, with its arrays in a slot as far as they fit.
 
         Args:
-            number: of the value, if its arrays in rooms stay where they are; 0: they are copied, too.
+            number: number of the value, so that its arrays in rooms are not copied; 0: they are copied.
         """
         places: list[tuple[int, int]] = []
         origin = self._bytes.__array_interface__["data"][0]
@@ -120,12 +120,12 @@ class Memory:
 
 
 class Desk:
-    """The other end: where a process gets its tasks, and answers them in order.
+    """The other end: a process gets its tasks here, and answers them in order.
 
     Attributes:
-        idle: called where there is no task; does what is due, and returns how long it can wait, in s; None:
-            until a task comes.
-        end: called when there will be no task.
+        idle: called while there is no task; does the work that is due, and returns the time in s that it can
+            wait, or None: until a task comes.
+        end: called when no more tasks will come.
     """
 
     def __init__(self, link: socket.socket, memory: Memory, tasks: int) -> None:
@@ -138,13 +138,13 @@ class Desk:
 
     @property
     def awaited(self) -> bool:
-        """Whether an answer is waited for, or the last one worked on; where all tasks are always in use."""
+        """Whether the submitter, if it keeps all tasks in use, waits for an answer or for the last task."""
         while _readable(self._link):
             self._receive()
         return self._request_count - self._answer_count >= self._tasks - 1
 
     def lend(self, size: int) -> NDArray[np.uint8]:
-        """Return memory to read into: u8, ``size`` bytes; answers with what lies in it need not copy that."""
+        """Return memory to read into, u8, ``size`` bytes; arrays of answers in it are not copied."""
         self._lends = True
         return self._memory.lend(size, self._await_use)
 
@@ -170,7 +170,7 @@ class Desk:
             return portable(error), None
 
     def _await_use(self, answer: int) -> None:
-        """Return when an answer is no longer valid: when so many later tasks were submitted."""
+        """Return when an answer is no longer valid: when ``_tasks`` later tasks were submitted."""
         while answer and self._request_count < answer + self._tasks:
             self._receive()
 
@@ -183,11 +183,11 @@ class Workers:
     """Processes that run a function.
 
     Args:
-        count: how many, at least 1.
-        work: what they run, as it is at ``start``; its arguments and its result are pickled.
-        killed: what is raised where one of them was killed.
-        set_up: called in each process before its first task; it then keeps the files that are open.
-        tasks: how many tasks each has at most.
+        count: number of processes, at least 1.
+        work: function that they run, as it is at ``start``; its arguments and its result are pickled.
+        killed: exception to raise if one of them was killed.
+        set_up: called in each process before its first task; the process then keeps the open files.
+        tasks: most tasks of each process.
         yields: see ``crowded``.
 
     Raises:
@@ -214,7 +214,7 @@ class Workers:
         self.processes: list[int] = []
 
     def start(self) -> None:
-        """Fork the processes at the first call; the later that is, the more of what they need is made."""
+        """Fork the processes at the first call; a later fork inherits more of what they need."""
         with suppress(OSError):  # then there are fewer, or none
             for _ in range(self._count):
                 process, link = fork(self._serve)
@@ -232,7 +232,7 @@ class Workers:
 
     @property
     def waiting(self) -> int:
-        """How many results can be taken, now or later."""
+        """The number of results that can be taken, now or later."""
         return self._task_count - self._answer_count + len(self._results)
 
     @property
@@ -248,9 +248,10 @@ class Workers:
         return self.waiting >= self._tasks * len(self.processes)
 
     def crowded(self) -> bool:
-        """Look whether the processes yield, and others run on all processors: a task is done no sooner here.
+        """Return whether the processes must yield and other programs use all processors.
 
-        Something short may run just now: only a second look in a row that finds no processor tells so.
+        Only a second call in a row without a free processor returns True, because a short program may just
+        run.
         """
         if not self._yields:
             return False
@@ -259,7 +260,7 @@ class Workers:
         return self._crowds > 1
 
     def submit(self, *values: Any) -> None:
-        """Hand over the arguments of a task; afterwards only lent memory is still read."""
+        """Submit the arguments of a task; after the call only lent memory is still read."""
         assert not self.full, "results must be taken first"
         slot, link = self._task_count % self._slots, self._links[self._task_count % len(self._links)]
         self._task_count += 1
@@ -275,7 +276,7 @@ class Workers:
 
         Raises:
             CaptureError: a process was killed.
-            Exception: what the function raised.
+            Exception: the exception of the function.
         """
         self._await(self._task_count - self.waiting + 1)
         failure, result = self._results.popleft()
@@ -299,11 +300,11 @@ class Workers:
 
     @property
     def _next(self) -> socket.socket:
-        """Where the next answer comes from."""
+        """The socket of the next answer."""
         return self._links[self._answer_count % len(self._links)]
 
     def _await(self, task: int) -> None:
-        """Wait until a task is done, perhaps long ago."""
+        """Wait until a task is done; return at once if it is."""
         while self._answer_count < task:
             link = self._next
             select.select([link], [], [])
@@ -344,13 +345,13 @@ class InOrder:
     def __init__(self, work: Callable[..., Any], workers: Workers | None = None) -> None:
         self._work, self._workers = work, workers
         self._results: deque[tuple[Any] | None] = deque()
-        """The results that were not taken; None where a worker makes one."""
+        """Results that were not taken; None while a worker makes one."""
 
     def add(self, *values: Any, alone: bool = False) -> None:
         """Run the function on some values.
 
-        It runs here if all workers are busy, if no processor is free for them, or if that is asked for, as
-        where nothing else is left to be done.
+        It runs in this process if all workers are busy, if no processor is free for them, or if ``alone`` is
+        set, for example because nothing else is left to do.
         """
         workers = self._workers
         if workers is not None and (alone or workers.crowded()):
@@ -364,9 +365,9 @@ class InOrder:
             self._results.append(None)
 
     def results(self, most: int | None = None) -> Iterator[Any]:
-        """Yield the results that are there, and wait while there are more than ``most`` others.
+        """Yield the finished results; wait while more than ``most`` results are not taken; None: never wait.
 
-        The arrays of a result are valid until the next one is asked for, or more is added.
+        The arrays of a result are valid until the next result is requested, or more values are added.
         """
         while self._results:
             result, workers = self._results[0], self._workers
@@ -438,14 +439,14 @@ def receive(link: socket.socket) -> Any:
 
     Raises:
         OSError: the process has ended.
-        EOFError: likewise.
+        EOFError: the process has ended.
     """
     size = int.from_bytes(_received(link, _LENGTH_BYTES), "big")
     return pickle.loads(_received(link, size))  # noqa: S301  from our own process
 
 
 def _received(link: socket.socket, size: int) -> bytes:
-    """Return so many bytes; where the process is stopped and goes on (Ctrl-Z), they come in parts."""
+    """Return ``size`` bytes; they may come in parts if the process was stopped and continued (Ctrl-Z)."""
     parts = []
     while size:
         part = link.recv(size, socket.MSG_WAITALL)

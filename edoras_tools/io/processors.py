@@ -1,16 +1,16 @@
-"""The processors of this machine: how many are free, and a thread that goes before others on them.
+"""The processors of this machine: the number of free ones, and a real-time priority for one thread.
 
-Who shares work takes free processors, and leaves others theirs.
+A program that shares work uses only free processors, and leaves the others to other programs.
 
 On a busy machine a thread that wakes up waits milliseconds for a processor. Root, or a program with
-CAP_SYS_NICE, may have a real-time priority (``sched(7)``, SCHED_FIFO): then it waits for none of them.
+CAP_SYS_NICE, may have a real-time priority (``sched(7)``, SCHED_FIFO): such a thread does not wait.
 
 Rules of this priority:
 
-1. A thread that takes much of a processor loses the priority until it takes little: others must run, too.
-2. Nothing is asked for on a machine with one processor.
-3. Threads and processes that are started meanwhile have the usual priority (SCHED_RESET_ON_FORK).
-4. Where it is not allowed, everything works without it.
+1. A thread that uses much of a processor loses the priority until it uses little: other programs must run.
+2. No priority is requested on a machine with one processor.
+3. Threads and processes started meanwhile have the usual priority (SCHED_RESET_ON_FORK).
+4. If the priority is not allowed, everything works without it.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _LOAD: Final = Path("/proc/loadavg")
 
 
 def spare_processors() -> int:
-    """Return for how many more processes there is a processor now; below 0 where some wait for one.
+    """Return the number of further processes that have a processor now; below 0 if some wait for one.
 
-    Those that run are counted on the whole machine, and this process is one of them (proc(5), ``loadavg``).
-    Where that cannot be told, nothing else is taken to run.
+    Running processes are counted on the whole machine, including this one (proc(5), ``loadavg``). If the
+    count is not available, no other process is assumed to run.
     """
     processors = os.cpu_count() or 1
     if sys.platform != "linux":
@@ -53,12 +53,12 @@ def spare_processors() -> int:
 _LEAST: Final = 1
 """The lowest real-time priority, which precedes all of normal priority."""
 _LITTLE, _MUCH = 0.5, 0.7
-"""Shares of a processor: below the first the priority is given, above the second taken."""
+"""Shares of a processor: below the first, the priority is given; above the second, it is taken."""
 _LOOK_NS: Final = 20_000_000
 
 
 class Precedence:
-    """The priority of the thread that enters this context; entered again it begins anew."""
+    """The real-time priority of the thread that enters this context; entering again restarts it."""
 
     def __init__(self) -> None:
         self._possible = hasattr(os, "sched_setscheduler") and len(os.sched_getaffinity(0)) > 1
@@ -66,7 +66,7 @@ class Precedence:
         self._then = self._busy = 0
 
     def __enter__(self) -> Self:
-        """Ask for the priority."""
+        """Request the priority."""
         self._then, self._busy = time.monotonic_ns(), time.thread_time_ns()
         self._inside = True
         self._set(first=True)
@@ -75,12 +75,12 @@ class Precedence:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Give it back."""
+        """Give the priority back."""
         self._inside = False
         self._set(first=False)
 
     def look(self) -> None:
-        """Give or take the priority by the processor time since the last look; call it often."""
+        """Give or take the priority by the processor time since the last call; call it often."""
         now = time.monotonic_ns()
         if not (self._possible and self._inside) or now - self._then < _LOOK_NS:
             return
@@ -105,27 +105,27 @@ class Precedence:
 
 
 def run_soon() -> None:
-    """Let the calling thread, which does little, wait less for a busy processor, where that is allowed."""
+    """Let the calling thread, which works little, wait less for a busy processor, if that is allowed."""
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, -10)
 
 
 _LARGE: Final = 32 << 20
-"""Files of at least this many bytes are worth several processes."""
+"""Smallest file, in bytes, that is worth several processes."""
 _MOST_JOBS: Final = 3
-"""One process reads and decodes; two others do the rest as fast as it does."""
+"""Most processes: one reads and decodes; two others do the rest as fast as the first does its part."""
 _LOOKS: Final = 5
 _LOOK_S: Final = 0.002
-"""Something short may run just when it is looked."""
+"""Time between two looks at the free processors: a short program may just run at the first."""
 
 
 def jobs_for(source: Source, number: int, *, fixed: bool = True) -> int:
     """Return how many processes share the work on a source.
 
     Args:
-        source: what is read; one that is live, from a pipe or small is one process's.
-        number: as many; 0: as many as there are processor cores, at most three.
-        fixed: the number stays, so that with 0 only those cores count that are free now.
+        source: source to read; a live one, a pipe or a small file is for one process.
+        number: requested number; 0: the number of processor cores, at most three.
+        fixed: whether the number stays, so that with 0 only the cores count that are free now.
     """
     if source.statistics.total_bytes < _LARGE:
         return 1
@@ -137,7 +137,7 @@ def jobs_for(source: Source, number: int, *, fixed: bool = True) -> int:
 
 
 def _spare(most: int) -> int:
-    """Return how many processors are free, at most this many."""
+    """Return the number of free processors, at most ``most``."""
     count = 0
     for look in range(_LOOKS if most else 0):
         if look:

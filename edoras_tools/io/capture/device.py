@@ -37,21 +37,21 @@ _AT_ONCE = 4 << 20
 """Maximum bytes of one batch, or one read of the device if that is more."""
 _GATHER_S = 0.06
 _LEAD_S = 0.05
-"""How long before a batch is due a device is read, which may have to wait for the kernel first."""
+"""Longest time before a batch is due at which the device is read: it may first wait for the kernel."""
 _STEP_S = 0.1
 """How long ``discard`` waits for the thread at a time."""
 _CHECK_S = 0.2
-"""How often at least to check, while frames gather in the device, whether it can hold more."""
+"""Longest time between two checks of whether the device can hold more, while frames gather in it."""
 _SILENCE_S = 0.1
-"""A frame that comes this long after the last one comes after a silence,"""
+"""Time without frames after which the next frame ends a silence."""
 _SOON_S = 0.005
-"""and does not wait longer than this for others."""
+"""Longest time that the first frame after a silence waits for others."""
 _FEW = 4 << 10
-"""Bytes of a read after which a batch begins with the next frame, not with the time: there are fewer so."""
+"""Bytes below which a read is small: the next batch gathers from its first frame on, so batches are fewer."""
 _DRAIN_S = 0.5
-"""How long after ``stop`` the device may take to deliver what it holds,"""
+"""Time after ``stop`` in which the device delivers what it holds."""
 _DRAIN_TURNS = 500
-"""and how often it is read at least, so that a machine that stalled for this time loses nothing."""
+"""Reads after ``stop`` that are always made, so that a machine that stalls that long loses nothing."""
 
 
 class Device(ABC):
@@ -59,7 +59,7 @@ class Device(ABC):
 
     Attributes:
         info: information on the source.
-        drops: frames that the kernel lost, as of the last ``count``.
+        drops: number of frames that the kernel lost, as of the last ``count``.
         linger_s: how long frames may gather after the first one, except after a silence; at most until a
             batch is due.
         look_s: how often to read even if no file descriptor is readable.
@@ -126,7 +126,7 @@ class DeviceSource(SourceDefaults):
             longer, so that sinks flush and displays refresh.
         gather_s: minimum time between two batches, unless a few MiB wait: a batch of one datagram costs as
             much as one of a thousand. The first frames after a silence do not wait. The device is read when
-            a batch is due, and more often if it cannot hold so much.
+            a batch is due, and more often if it cannot hold that much.
     """
 
     live = on_this_host = True
@@ -157,7 +157,7 @@ class DeviceSource(SourceDefaults):
         self._queued = 0  # written by the thread only
         self._taken = 0  # written by the consumer only
         self._room = threading.Event()
-        # Told while frames gather, when that is to end.
+        # Gets an item when frames are to stop gathering.
         self._enough: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._stopping = False
         self._deadline = 0.0  # while stopping: when to stop reading the device
@@ -207,7 +207,7 @@ class DeviceSource(SourceDefaults):
         self._demux.framings = framings
 
     def _due_s(self) -> float:
-        """Return in how many seconds a batch is due; none or less: now."""
+        """Return the seconds until a batch is due; 0 or less: it is due now."""
         return self._handed + self.gather_s - time.monotonic()
 
     def _gather(self) -> None:
@@ -340,14 +340,14 @@ class DeviceSource(SourceDefaults):
         """Wait for datagrams, then let more of them gather.
 
         Args:
-            poll: of the device, and of what wakes the reader.
-            pause: of what wakes the reader.
+            poll: the device's file descriptors, and the one that wakes the reader.
+            pause: the file descriptor that wakes the reader.
             came: monotonic time in s at which the last datagram was read.
-            few: datagrams came in the last round.
+            few: the last read was small: fewer than ``_FEW`` bytes.
         """
         device = self._device
         silent = time.monotonic() - came > _SILENCE_S
-        # Where much may gather, more comes in the time of a batch, and is read then.
+        # A device that can hold much needs no wait for a first frame: more come before the batch is due.
         ready: object = not silent and not few and device.linger_s > _SOON_S
         if not ready or self._deadline:
             ready = poll.poll(5 if self._deadline else 1000 * max(device.look_s, self.gather_s / 3))
@@ -362,9 +362,10 @@ class DeviceSource(SourceDefaults):
                 break
 
     def _until_read_s(self) -> float:
-        """Return in how many seconds to read for the next batch: when it is due, or frames wait for two.
+        """Return the seconds until the device is read for the next batch, shortly before that batch is due.
 
-        What decodes it then runs soon behind: there is one wake-up of each for a batch.
+        If that is less than half of ``gather_s`` from now, the read is one batch later. The consumer decodes
+        soon after the read, so that each thread wakes up once a batch.
         """
         read_s = max(self._due_s(), 0) - min(_LEAD_S, self.gather_s / 4)
         return read_s if read_s > self.gather_s / 2 else read_s + self.gather_s

@@ -7,8 +7,8 @@ second. Therefore blocks are closed here when they are full, and the open one is
 
 Rules that this file keeps:
 
-1. A block is closed when the next packet does not fit, or after ``_RETIRE_MS``. There are so many blocks that
-   a ring holds minutes of traffic at any rate of a link.
+1. A block is closed when the next packet does not fit, or after ``_RETIRE_MS``. A ring has enough blocks for
+   minutes of traffic at any rate of a link.
 2. Nobody waits for a full block: the open block is checked every ``FRESH_S``, and its packets are read. The
    count in its header says which packets the kernel had *begun* to write; after ``barrier.wait`` all of them
    are complete. No other sign of a complete packet is reliable: fields are written in any order. That wait
@@ -93,7 +93,7 @@ FRESH_S: Final = 0.02
 """Maximum age of packets in the open block before they are read."""
 _LINGER_S, _BUSY_LINGER_S = 1.0, 0.05
 _CHECKED_S: Final = 0.4
-"""A ring that holds so much at ``_FILL_RATE`` is large enough to be only checked five times a second."""
+"""A ring that holds traffic of this time, at ``_FILL_RATE``, is only checked five times a second."""
 _ENOUGH: Final = 2 << 20
 """Bytes that a read should find: reading a block alone costs as much as ten."""
 _FILL_RATE: Final = 320_000_000
@@ -132,7 +132,7 @@ class Ring(Device):
         wait: if the interface does not exist or is down, treat it as one that is away now.
 
     Attributes:
-        linger_s: the ring holds frames of a longer time. 0 while a read is only waiting for the barrier.
+        linger_s: time for which frames may gather; the ring holds more. 0 while a read waits for the barrier.
 
     Raises:
         CaptureError: no such interface, it is down, a privilege is missing, or there are too many ports.
@@ -188,7 +188,8 @@ class Ring(Device):
         else:
             loopback = loopback_index() if interface.name == ANY_INTERFACE else None
         cooked = self._link_type == LINUX_SLL2
-        # The kernel tells segments, but not to a cooked socket; of all interfaces, headers are cooked here.
+        # The kernel marks packets of several datagrams, but not on a cooked socket. A socket of all
+        # interfaces is therefore raw, and cooked headers are written by ``tpacket``.
         self._told = _tells_segments() and (not cooked or interface.name == ANY_INTERFACE)
         program = port_filter(
             self._link_type,
@@ -297,7 +298,7 @@ class Ring(Device):
         return frames
 
     def _filled(self, size: int) -> None:
-        """Set how long frames may gather from now on, by how many bytes came since the last time."""
+        """Set how long frames may gather from now on, from the rate of the bytes read."""
         now = time.monotonic()
         longest_s = _LINGER_S if (holds_s := self._ring.size / _FILL_RATE) >= _CHECKED_S else holds_s
         self._enough_s = min(longest_s, max(_ENOUGH * (now - self._copied) / size, _BUSY_LINGER_S))
@@ -494,7 +495,7 @@ def _existing_interface(name: str) -> Interface:
 
 
 def _tells_segments() -> bool:
-    """Return whether the kernel marks packets with several datagrams: before Linux 6.2 it drops them."""
+    """Return whether the kernel marks packets of several datagrams: before Linux 6.2 it drops them."""
     release = re.match(r"(\d+)\.(\d+)", os.uname().release)
     return release is not None and (int(release[1]), int(release[2])) >= (6, 2)
 

@@ -55,7 +55,7 @@ class Sniffer(Device):
         snap_length: bytes of a frame to keep.
 
     Attributes:
-        drops: frames that the kernel lost, on Linux; on other systems scapy does not know.
+        drops: number of frames that the kernel lost, on Linux; scapy does not know it on other systems.
         outages: always empty: if the interface goes away, the capture ends.
 
     Raises:

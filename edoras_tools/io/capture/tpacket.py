@@ -59,7 +59,7 @@ _SOCKADDR: Final = 48
 _SLL2_LENGTH: Final = 20
 _ETHERNET_LENGTH: Final = 14
 _STEPS: Final = 12
-"""Packets of a part that is walked beside others, at the most: no more than are walked at once."""
+"""Most packets between two seeds; the parts of the chain between seeds are walked side by side."""
 # Offset of each byte of an SLL2 header in a little-endian sockaddr_ll: protocol, 2 reserved bytes,
 # interface index, ARPHRD type, packet type, address length, address; _NOTHING means 0.
 _NOTHING: Final = 255
@@ -91,7 +91,7 @@ def packet_heads(data: NDArray[np.uint8], runs: Sequence[PacketRun]) -> NDArray[
     words, halves = data.view(np.uint32), data.view(np.uint16)
     head, end = runs[0].first, runs[-1].end
     firsts = np.array([run.first for run in runs])
-    beyond = np.append(firsts[1:], end)  # all runs are one chain: a step costs about the same for many parts
+    beyond = np.append(firsts[1:], end)  # all runs form one chain, whose parts are walked side by side
 
     def successor(at: NDArray[np.int64]) -> NDArray[np.int64]:
         following = words[at // 4]

@@ -20,11 +20,11 @@ class CaptureFileSink(Sink):
     """Writes the frames of batches to a file; the formats implement ``_lay_out`` and ``_finish``.
 
     Attributes:
-        head: bytes before the first frame.
-        overhead: most bytes that a frame takes besides its own.
-        name: of the file.
-        datagrams: number written.
-        output: the file, if it was opened here.
+        head: number of bytes before the first frame.
+        overhead: most bytes that a record has besides its frame.
+        name: name of the file, for messages.
+        datagrams: number of frames written.
+        output: the file, if it was opened here; None if the caller opened it.
     """
 
     head: ClassVar[int]
@@ -99,7 +99,7 @@ class CaptureFileSink(Sink):
         """Write the end of the format, and close the file if it was opened here.
 
         Args:
-            statistics: of the source; pcapng stores how many frames were lost.
+            statistics: counts of the source; pcapng stores the number of lost frames.
         """
         if not self._closed:
             self._closed = True

@@ -1,4 +1,4 @@
-"""Tables that are written column by column: their columns, and files that are complete or do not exist."""
+"""Tables that are written column by column, to files that appear only when they are complete."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ class TableHead(msgspec.Struct, frozen=True):
     """The description of a table, for formats that store one.
 
     Attributes:
-        topic: the topic of its messages.
-        type: their ROS type.
-        metadata: names to texts, e.g. the definition of the type.
+        topic: topic of the messages.
+        type: ROS type of the messages.
+        metadata: texts by name, such as the definition of the type.
     """
 
     topic: str
@@ -69,18 +69,18 @@ class TableHead(msgspec.Struct, frozen=True):
 class TableWriter(Protocol):
     """Writes a table of rows that have the same columns.
 
-    All methods raise what the file and the library raise; ``TableFile`` makes one error of it.
+    All methods raise the errors of the file and the library; ``TableFile`` turns them into ``CaptureError``.
     """
 
     def __init__(self, file: IO[bytes], head: TableHead, columns: Sequence[TableColumn]) -> None:
-        """Start a table; ``columns`` may be without rows."""
+        """Start a table; ``columns`` may have no rows."""
 
     @staticmethod
     def piece(columns: Sequence[TableColumn]) -> Any:
-        """Return some rows as ``write`` takes them; in any process, and perhaps long before."""
+        """Return some rows in the form that ``write`` takes; callable in any process, and long before."""
 
     def write(self, piece: Any) -> None:
-        """Write some rows; what they were made from may change afterwards."""
+        """Write some rows; their columns may change afterwards."""
 
     def close(self) -> None:
         """Write the remaining rows and complete the table; the file stays open."""
@@ -89,20 +89,20 @@ class TableWriter(Protocol):
 class TableFile:
     """A table in a file that appears under its name when it is complete.
 
-    If the table cannot be finished, what was written is removed, and an existing file stays unchanged
+    If the table cannot be finished, the incomplete file is removed, and an existing file stays unchanged
     (``outputs.NewFile``). A pipe or device is written directly.
 
     Args:
-        make: the writer of its format.
+        make: makes the writer of the format.
         columns: see ``TableWriter``.
 
     Attributes:
-        path: as given.
-        head: as given.
-        rows: written so far.
+        path: path of the file.
+        head: description of the table.
+        rows: number of rows written.
 
     Raises:
-        CaptureError: from all methods: it cannot be written.
+        CaptureError: from all methods: the file cannot be written.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class TableFile:
         self.rows += rows
 
     def complete(self) -> None:
-        """Write what is left of the table."""
+        """Write the rest of the table."""
         with self._removed_on_failure():
             self._writer.close()
             self._new.file.flush()

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.faults.fault import Fault
 
 SEAM_NS: Final = 2 * SECOND
-"""A file that begins so soon behind another goes on with it."""
+"""Longest time between the end of a file and the beginning of one that continues it."""
 _TOGETHER: Final = 512
-"""So many small batches are handed over as one: each costs milliseconds, however few its rows are."""
+"""Most small batches that are joined into one: each batch costs milliseconds, even with few rows."""
 
 
 def merge_sources(sources: Sequence[Source]) -> Source:
@@ -37,8 +37,8 @@ def merge_sources(sources: Sequence[Source]) -> Source:
     source ends with an error, the others are read to their end before it is raised.
 
     Args:
-        sources: at least one; a single one is returned as it is. For files: a source that waits would make
-            all wait.
+        sources: at least one; a single one is returned as it is. They are files: a source that waits would
+            make all of them wait.
     """
     return sources[0] if len(sources) == 1 else MergedSource(sources)
 
@@ -71,7 +71,7 @@ class MergedSource(SourceDefaults):
 
     @property
     def statistics(self) -> SourceStatistics:
-        """The sums of the sources' statistics; a sum of 0 drops is None where a source does not tell."""
+        """The sums of the sources' statistics; 0 drops become None if a source does not know its drops."""
         total = self._statistics
         for name in SourceStatistics.__struct_fields__:
             values = [getattr(source.statistics, name) for source in self._sources]
@@ -93,23 +93,23 @@ class MergedSource(SourceDefaults):
             source.follow(framings)
 
     def faults(self) -> list[Fault]:
-        """Return the injected faults of all recordings."""
+        """Return the injected faults in all recordings."""
         return [fault for source in self._sources for fault in source.faults()]
 
     def host(self) -> list[HostCounters]:
-        """Return the kernel's counters of the host of all recordings, if they are of one."""
+        """Return the counters of the recording host's kernel, if exactly one recording has them."""
         counters = [item for source in self._sources if (item := source.host())]
         return counters[0] if len(counters) == 1 else []
 
     def origin(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the place of the source that datagrams of the last batch are from."""
+        """Return the index of the source that each datagram of the last batch is from."""
         return self._origin[(number - self._first).clip(0, len(self._origin) - 1)]
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams in order of time; see ``Source.batches``.
 
         Raises:
-            CaptureError: a source raised it; with the messages of all.
+            CaptureError: a source raised it; it has the messages of all sources.
         """
         errors: list[str] = []
         heads = [_Head(source, errors) for source in self._sources]
@@ -126,7 +126,7 @@ class MergedSource(SourceDefaults):
                 else:
                     heappush(ends, (heads[place].end, place))
                     heappush(begins, (int(heads[place].keys[0]), place))
-            while ends and ends[0][0] != heads[ends[0][1]].end:  # of what was taken meanwhile
+            while ends and ends[0][0] != heads[ends[0][1]].end:  # an old end: rows were taken since
                 heappop(ends)
             ended = ended and not reading and bool(begins) and begins[0][0] - until > SEAM_NS
             if waiting and (not ends or ended or max(len(waiting), len(waiting[-1][0])) >= _TOGETHER):
@@ -157,10 +157,10 @@ class MergedSource(SourceDefaults):
 
 
 class _Head:
-    """The waiting datagrams of a source.
+    """The datagrams of a source that wait to be merged.
 
     Attributes:
-        keys: i64, the sort key of each datagram: the largest time up to it.
+        keys: sort key of each waiting datagram, i64: the largest time up to it.
     """
 
     def __init__(self, source: Source, errors: list[str]) -> None:
@@ -172,11 +172,11 @@ class _Head:
 
     @property
     def end(self) -> int:
-        """The key of the last one; the smallest number where none waits."""
+        """The key of the last waiting datagram; the smallest i64 if none waits."""
         return int(self.keys[-1]) if len(self.keys) else np.iinfo(np.int64).min
 
     def fill(self) -> bool:
-        """Read until some datagram waits; False at the end of the source."""
+        """Read until a datagram waits; return False at the end of the source."""
         while not len(self.keys):
             try:
                 self._rest = next(self._batches, None)
@@ -189,9 +189,9 @@ class _Head:
         return True
 
     def take(self, until: int, *, whole: bool) -> tuple[PacketBatch, NDArray[np.int64]]:
-        """Return the datagrams before a time, and with ``whole`` also those of that time; with their keys.
+        """Return the waiting datagrams before a time, and their keys; ``whole`` includes those of that time.
 
-        There is one at least.
+        At least one must qualify.
         """
         count = int(np.searchsorted(self.keys, until, side="right" if whole else "left"))
         assert self._rest is not None
@@ -206,7 +206,7 @@ class _Head:
 def _in_order(
     parts: list[tuple[PacketBatch, NDArray[np.int64]]], places: list[int]
 ) -> tuple[PacketBatch, NDArray[np.int64]]:
-    """Interleave batches by key, of equal keys the first batch first; return the place of each row's, too."""
+    """Interleave batches by key; of equal keys the first batch comes first. Return each row's place, too."""
     origin = np.repeat(places, [len(keys) for _, keys in parts])
     if len(parts) == 1:
         return parts[0][0], origin

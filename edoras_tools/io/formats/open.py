@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _SECTION_HEADER = b"\x0a\x0d\x0d\x0a"
 _MCAP = b"\x89MCAP0\r\n"
 _DATABASE = b"SQLite f"
-"""Of rosbag2's storage in SQLite, as its ``.db3`` files begin."""
+"""First bytes of a SQLite file: rosbag2's ``.db3`` storage."""
 _COMPRESSED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
 _MODIFIED_PCAP = {b"\x34\xcd\xb2\xa1", b"\xa1\xb2\xcd\x34"}
 _OTHERS = (
@@ -50,7 +50,7 @@ _OTHERS = (
     (b"\xfd7zXZ\x00", "xz data"),
     (b"\x7fELF", "a program"),
 )
-"""How some other files start that users may try to open."""
+"""First bytes of other files that users may try to open, and what those files are."""
 _CONVERT = "captures can be made readable with: editcap -F pcapng IN OUT"
 
 
@@ -59,11 +59,11 @@ def open_file(path: str | Path, name: str = "") -> Source:
 
     Args:
         path: a file, a named pipe, a rosbag2 directory, or ``-`` for standard input.
-        name: what it is called in messages; its path by default.
+        name: the name in messages; by default the path.
 
     Raises:
         CaptureError: ``path`` cannot be read.
-        NoDatagramsError: it is another tool's recording, of topics only.
+        NoDatagramsError: it is a recording of another tool, with topics only.
     """
     try:
         if os.path.isdir(path):  # noqa: PTH112  Path raises an error at a name that no file can have
@@ -92,7 +92,7 @@ def _open_folder(path: Path) -> Source:
 
 
 def is_cfe_file(path: Path) -> bool:
-    """Return whether a regular file is one that cFE wrote: its times are mission times."""
+    """Return whether a regular file was written by cFE, so that its times are mission times."""
     if not path.is_file():
         return False
     with suppress(OSError), path.open("rb") as file:
@@ -101,7 +101,7 @@ def is_cfe_file(path: Path) -> bool:
 
 
 def _tell(stream: ByteStream, path: str | Path) -> Source:
-    """Make the source for the format that the first bytes show."""
+    """Make the source for the format that the first bytes identify; unpack gzip or zstd first."""
     head = _head(stream)
     wrapped = ""
     for magic, kind in _COMPRESSED.items():
@@ -114,7 +114,7 @@ def _tell(stream: ByteStream, path: str | Path) -> Source:
 
 
 def _source(stream: ByteStream, path: str | Path, head: bytes, wrapped: str) -> Source:
-    """Make the source of a stream whose first bytes were read; ``wrapped`` is what it was packed with."""
+    """Make the source of a stream; ``head`` is its first bytes, ``wrapped`` the compression it had."""
     whole_file = stream.total_bytes and not wrapped and str(path) != "-"  # as a file of that name
     if not head:
         problem = f"contains only an empty {wrapped} stream" if wrapped else "is empty"
@@ -136,7 +136,7 @@ def _source(stream: ByteStream, path: str | Path, head: bytes, wrapped: str) -> 
 
 
 def kept_recording(path: Path) -> SettledFile | Source:
-    """Return a recording that comes through a pipe as a file, which can be opened again; else a source.
+    """Return a recording from a pipe as a file that can be opened again, and a capture as a source.
 
     Raises:
         CaptureError: it cannot be read.
@@ -152,7 +152,7 @@ def kept_recording(path: Path) -> SettledFile | Source:
 
 
 def unwrapped(path: Path) -> tuple[ByteStream, bytes]:
-    """Open a file or pipe, decompressed; return its stream, and the first bytes, which were read.
+    """Open a file or pipe; return its decompressed stream, and the first bytes, which are already read.
 
     Raises:
         CaptureError: it cannot be read.
@@ -171,9 +171,9 @@ def unwrapped(path: Path) -> tuple[ByteStream, bytes]:
 
 
 def _mcap(stream: ByteStream, path: str | Path, head: bytes) -> Source:
-    """Open a recording; of one from standard input, or packed, a temporary copy: its index is at its end.
+    """Open a recording; standard input and compressed data are copied first: the index is at the end.
 
-    ``head`` is what was read of a stream that has to be copied, else empty.
+    ``head`` is the bytes already read of a stream that has to be copied; else empty.
     """
     file = settled_file(stream, Path(path), head)
     try:
@@ -185,7 +185,7 @@ def _mcap(stream: ByteStream, path: str | Path, head: bytes) -> Source:
 
 
 def _database(stream: ByteStream, path: str | Path, head: bytes) -> NoDatagramsError:
-    """Return the error that a database is; ``head`` is as for ``_mcap``."""
+    """Return the error for a database, which has no datagrams; ``head`` is as for ``_mcap``."""
     error = NoDatagramsError(f"{stream.name}: a database holds topics and no datagrams; {TOPIC_READERS}")
     error.files = [settled_file(stream, Path(path), head)]
     return error
@@ -221,7 +221,7 @@ def _head(stream: ByteStream) -> bytes:
 
 
 def _looks_like(head: bytes, wrapped: str) -> str:
-    """Return what a file that is not a capture seems to be, and what to do."""
+    """Return what a file that is not a capture probably is, and what to do."""
     inside = f"{wrapped} data that contains " if wrapped else "looks like "
     can = f"{READABLE} can be read"
     if head[:4] in _MODIFIED_PCAP:

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 LARGEST_FRAME = 262144
 """Captured bytes of a frame that every reader accepts, even if the file has a smaller snap length."""
 _HEADERS = 256
-"""More bytes than a record has besides its frame, as far as it is searched for."""
+"""Upper limit of the bytes of a record besides its frame, for the search of a record."""
 SEARCHED = 64 << 10
-"""Positions that are looked at together for the next record behind a damaged place."""
+"""Positions that are tested at once in the search of the next record behind a damaged place."""
 FROM_THERE = "; the file is damaged from there on"
 _CUT = "ends inside {} {{}}; the capture was probably cut off while being written"
 
@@ -32,11 +32,11 @@ class LeftOut(NamedTuple):
     """Bytes of a file in which no record can be read.
 
     Attributes:
-        start: the first one, of the uncompressed file.
-        end: the first one behind them.
-        reason: why, with the number of the record, and where it is.
-        before_ns: time of the frame before them, ns since 1970; None if there is none.
-        after_ns: time of the frame after them.
+        start: offset of the first byte, in the uncompressed file.
+        end: offset after the last byte.
+        reason: text of the problem, with the number and place of the record.
+        before_ns: time of the frame before these bytes, ns since 1970; None if there is none.
+        after_ns: time of the frame after them; None if there is none yet.
     """
 
     start: int
@@ -53,8 +53,8 @@ class RecordSource(SourceDefaults):
 
     Attributes:
         statistics: the counts so far.
-        left_out: what was read over so far.
-        keep: takes the bytes of all that is read, one piece after the other.
+        left_out: stretches that could not be read so far.
+        keep: takes the bytes of all records that are read, piece by piece; None: not needed.
     """
 
     unit = "record"
@@ -73,7 +73,7 @@ class RecordSource(SourceDefaults):
 
     @property
     def info(self) -> SourceInfo:
-        """Information on the source, as far as it was read."""
+        """Information on the part of the source that has been read."""
         return self._info
 
     @abstractmethod
@@ -85,7 +85,7 @@ class RecordSource(SourceDefaults):
         """
 
     def _next_record(self, start: int, end: int) -> int | None:
-        """Return where, between two positions of the window, a record surely begins; None if nowhere."""
+        """Return the first position in a range of the window where a record surely begins, or None."""
         return None
 
     def batches(self) -> Iterator[PacketBatch]:

@@ -1,8 +1,8 @@
-"""Repairs what the other commands read: recordings by ``mcap.recover``, captures, and databases of rosbag2.
+"""Repairs damaged files: recordings by ``mcap.recover``, captures, and databases of rosbag2.
 
-A capture keeps all of its bytes but those in which no record can be read. Nothing of it has a checksum.
+A repaired capture keeps all bytes except those in which no record can be read. Captures have no checksums.
 
-A database is read page by page, because SQLite itself stops at the first damaged one: a row is kept where
+A database is read page by page, because SQLite itself stops at the first damaged page: a row is kept if
 it is complete and has the columns of its table (https://sqlite.org/fileformat2.html). The result is MCAP.
 """
 
@@ -52,16 +52,16 @@ _OPENINGS: Final = {
         + struct.pack("<IIHHII", 1, 20, 1, 0, 262144, 20)
     ],
 }
-"""What a capture begins with whose own header cannot be read."""
+"""Headers to try for a capture whose own header cannot be read."""
 _LARGEST: Final = 256 << 20
-"""Bytes of a row at the most."""
+"""Most bytes of a row."""
 _LEAF: Final = 0x0D
 _INTEGERS: Final = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}
 """Bytes of an integer, by its serial type."""
 
 
 def repairable_as(path: Path) -> str:
-    """Return what a file is, by its first bytes, else by its name: mcap, pcap, pcapng or db3.
+    """Return the format of a file, from its first bytes, else from its name: mcap, pcap, pcapng or db3.
 
     Raises:
         CaptureError: it cannot be read.
@@ -86,10 +86,10 @@ def repair(
     """Repair a damaged or cut-off file; see ``mcap.recover.recover``.
 
     Args:
-        target: None: only report what could be kept.
+        target: output file; None: only report what can be recovered.
 
     Raises:
-        CaptureError: ``source`` cannot be read, or has nothing that could be kept, or ``target`` cannot be
+        CaptureError: ``source`` cannot be read or contains nothing to recover, or ``target`` cannot be
             written.
     """
     topics, kind = topics or KnownTopics(), repairable_as(source)
@@ -119,13 +119,13 @@ def repair(
 
 
 class _Capture:
-    """A pcap or pcapng, perhaps compressed; the result is not."""
+    """A pcap or pcapng file, possibly compressed; the result is uncompressed."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self._path, self._kind, self._opening = path, kind, b""
 
     def report(self, progress: Progress) -> Recovery:
-        """Read all of it."""
+        """Read the whole file, with an assumed header if its own cannot be read."""
         with suppress(CaptureError, KeyError):  # its header cannot be read
             if (report := self._read(progress)).whole or report.messages["packets"]:
                 return report
@@ -141,7 +141,7 @@ class _Capture:
         return best
 
     def write(self, new: NewFile, progress: Progress) -> Recovery:
-        """Read all of it again, and write what can be read; the result is read too."""
+        """Read the whole file again, write all that can be read, and check the result by reading it."""
         report = self._read(progress, new.file)
         new.file.flush()
         if new.regular:
@@ -207,10 +207,10 @@ class _Database:
         self._topics: dict[int, tuple[str, ...]] = {}
         self._texts: dict[str, tuple[str, str]] = {}
         self._rows = array("q")
-        """Of each message in the order of the pages: its number, page, time and topic."""
+        """Number, page, time and topic of each message, four i64 each, in the order of the pages."""
 
     def report(self, progress: Progress) -> Recovery:
-        """Read all pages; what SQLite itself finds intact is."""
+        """Read all pages; the file is whole if SQLite finds it intact and all its rows were read."""
         with FileBytes(self._path) as file:
             for page, number, values in _rows(file, progress, self._unproved):
                 match values:
@@ -303,10 +303,10 @@ def _page_size(file: FileBytes) -> int:
 
 
 def _rows(file: FileBytes, progress: Progress, zeros: bool) -> Iterator[tuple[int, int, list[Any]]]:
-    """Yield the page, the number and the values of every row of every table that can be read.
+    """Yield the page, the row number and the values of every readable row of every table.
 
     Args:
-        zeros: take a page of zeros for a part of a row: it may be one, or one that was lost.
+        zeros: accept a page of zeros as a part of a row: it may be one, or its content may be lost.
     """
     size = _page_size(file)
     usable = size - (file.read(20, 21) or b"\0")[0]
@@ -317,7 +317,7 @@ def _rows(file: FileBytes, progress: Progress, zeros: bool) -> Iterator[tuple[in
             continue
         count = int.from_bytes(page[first + 3 : first + 5], "big")
         for place in range(first + 8, min(first + 8 + 2 * count, len(page) - 1), 2):
-            with suppress(IndexError, ValueError):  # of a damaged page
+            with suppress(IndexError, ValueError):  # the page is damaged
                 at = int.from_bytes(page[place : place + 2], "big")
                 length, at = _varint(page, at)
                 row, at = _varint(page, at)
@@ -334,10 +334,10 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
 
 
 def _payload(file: FileBytes, page: bytes, length: int, usable: int, zeros: bool) -> bytes:
-    """Return the bytes of a row, those in overflow pages too.
+    """Return the bytes of a row, including those in overflow pages.
 
     Raises:
-        ValueError: they are not all there.
+        ValueError: some of them are missing.
     """
     if length > min(_LARGEST, file.size):
         raise ValueError(length)
@@ -367,8 +367,8 @@ def _values(data: bytes) -> list[Any]:
     """Read a row: NULL as None, integers, texts and bytes.
 
     Raises:
-        ValueError: it is none.
-        IndexError: likewise.
+        ValueError: the bytes are not a row.
+        IndexError: the bytes end too early.
     """
     body, at = _varint(data, 0)
     values: list[Any] = []

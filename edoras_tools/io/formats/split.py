@@ -1,4 +1,4 @@
-"""What a recording contains, and pcap and pcapng ones in parts, by size, time or number of datagrams."""
+"""Options of recordings, and pcap and pcapng files written in parts, by size, time or number of datagrams."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
 
 
 class RecordingOptions(msgspec.Struct, frozen=True):
-    """What a recording contains, and how files are split.
+    """Contents of a recording, and when a new file starts.
 
     Attributes:
-        filter: the filter that selected the datagrams, for the metadata record.
-        split_bytes: start a new file before one grows larger than about this; 0: never.
-        split_ns: start a new file when one covers this much capture time; 0: never.
-        split_count: start a new file after so many datagrams; 0: never.
+        filter: expression that selected the datagrams, for the metadata record.
+        split_bytes: approximate size of a file at which a new one starts; 0: never.
+        split_ns: capture time in one file at which a new one starts; 0: never.
+        split_count: number of datagrams in one file after which a new one starts; 0: never.
         datagrams: whether to write ``/edoras/datagrams``.
         structs: C structs in packets; None: only cFE's own.
-        transforms: whether to write ``/tf``, made of the poses.
-        jobs: how many processes may share the work; more than one only for MCAP, and if not split by size.
-        yields: share it only while a processor is free, so that others that record have theirs.
-        sequences: shared with others that see the same batches; None: the recording follows its own.
-        endpoints: of DDS, as they are learnt; None: samples of theirs have no topics.
-        topics: of a recording without datagrams: places of the topics that are written; None: all.
+        transforms: whether to write ``/tf``, made from the poses.
+        jobs: most processes that share the work; more than one only for MCAP that is not split by size.
+        yields: whether to share the work only while a processor is free, for the sake of other recorders.
+        sequences: sequence counts shared with other consumers of the same batches; None: own ones.
+        endpoints: DDS endpoints discovered so far; None: DDS samples have no topics.
+        topics: of a recording without datagrams: numbers of the topics to write; None: all.
         offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
         apart: a ``pipelines.reading.Independence``, which takes all batches; None: not recorded.
     """
@@ -58,7 +58,7 @@ class RecordingOptions(msgspec.Struct, frozen=True):
 
     @property
     def is_part(self) -> bool:
-        """Whether a file may hold a part of the datagrams only."""
+        """Whether a file may contain only a part of the datagrams."""
         return self.splits or bool(self.filter)
 
     @property
@@ -71,8 +71,8 @@ class SplitCaptureSink(Sink):
     """Writes the frames of batches to ``NAME_0.pcap``, ``NAME_1.pcap`` and so on, each complete.
 
     Args:
-        path: the name of the parts, without their numbers.
-        options: when a new part starts.
+        path: name of the parts, without their numbers.
+        options: limits at which a new part starts.
         begin: opens the sink of a part.
 
     Attributes:
@@ -102,7 +102,7 @@ class SplitCaptureSink(Sink):
 
     @property
     def datagrams(self) -> int:
-        """Number of datagrams in that file."""
+        """Number of datagrams in the present file."""
         return self.parts[-1].datagrams
 
     @property
@@ -146,7 +146,7 @@ class SplitCaptureSink(Sink):
         self._number += 1
 
     def _fitting(self, batch: PacketBatch, first: int) -> int:
-        """Return how many rows from ``first`` on fit into the current file."""
+        """Return the number of rows from ``first`` on that fit into the present file."""
         options, part, fitting = self._options, self.parts[-1], len(batch) - first
         if options.split_count:
             fitting = min(fitting, options.split_count - part.datagrams)

@@ -23,18 +23,18 @@ if TYPE_CHECKING:
 FIRST = 256 << 10
 """Bytes of the first window: small, so that the first datagrams come at once."""
 _SECOND_WINDOW = 2 << 20
-"""Bytes of the second window; the next ones have twice as many each, so that other processes begin soon."""
+"""Bytes of the second window; each next one doubles, so that other processes can start early."""
 SLICE = 8 << 20
-"""Bytes of a window at most: large enough that numpy's cost per call does not matter."""
+"""Most bytes of a window: large enough that numpy's cost per call does not matter."""
 _LINGER_MS = 1
-"""How long to wait for more bytes of a pipe before returning those that came."""
+"""Time to wait for more bytes of a pipe before returning those that came, in ms."""
 
 
 class ByteStream(Protocol):
     """A source of bytes.
 
     Attributes:
-        name: for the user.
+        name: name of the file, for messages.
         total_bytes: size of the file; 0 for a pipe.
     """
 
@@ -117,7 +117,7 @@ class CompressedStream:
         self._kind = kind
         self._input = head
         self._inflater: Any = None
-        self._output = memoryview(b"")  # what is left of it is not copied: zstd makes up to 128 MiB of a call
+        self._output = memoryview(b"")  # its rest is not copied: one call of zstd returns up to 128 MiB
         self._failure: CaptureError | None = None
         # Small: one call of zstd may return any amount, and an error loses all bytes of its call.
         self._buffer = memoryview(bytearray(1 << 12))
@@ -215,7 +215,7 @@ class Window:
             ``advance``, unless ``room`` returns it again.
         room: returns a buffer of a given size for the next window; by default newly allocated.
         end: number of used bytes.
-        base: position of its first byte in the stream.
+        base: position in the stream of the first byte of ``data``.
     """
 
     def __init__(self, stream: ByteStream, head: bytes = b"") -> None:
@@ -261,9 +261,9 @@ class SettledFile(NamedTuple):
     """A regular file.
 
     Attributes:
-        path: where it is.
-        name: what it is called in messages.
-        copy: of a pipe, or of a file that is packed, the temporary copy; it is there until it is closed.
+        path: path of the file.
+        name: name in messages.
+        copy: temporary copy of a pipe or of a compressed file, which exists until it is closed; else None.
     """
 
     path: Path
@@ -277,11 +277,11 @@ class SettledFile(NamedTuple):
 
 
 def settled_file(stream: ByteStream, path: Path, head: bytes) -> SettledFile:
-    """Return the content of a stream as a file; the stream is closed.
+    """Return the content of a stream as a regular file; the stream is closed.
 
     Args:
-        stream: as far as it was read, ``head``.
-        head: empty for a file that is there as it is.
+        stream: its bytes after ``head``.
+        head: bytes already read; empty for a regular file, which is not copied.
 
     Raises:
         CaptureError: it cannot be copied.

@@ -1,7 +1,7 @@
 """The table of all formats of captures and recordings: name, suffix, reader and writer.
 
-A file is read by its content, and written by its suffix. A new format needs its folder or file
-and a line here; that of another package an entry point ``edoras.formats``, which is asked where no line
+A file is read by its content, and written by its suffix. A new format needs its folder or file and a line
+here; a format of another package needs an entry point ``edoras.formats``, which is consulted where no line
 fits.
 """
 
@@ -17,21 +17,21 @@ if TYPE_CHECKING:
 
 
 LONGEST_MAGIC: Final = 8
-"""Bytes by which a file's format is told."""
+"""Longest magic number that identifies a format, in bytes."""
 
 
 class Format(NamedTuple):
     """One format.
 
     Attributes:
-        name: for the user.
-        suffix: of its files; empty for a directory, which needs an option.
-        reader: place of its source class, as ``module:class``, in this folder ``.module:class``, in a part of
-            an add-on ``part/name:class``; of rosbag2 that of messages; empty if the format is only written.
-        writer: place of its sink class or ``TableWriter``; empty if the format is only read.
-        messages: whether its sink also writes messages by topic, and can be split.
-        table: whether it holds a table of the messages of a topic, and is only written.
-        magic: first bytes of its files, at most 8, for a format of another package that is read: its source
+        name: name for the user.
+        suffix: suffix of its files; empty for a directory, which needs an option.
+        reader: location of the source class: ``module:class``, ``.module:class`` in this folder, or
+            ``part/name:class`` in an add-on; rosbag2's reads messages; empty if the format is only written.
+        writer: location of the sink class or ``TableWriter``; empty if the format is only read.
+        messages: whether the sink also writes messages by topic, and can split files.
+        table: whether it is a table of the messages of a topic, and is only written.
+        magic: first bytes of the files, at most 8, of a readable format of another package, whose source
             takes a ``Window``.
     """
 
@@ -78,7 +78,7 @@ class TimeForm(StrEnum):
 
 
 def written_as(path: Path, *, table: bool = False) -> Format | None:
-    """Return the format of a file's suffix, among those of recordings or of tables; None where none fits.
+    """Return the format that a file's suffix names, of recordings or of tables; None if none fits.
 
     Raises:
         ConfigError: a format of an installed package cannot be loaded.
@@ -96,7 +96,7 @@ def installed_formats() -> list[Format]:
     """Return the formats that installed packages add.
 
     Raises:
-        ConfigError: one cannot be loaded, or is no ``Format``.
+        ConfigError: one cannot be loaded, or is not a ``Format``.
     """
     formats = []
     for item in doors.installed("formats"):
@@ -114,10 +114,10 @@ def _listed(names: list[str], last: str) -> str:
 READ: Final = _listed([item.name for item in FILE_FORMATS if item.suffix], "or")
 """The formats that can be read, for the user: ``pcap, pcapng or MCAP``."""
 READ_PACKED: Final = f"{READ.replace(' or', ',')} (.gz, .zst) or rosbag2"
-"""The same, with how they may be packed, and the directories of rosbag2."""
+"""The same formats, with the compressions, and rosbag2's directories."""
 READABLE: Final = READ.replace(" or ", " and ")
 TOPIC_READERS: Final = "info, sniff, record, live, export, plot and check read its topics"
-"""What to do with a recording of topics where datagrams are needed."""
+"""Text for the user of a recording of topics where datagrams are needed."""
 FILE_SUFFIXES: Final = [item.suffix for item in reversed(FILE_FORMATS) if item.suffix]
 WRITTEN: Final = _listed(FILE_SUFFIXES, "or")
 """The suffixes of outputs, for the user: ``.mcap, .pcapng or .pcap``."""

@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 
 
 NOT_FINITE: Final = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
-"""The texts in JSON of the numbers that it does not know, by Python's."""
+"""JSON texts of the floats that JSON has no number for, by Python's ``repr``."""
 _OCTETS: Final = [str(value) for value in (*range(256), *range(-128, 0))]
-"""The texts of ``uint8`` and ``int8`` by value: an index below zero counts from the end."""
+"""Texts of ``uint8`` and ``int8`` values; a negative index counts from the end."""
 
 
 class TextRows(bytes):
-    """Rows as text; between processes they go through shared memory, and are copied where they arrive."""
+    """Rows as text; they are passed between processes in shared memory, and copied by the receiver."""
 
     def __reduce_ex__(self, _: Any) -> tuple[Any, ...]:
-        """Return what the rows are made again from."""
+        """Return the constructor and its arguments for ``pickle``."""
         return TextRows, (pickle.PickleBuffer(self),)
 
 
 def json_texts(column: TableColumn) -> list[str]:
-    """Return the JSON text of every row of a column; numbers that JSON does not know are texts."""
+    """Return the JSON text of every row of a column; NaN and infinities become strings."""
     values, offsets = column.spread()
     texts = value_texts(values)
     if offsets is not None:
@@ -45,11 +45,11 @@ def json_texts(column: TableColumn) -> list[str]:
 
 
 def json_value(value: Any, octets: Callable[[bytes], Any] = list) -> Any:
-    """Return a value as JSON takes it: numbers that it does not know as texts.
+    """Return a value with only types of JSON; NaN and infinities become strings.
 
     Args:
-        value: of a message or a header, nested.
-        octets: what becomes of bytes; a list of numbers if not given.
+        value: a value of a message or a header, possibly nested.
+        octets: converts bytes; by default to a list of numbers.
     """
     if isinstance(value, dict):
         return {name: json_value(item, octets) for name, item in value.items()}
@@ -63,7 +63,7 @@ def json_value(value: Any, octets: Callable[[bytes], Any] = list) -> Any:
 
 
 def number_texts(values: NDArray[Any]) -> list[str]:
-    """Return the shortest text of every number that is read back as the same number of its type."""
+    """Return the shortest text of each number that reads back as the same number of its type."""
     if values.dtype.kind == "f" and values.itemsize < 8:
         return values.astype(str).tolist()
     if values.itemsize == 1:
@@ -118,7 +118,7 @@ _SPECIAL: Final = re.compile(r'[",\r\n]')
 
 
 class CsvWriter:
-    """Writes one line a row; a list is JSON in one cell, a value that is not there is empty."""
+    """Writes one line a row; a list is JSON in one cell, a missing value is an empty cell."""
 
     def __init__(self, file: IO[bytes], _: TableHead, columns: Sequence[TableColumn]) -> None:
         self._file = file

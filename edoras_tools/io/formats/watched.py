@@ -8,8 +8,8 @@ Rules that it keeps:
    in its present state: its datagrams are lost, and counted.
 3. Another output of the same kind is started at a free name beside the first (``outputs.path_beside``).
 4. Complete files, e.g. those of a split recording, are checked once more at the end.
-5. With a file that is replaced, the new one is beside it until it is complete (``outputs.OutputFile``); after
-   ``spare_older`` both stay.
+5. A file that replaces another one is written beside it until it is complete (``outputs.OutputFile``); after
+   ``cut_short`` both are kept.
 6. To survive power cuts, everything is flushed, and file and folder are synced, at an interval and at the
    end. A complete file is synced once more, and then not again. A thread waits for the disk, so that a slow
    disk does not delay writing; while it waits, no other sync is started.
@@ -95,13 +95,13 @@ class FileSink(Sink, Protocol):
 
 
 class Keep(msgspec.Struct):
-    """How much of a recording in parts is kept, and what was deleted.
+    """Limit of the parts of a recording to keep, and the count of deleted parts.
 
     Attributes:
-        files: most files, with the one being written; 0: all.
-        size: about the most bytes of all files; 0: no limit. The file being written is never deleted.
-        deleted: how many files were deleted, the oldest first.
-        datagrams: how many datagrams were in them.
+        files: most files to keep, including the one being written; 0: all.
+        size: approximate most bytes of all files; 0: no limit. The file being written is never deleted.
+        deleted: number of files deleted, the oldest first.
+        datagrams: number of datagrams in the deleted files.
     """
 
     files: int = 0
@@ -116,15 +116,15 @@ class WatchedSink(Sink):
     Args:
         begin: opens a sink at a path.
         on_warning: called with a line for each file that was lost.
-        statistics: of the source, for files that are completed before the end.
+        statistics: counts of the source, for files that are completed before the end.
         clock: monotonic time in s.
         sync_s: interval at which everything is synced to the disk; 0: never.
-        keep: how much is kept; by default all.
+        keep: limit of the files to keep; by default none is deleted.
 
     Attributes:
-        on_complete: called with each file that is complete; by default nothing.
+        on_complete: called with the path of each complete file; by default nothing is called.
         losses: the files that were lost.
-        keep: as given, with what was deleted.
+        keep: the limit, with the counts of deleted files.
 
     Raises:
         CaptureError: from every method: the output cannot be written.
@@ -215,7 +215,7 @@ class WatchedSink(Sink):
             self._to_disk(self._files(), None)
 
     def cut_short(self, *, empty: bool) -> None:
-        """Leave the file that would be replaced as it is; ``empty``: delete the output, and its directory."""
+        """Keep the file that would be replaced; with ``empty``, delete the output and its empty directory."""
         if self._sink and self._sink.output:
             self._sink.output.spares = True
         if not empty:
@@ -236,7 +236,7 @@ class WatchedSink(Sink):
             self._sink.abandon()
 
     def _announce(self, outputs: Sequence[OutputFile]) -> None:
-        """Say of complete files that they are, of each once."""
+        """Call ``on_complete`` with each complete file, once."""
         for output in outputs:
             if output.path not in self._announced:
                 self._announced.add(output.path)
@@ -248,7 +248,7 @@ class WatchedSink(Sink):
         return self._sink
 
     def _delete_oldest(self) -> None:
-        """Delete complete files until what is left is as much as is to be kept."""
+        """Delete the oldest complete files until the rest is within the limits of ``keep``."""
         keep, sink = self.keep, self._open()
         if not (keep.files or keep.size):
             return
@@ -262,7 +262,7 @@ class WatchedSink(Sink):
             self._complete = [item for item in self._complete if item[0] is not output]
             self._over = [path for path in self._over if path != output.path]
             if output.fate():
-                continue  # somebody moved it, and it is theirs
+                continue  # another program moved it, so it is no longer ours
             with os_errors(f"{output.path}: cannot be deleted"):
                 output.path.unlink()
             keep.deleted += 1
@@ -276,7 +276,7 @@ class WatchedSink(Sink):
             if not self._syncing.done():
                 return
             self._syncing.result()
-        self._synced = now - (now - self._synced) % self._sync_s  # flushes come when they come
+        self._synced = now - (now - self._synced) % self._sync_s  # flushes do not come at exact times
         sink = self._open()
         sink.flush()
         current = sink.output.path if sink.output else None
@@ -293,7 +293,7 @@ class WatchedSink(Sink):
         """Sync files that may not be on the disk; ``current`` is still being written."""
         for path in files:
             if path not in self._on_disk:
-                # One that was removed is reported elsewhere.
+                # A removed file is reported elsewhere.
                 with os_errors(f"{path}: cannot be synced"), suppress(FileNotFoundError):
                     to_disk(path)
         self._on_disk.update(path for path in files if path != current)
@@ -311,7 +311,7 @@ class WatchedSink(Sink):
             self._on_warning(f"{self.losses[-1]}; continuing in {self._sink.paths[-1]}")
 
     def _check_complete(self, sink: FileSink | None) -> None:
-        """Check the files that are complete."""
+        """Check whether the complete files are still there; add a loss for each that is not."""
         self._over, self._sink = self.paths, None
         for output, count in [*self._complete, *(sink.complete if sink else ())]:
             if fate := output.fate():

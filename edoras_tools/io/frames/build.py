@@ -1,7 +1,7 @@
-"""Makes frames for payloads without headers: received by a socket, or made up.
+"""Makes frames for payloads without headers, which a socket received or a program made.
 
 The frames are LINKTYPE_RAW, so that the rest of the pipeline, and every reader of a capture written from
-them, sees what a capture would contain. Lengths, addresses, ports and checksums are correct; fields that a
+them, sees the same as in a capture. Lengths, addresses, ports and checksums are correct; fields that a
 socket does not know have default values (identification 0, time to live 64).
 """
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 
 def order_behind(count: int, row: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Return the order of so many rows and of what comes behind some of them, in their order; i64.
+    """Return an order that puts further rows behind some of the first ``count`` rows, i64.
 
     Args:
-        count: of the rows; they are 0 to ``count`` - 1, the others follow.
-        row: behind which row each of the others comes.
+        count: number of the first rows, 0 to ``count`` - 1; the further rows follow.
+        row: first row behind which each further row is put.
     """
     return np.argsort(np.concatenate([np.arange(count), row]), kind="stable")
 
@@ -42,13 +42,13 @@ def packets_behind(
     start: NDArray[np.int64],
     length: NDArray[np.int64],
 ) -> PacketBatch:
-    """Return a batch with packets behind the rows in which they end; their original length is -1.
+    """Return a batch with packets inserted behind the rows in which they end; their original length is -1.
 
     Args:
-        buffer: u8, what the packets point into.
-        row: of each packet, in which it ends.
-        start: of each packet in the buffer.
-        length: of each packet, in bytes.
+        buffer: bytes that the packets point into, u8.
+        row: row in which each packet ends.
+        start: start of each packet in the buffer.
+        length: bytes of each packet.
     """
     if not len(row):
         return batch
@@ -77,17 +77,17 @@ ENDS: Final = np.dtype(
 )
 """Source and destination: IP version, addresses (for IPv4 the first 4 bytes), UDP ports."""
 _ENDS_COPIED: Final = np.dtype(f"V{ENDS.itemsize}")
-"""The same without its fields, because numpy copies it ten times as fast."""
+"""``ENDS`` without its fields, because numpy copies it ten times as fast."""
 _UDP_BYTES: Final = 8
 _HEADER_BYTES: Final = np.array([0, 0, 0, 0, 20 + _UDP_BYTES, 0, 40 + _UDP_BYTES], np.int64)
-"""By IP version: bytes of the headers before each payload."""
+"""Bytes of the headers before each payload, by IP version."""
 HEADER_BYTES: Final = 40 + _UDP_BYTES + 2
 """Maximum bytes that a page needs for a datagram besides its payload."""
 _COLUMNS: Final = ("time_ns", "_offset", "_length", "_ends")
 """The arrays of a page with an element for each datagram."""
 _TIME_TO_LIVE: Final = 64
 _LARGEST: Final = 65535
-"""Bytes of a frame whose header can say how long it is."""
+"""Most bytes of a frame whose header can hold its length."""
 _UDP: Final = 17
 _LEAST_ROWS: Final = 16
 _LEAST_BYTES: Final = 1 << 12
@@ -108,16 +108,16 @@ def ends_of(source: Endpoint, destination: Endpoint) -> NDArray[np.void]:
 
 
 class FramePage:
-    """Payloads with space before each for its headers, which are written for all at once.
+    """Payloads with space for headers before each of them; the headers of all are written at once.
 
     Args:
-        rows: initial number of datagrams; more are possible, but need a copy.
-        size: initial number of bytes, likewise.
+        rows: initial capacity in datagrams; it grows by copying.
+        size: initial capacity in bytes; it grows by copying.
 
     Attributes:
         rows: number of datagrams.
-        used: their bytes, headers included.
-        time_ns: i64, ns since 1970; the first ``rows`` elements are valid.
+        used: number of their bytes, headers included.
+        time_ns: time of each, i64, ns since 1970; the first ``rows`` elements are valid.
     """
 
     def __init__(self, rows: int = _ROWS, size: int = _BYTES) -> None:
@@ -129,7 +129,7 @@ class FramePage:
         self._ends = np.empty(rows, _ENDS_COPIED)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state without the space that is not used."""
+        """Return the state for ``pickle``, without unused space."""
         state = dict(vars(self))
         for name in _COLUMNS:
             state[name] = state[name][: self.rows]
@@ -151,11 +151,11 @@ class FramePage:
         """Copy payloads.
 
         Args:
-            data: u8, contiguous; contains the payloads.
-            start: i64 (n,), start of each.
-            length: integer (n,), its bytes.
-            time_ns: i64 (n,), ns since 1970.
-            ends: ``ENDS``, one for all or (n,).
+            data: contiguous buffer that contains the payloads, u8.
+            start: start of each payload, i64 (n,).
+            length: bytes of each payload, integer (n,).
+            time_ns: time of each, i64 (n,), ns since 1970.
+            ends: endpoints, ``ENDS``: one for all, or (n,).
         """
         header = _HEADER_BYTES[ends["version"]]
         stride = (header + length + 2) & ~1  # the next one starts at an even offset, after a zero byte
@@ -183,7 +183,7 @@ class FramePage:
 
         Args:
             number: number of the first frame.
-            rows: which datagrams, in this order; None for all.
+            rows: datagrams to take, in this order; None for all.
         """
         selection = slice(0, self.rows) if rows is None else rows
         data, ends = self._data[: self.used + PADDING], self._ends[selection].view(ENDS)
@@ -220,7 +220,7 @@ def frames_of(datagrams: Iterable[tuple[int, Endpoint, Endpoint, bytes]], number
     """Make frames of datagrams one by one, for small numbers of them.
 
     Args:
-        datagrams: for each its time in ns since 1970, source, destination and payload.
+        datagrams: time in ns since 1970, source, destination and payload of each.
         number: number of the first frame.
     """
     times, sources, destinations, payloads = zip(*datagrams, strict=True)
@@ -251,11 +251,11 @@ def _write_headers(
     """Write the headers before some payloads (RFC 791, RFC 8200, RFC 768).
 
     Args:
-        data: u8; each payload starts after its offset plus its headers' size, and is followed by a zero byte.
-        version: 4 or 6.
+        data: buffer, u8; each payload is its headers' size behind its offset, and a zero byte follows it.
+        version: IP version, 4 or 6.
         offset: start of each frame; even.
         length: bytes of each payload.
-        ends: ``ENDS``, all of this version.
+        ends: endpoints, ``ENDS``, all of this version.
     """
     whole = int(_HEADER_BYTES[version])
     size = whole - _UDP_BYTES

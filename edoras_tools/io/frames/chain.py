@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _LANES = 16
-"""With fewer parts than this, a step of all of them costs more than single steps."""
+"""Fewest parts for which one step of all of them costs less than single steps."""
 _BLOCK = 16
-"""Steps between two checks of which parts have arrived."""
+"""Number of steps between two checks of which parts have reached their limit."""
 
 
 def walk_records(
@@ -39,10 +39,10 @@ def walk_records(
     Args:
         start: position of the first record.
         end: one past the last available byte.
-        seeds: increasing positions that may be records; optional, good ones make it fast.
-        successor: position of the record after each of the given ones, never less than the given one; the
-            given one itself if the chain cannot continue. It is called with positions up to ``end + 1``.
-        step: the same for one position.
+        seeds: increasing positions that may be records; optional, good ones make the walk fast.
+        successor: returns the position of the record after each given one, never less than that; the given
+            position itself if the chain cannot continue. Its arguments go up to ``end + 1``.
+        step: the same function for a single position.
 
     Returns:
         The positions of all complete records (whose successor is not past ``end``), and the position where
@@ -84,8 +84,9 @@ def _march(
     """Walk every part from its start up to its limit, all at the same time.
 
     Returns:
-        The complete records below each part's limit, part by part; their number for each part; and where each
-        part ended: at or past its limit, or before it if it could not continue or was left to single steps.
+        The complete records below each part's limit, part by part; their number in each part; and the
+        position where each part ended: at or past its limit, or before it if it could not continue or was
+        left to single steps.
     """
     counts = np.zeros(len(starts), dtype=np.int64)
     landings = starts.copy()

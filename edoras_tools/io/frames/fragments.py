@@ -29,14 +29,17 @@ def find_errors(
     end: NDArray[np.int64],
     rows: NDArray[np.int64],
 ) -> IpPayloads | None:
-    """Return the errors among some frames of ICMP, by the place of the frame; None where there is none.
+    """Return the ICMP errors that quote UDP, among some frames; None if there are none.
 
     Args:
-        data: u8, the buffer.
-        network: i64, start of each frame's IP header.
-        version: u8, 4 or 6.
-        end: i64, one past each frame's last captured byte.
-        rows: i64, the frames that may be errors.
+        data: buffer, u8.
+        network: start of each frame's IP header, i64.
+        version: IP version of each frame, u8, 4 or 6.
+        end: offset after each frame's last captured byte, i64.
+        rows: frames that may be errors, i64.
+
+    Returns:
+        The errors; ``rows`` are the indices of their frames.
     """
     least = min(form.size for form in FORMS)
     payloads = transport_payloads(data, network[rows], version[rows], end[rows], _PROTOCOLS, least)
@@ -59,7 +62,7 @@ def find_errors(
 
 
 def error_rows(batch: PacketBatch) -> NDArray[np.bool_]:
-    """Tell which rows of a batch are errors: only they have no ports."""
+    """Return which rows of a batch are ICMP errors: only they have no ports."""
     return np.asarray((batch.source_port == 0) & (batch.destination_port == 0))
 
 
@@ -67,7 +70,7 @@ def quoted_ports(batch: PacketBatch, rows: NDArray[np.intp]) -> NDArray[np.uint1
     """Return the source and destination port that errors quote, u16 (n, 2).
 
     Args:
-        rows: those of the errors.
+        rows: rows of the errors.
     """
     start = np.array([form.start(QUOTED_UDP) for form in FORMS])
     at = batch.offset[rows] + start[(batch.ip_version[rows] == FORMS[1].version).astype(np.intp)]
@@ -77,19 +80,19 @@ def quoted_ports(batch: PacketBatch, rows: NDArray[np.intp]) -> NDArray[np.uint1
 MAX_PAYLOAD = 65535
 """Maximum bytes of IP payload that fragments can address."""
 QUOTED_BYTES = 64
-"""So much of the IP payload of a datagram that never became whole is kept: ports and the first headers."""
+"""Bytes of an incomplete datagram's IP payload that are kept: ports and the first headers."""
 _MOST_LACKING = 1 << 14
 _PIECE_OVERHEAD = 128
-"""Memory of a stored piece besides its bytes, so that floods of tiny fragments are limited as well."""
+"""Memory of a stored piece besides its bytes; counted so that floods of tiny fragments are limited, too."""
 
 
 class _Partial(msgspec.Struct, eq=False):
     """An incomplete datagram.
 
     Attributes:
-        time_ns: capture time of its first fragment to arrive.
-        pieces: start and bytes, in order of arrival.
-        units: one bit for each 8 bytes that have arrived.
+        time_ns: capture time of the fragment that arrived first.
+        pieces: start and bytes of each fragment, in order of arrival.
+        units: bit mask with one bit for each 8 bytes that have arrived.
         total: bytes of the whole payload; -1 until the last fragment has come.
         size_stored: bytes that count for the reassembler's limit.
         ports: source and destination port; 0 until the first fragment has come.
@@ -110,10 +113,10 @@ class Fragment(msgspec.Struct, frozen=True):
         key: IP version, identification, source and destination address, which all fragments of a datagram
             share.
         time_ns: capture time.
-        start: position of its bytes in the IP payload; a multiple of 8.
+        start: offset of its bytes in the IP payload; a multiple of 8.
         more: whether more fragments follow it.
         whole: whether the capture has all of its bytes.
-        data: its bytes.
+        data: captured bytes.
     """
 
     key: tuple[int, int, bytes, bytes]
@@ -125,13 +128,13 @@ class Fragment(msgspec.Struct, frozen=True):
 
 
 class Beginning(msgspec.Struct, frozen=True):
-    """The first fragment of a datagram of which no other came.
+    """The first fragment of a datagram of which no other fragment came.
 
     Attributes:
         time_ns: capture time of the first of its fragments.
-        source: IP address, 4 or 16 bytes.
-        destination: likewise.
-        head: at most ``QUOTED_BYTES`` of the IP payload: the UDP header and what follows it.
+        source: source IP address, 4 or 16 bytes.
+        destination: destination IP address, 4 or 16 bytes.
+        head: at most ``QUOTED_BYTES`` of the IP payload: the UDP header and the bytes after it.
     """
 
     time_ns: int
@@ -147,8 +150,8 @@ class Reassembler:
     end, a length that is not a multiple of 8) is ignored, and so is one that the capture cut.
 
     Attributes:
-        abandoned: datagrams dropped after a timeout or at the memory limit.
-        lacking: the beginnings of these, where their first fragment alone came; at most 16,384.
+        abandoned: number of datagrams dropped after a timeout or at the memory limit.
+        lacking: beginnings of the dropped datagrams of which only the first fragment came; at most 16,384.
     """
 
     def __init__(self, *, timeout_ns: int = 30_000_000_000, limit: int = 16 << 20) -> None:
@@ -165,7 +168,7 @@ class Reassembler:
         return len(self._partials)
 
     def beginnings(self) -> list[Beginning]:
-        """Return ``lacking``, with those that still wait for fragments."""
+        """Return ``lacking``, and the beginnings of datagrams that still wait for fragments."""
         return [*self.lacking, *(item for key in self._partials if (item := self._beginning(key)))]
 
     def _beginning(self, key: tuple[int, int, bytes, bytes]) -> Beginning | None:

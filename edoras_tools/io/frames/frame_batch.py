@@ -1,4 +1,4 @@
-"""Captured frames in columns, and what is done with them whatever they hold."""
+"""Captured frames in columns, and operations on them that do not depend on their content."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class FrameBatch(msgspec.Struct, frozen=True, eq=False):
     """Captured frames in columns over one contiguous byte buffer; all arrays have the same length.
 
     Attributes:
-        data: u8. ``PADDING`` bytes after the last frame should be readable; if not, the buffer is copied.
-        number: i64, number of the frame in its source, from 1.
-        time_ns: i64, capture time, ns since 1970-01-01 UTC.
-        link_type: u16, pcap LINKTYPE.
-        offset: i64, start of the frame in ``data``.
-        length: i32, captured bytes.
-        original_length: i32, bytes on the wire; 2 GiB and more, which no frame has, become the largest one:
-            below 0 is a row that was not captured.
+        data: buffer, u8. ``PADDING`` bytes after the last frame should be readable; if not, it is copied.
+        number: number of the frame in its source, i64, from 1.
+        time_ns: capture time, i64, ns since 1970-01-01 UTC.
+        link_type: pcap LINKTYPE, u16.
+        offset: start of the frame in ``data``, i64.
+        length: captured bytes, i32.
+        original_length: bytes on the wire, i32. Values from 2 GiB on, which no frame has, become the largest
+            i32; a negative value marks a row that was not captured.
     """
 
     data: NDArray[np.uint8]
@@ -45,24 +45,24 @@ class FrameBatch(msgspec.Struct, frozen=True, eq=False):
         return len(self.time_ns)
 
     def __post_init__(self) -> None:
-        """Keep garbled lengths from being read as those of rows that were made."""
+        """Keep garbled lengths from being taken for rows that were not captured."""
         garbled = self.original_length < 0
         if garbled.any():
             self.original_length[garbled] = np.iinfo(np.int32).max
 
 
 class MadeFrames(FrameBatch, frozen=True, eq=False):
-    """Raw IPv4 frames that were made of datagrams: what their headers say need not be read out of them again.
+    """Raw IPv4 frames made from datagrams; their headers need not be parsed again.
 
     Attributes:
-        ends: of each datagram, ``io.frames.build.ENDS``.
+        ends: endpoints of each datagram, ``io.frames.build.ENDS``.
     """
 
     ends: NDArray[np.void]
 
 
 def joined_frames(parts: Sequence[FrameBatch]) -> FrameBatch:
-    """Join batches, at least one, in one padded buffer."""
+    """Join batches, at least one, into one with a padded buffer."""
     sizes = np.array([0, *(len(part.data) for part in parts)])
     columns = {
         name: np.concatenate([getattr(part, name) for part in parts])
@@ -76,7 +76,7 @@ def joined_frames(parts: Sequence[FrameBatch]) -> FrameBatch:
 
 
 def packed_frames(frames: FrameBatch) -> FrameBatch:
-    """Copy frames end to end."""
+    """Copy frames into a new buffer without gaps."""
     length = frames.length.astype(np.int64)
     offset = np.cumsum(length) - length
     data = np.zeros(int(length.sum()), np.uint8)

@@ -2,9 +2,9 @@
 
 Every source of frames uses this. The result has one row for each frame that contains UDP over IP:
 
-- A payload has the length in the UDP header, limited by the length in the IP header and by what was captured;
-  so padding of short Ethernet frames is left out. A UDP length of 0, or above that of IP, is not trusted: the
-  IP length is used.
+- A payload has the length in the UDP header, limited by the length in the IP header and by the captured
+  bytes; so padding of short Ethernet frames is left out. A UDP length of 0, or above that of IP, is not
+  trusted: the IP length is used.
 - ``CAPTURE_CUT`` is set if the capture cut the frame, or the IP length exceeds the frame.
 - A fragment's row has no payload and ``FRAGMENT`` is set, so that all frames can be written again. The row
   of the fragment that completes the datagram has the whole payload, which is appended to the batch's
@@ -75,18 +75,18 @@ _FAMILY_VERSION = {2: 4, 10: 6, 24: 6, 28: 6, 30: 6}
 
 
 _PROTOCOL_AT = {4: 9, 6: 6}
-"""Where an IP header of a version names the protocol."""
+"""Offset of the protocol field in an IP header, by version."""
 _CONTROL = (1, 58)
 """ICMP, ICMPv6."""
 _TCP_BYTES = 20
 _MADE_BYTES = 20 + UDP_BYTES
-"""Headers of frames that are made."""
+"""Bytes of the headers of frames that ``build`` makes."""
 _IDENTIFICATION = 4
 _LATE_IPV4 = np.dtype([("identification", ">u2"), ("fragment", ">u2"), ("time_to_live", "u1")])
 """A part of ``IPV4_HEADER``, from byte 4 on."""
 _PORTS = np.dtype([("source_port", ">u2"), ("destination_port", ">u2")])
 _WAITING_BYTES = 16 << 20
-"""Bytes of TCP segments that wait for others at most."""
+"""Most bytes of TCP segments that wait for others."""
 _TYPE_AND_IPV4 = np.dtype([("ether_type", ">u2"), *IPV4_HEADER.descr])
 """An EtherType, and the header that usually follows: one memory access instead of two."""
 
@@ -95,9 +95,9 @@ class _Located(NamedTuple):
     """Positions of network headers; one element for each frame.
 
     Attributes:
-        network: i64, start of each.
-        version: u8, IP version; 0 if there is no IP header.
-        header: structured, with the fields of ``IPV4_HEADER``, whatever the bytes are; None if not read.
+        network: start of each header, i64.
+        version: IP version, u8; 0 if there is no IP header.
+        header: record with the fields of ``IPV4_HEADER``, whatever the bytes are; None if not read.
     """
 
     network: NDArray[np.int64]
@@ -106,7 +106,7 @@ class _Located(NamedTuple):
 
 
 def network_headers(batch: PacketBatch) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint8]]:
-    """Return where each row's network header starts, its IPv4 identification, and its time to live.
+    """Return the start of each row's network header, its IPv4 identification, and its time to live.
 
     The identification is 0 for IPv6, which has none.
     """
@@ -114,7 +114,8 @@ def network_headers(batch: PacketBatch) -> tuple[NDArray[np.int64], NDArray[np.u
     if kind in _PROTOCOL_FIELD and (batch.link_type == kind).all() and (batch.ip_version == 4).all():
         size = _PROTOCOL_FIELD[kind][0]
         ahead = size + _MADE_BYTES
-        # No payload begins sooner: so there are no tags. One that begins where its frame was cut may.
+        # No payload begins earlier, so there are no VLAN tags. If a frame was cut, its payload may begin
+        # there.
         whole = (batch.frame_length > ahead) | (batch.frame_length == batch.original_length)
         if (batch.offset - batch.frame_offset == ahead).all() and whole.all():
             place = batch.frame_offset + size
@@ -141,15 +142,15 @@ def network_headers(batch: PacketBatch) -> tuple[NDArray[np.int64], NDArray[np.u
 
 
 def checksum_faults(batch: PacketBatch) -> list[str]:
-    """Return which checksums of datagrams are wrong, in words; nothing where they do not tell."""
+    """Return the wrong checksums of each datagram, in words; empty if none is wrong or can be checked."""
     codes = np.zeros(len(batch), np.uint8)
-    if batch.recorded is None:  # else they are messages without frames
+    if batch.recorded is None:  # else the rows are messages without frames
         codes = wrong_checksums(batch, network_headers(batch)[0])
     return [CHECKSUMS[code] for code in codes.tolist()]
 
 
 def checksum_fault(datagram: Datagram) -> str:
-    """Return likewise of one datagram."""
+    """Return the wrong checksums of one datagram; see ``checksum_faults``."""
     size = len(datagram.frame)
     about = datagram.number, datagram.time_ns, datagram.link_type, 0, size, datagram.original_length
     frame = FrameBatch(np.frombuffer(datagram.frame, np.uint8), *(np.array([item]) for item in about))
@@ -165,10 +166,10 @@ class Demux:
     """Turns frames into datagrams; remembers fragments and TCP connections from batch to batch.
 
     Attributes:
-        skipped: frames so far that contained no UDP over IP, no bytes of a link's TCP stream, and no ICMP
-            error about UDP.
-        unknown_link_types: link types seen that cannot be read.
-        framings: how TCP streams are cut, by port; those of the links' usual ports unless it is set.
+        skipped: number of frames so far without UDP over IP, without bytes of a link's TCP stream, and
+            without an ICMP error about UDP.
+        unknown_link_types: link types that cannot be read.
+        framings: framing of TCP streams by port; by default those of the links' usual ports.
     """
 
     def __init__(self) -> None:
@@ -180,16 +181,16 @@ class Demux:
 
     @cached_property
     def framings(self) -> Mapping[int, Framing]:
-        """How TCP streams are cut, by port."""
+        """Framing of TCP streams, by port."""
         return framings()
 
     @property
     def incomplete(self) -> int:
-        """Fragmented datagrams that were dropped or still lack fragments."""
+        """Number of fragmented datagrams that were dropped or still wait for fragments."""
         return self._reassembler.abandoned + self._reassembler.pending
 
     def beginnings(self) -> list[CutDatagram]:
-        """Return the datagrams of which the first fragment came, and others did not."""
+        """Return the datagrams of which only the first fragment came."""
         return [
             CutDatagram(item.time_ns, *_ends(item), item.head[UDP_BYTES:])
             for item in self._reassembler.beginnings()
@@ -199,7 +200,7 @@ class Demux:
     def demux(self, frames: FrameBatch) -> PacketBatch:
         """Turn frames into datagrams: one row for each frame that contains UDP or a fragment of it.
 
-        Messages of TCP streams that are complete with these frames have a row each.
+        Messages of TCP streams that these frames complete have a row each.
         """
         if isinstance(frames, MadeFrames):
             return _datagrams(frames)
@@ -231,7 +232,7 @@ class Demux:
         return self._with_streams(batch, frames_at(replace(frames, data=data), rows)) if len(rows) else batch
 
     def finish(self) -> PacketBatch | None:
-        """Return what waited for more bytes of a TCP stream, at the end of the frames; None if none did."""
+        """Return the rows of TCP bytes that still wait, at the end of the frames; None if there are none."""
         if self._streams is None or self._waiting is None:
             return None
         return self._messages(self._waiting, len(self._waiting), final=True)
@@ -244,7 +245,7 @@ class Demux:
         version: NDArray[np.uint8],
         rows: NDArray[np.int64],
     ) -> PacketBatch:
-        """Add a row for each ICMP error among some frames, from and to port 0, in the order of the frames."""
+        """Add a row for each ICMP error among some frames, with ports 0, in the order of the frames."""
         from edoras_tools.io.frames.fragments import find_errors
 
         errors = find_errors(frames.data, network, version, frames.offset + frames.length, rows)
@@ -253,7 +254,7 @@ class Demux:
         frames = frames_at(frames, errors.rows)
         self.skipped -= len(frames)
         messages = self._datagrams(frames.data, frames, errors)
-        # What was taken for a UDP header begins the message.
+        # The bytes that were read as a UDP header begin the ICMP message.
         start = messages.offset - UDP_BYTES
         length = np.minimum(errors.end, frames.offset + frames.length) - start
         none = np.zeros(len(frames), np.uint16)
@@ -309,7 +310,7 @@ class Demux:
         return batch
 
     def _locate(self, data: NDArray[np.uint8], frames: FrameBatch) -> _Located:
-        """Find where each network header starts, and the IP version."""
+        """Find the start of each network header, and the IP version."""
         types = frames.link_type
         if len(types) and (types == types[0]).all():
             return self._locate_one(int(types[0]), data, frames.offset, frames.offset + frames.length)
@@ -408,13 +409,13 @@ class Demux:
 
 
 def _heads(frames: Any) -> dict[str, Any]:
-    """Return the columns that datagrams have of their frames."""
+    """Return the columns of datagrams that are the same as those of their frames."""
     same = {name: getattr(frames, name) for name in ("number", "time_ns", "link_type", "original_length")}
     return {**same, "frame_offset": frames.offset, "frame_length": frames.length}
 
 
 def _datagrams(frames: MadeFrames) -> PacketBatch:
-    """Return the datagrams that frames were made of."""
+    """Return the datagrams from which frames were made."""
     ends, count = frames.ends, len(frames)
     source, destination = (
         ends[name][:, :4].copy().view(">u4")[:, 0].astype(np.uint32) for name in ("source", "destination")
@@ -452,11 +453,11 @@ def _untag(
     """Skip VLAN tags (IEEE 802.1Q, nested too) and return the IP version from the EtherType.
 
     Args:
-        data: u8, the buffer.
-        position: i64, start of the data after the EtherType; written to.
-        protocol: u16, the EtherType; written to.
-        end: i64, one past each frame's last captured byte.
-        header: the bytes that would be IPv4 headers if there were no tags.
+        data: buffer, u8.
+        position: start of the data after the EtherType, i64; modified.
+        protocol: EtherType, u16; modified.
+        end: offset after each frame's last captured byte, i64.
+        header: bytes that are IPv4 headers if there are no tags.
     """
     rows = np.flatnonzero(np.isin(protocol, _VLAN))
     if len(rows):

@@ -53,7 +53,7 @@ _IPV6 = np.dtype(
     ]
 )
 HOP_LIMIT = 7
-"""Position of the hop limit, IPv6's time to live."""
+"""Offset of the hop limit, IPv6's time to live."""
 _EXTENSION = np.dtype(
     [("next_header", "u1"), ("length", "u1"), ("fragment", ">u2"), ("identification", ">u4")]
 )
@@ -65,20 +65,20 @@ _EXTENSIONS = (0, 43, _FRAGMENT_HEADER, _AUTHENTICATION_HEADER, 60, 135, 139, 14
 
 
 class IpPayloads(msgspec.Struct, frozen=True, eq=False):
-    """UDP or TCP, or fragments of it, as IP headers describe it; one element for each packet that was kept.
+    """UDP or TCP payloads, or fragments of them, from IP headers; one element for each kept packet.
 
     Attributes:
-        rows: i64, which of the given packets were kept, in order; None for all of them.
-        version: u8, 4 or 6.
-        source: u32, IPv4 address, or index into ``addresses``.
-        destination: u32, as ``source``.
-        position: i64, start of the transport header or of a fragment's data.
-        end: i64, one past the last byte of the IP payload, captured or not.
-        fragment: u16, 0 for a whole packet; for a fragment, the position of its bytes in the whole payload (a
-            multiple of 8), plus 1 if more follow.
-        identification: u32, the same in all fragments of a packet; 0 for a whole IPv6 packet.
+        rows: indices of the kept packets among those given, i64, in order; None for all of them.
+        version: IP version, u8, 4 or 6.
+        source: IPv4 address, or index into ``addresses``, u32.
+        destination: like ``source``, u32.
+        position: start of the transport header or of a fragment's data, i64.
+        end: offset after the last byte of the IP payload, captured or not, i64.
+        fragment: 0 for a whole packet; for a fragment, the offset of its bytes in the whole payload (a
+            multiple of 8), plus 1 if more follow, u16.
+        identification: number that all fragments of a packet share, u32; 0 for a whole IPv6 packet.
         addresses: IPv6 addresses, 16 bytes each.
-        udp: structured, with the fields of ``UDP_HEADER``; None if they were not read yet.
+        udp: record with the fields of ``UDP_HEADER``; None if not read yet.
     """
 
     rows: NDArray[np.int64] | None
@@ -93,7 +93,7 @@ class IpPayloads(msgspec.Struct, frozen=True, eq=False):
     udp: NDArray[np.void] | None = None
 
     def take(self, mask: NDArray[np.bool_]) -> IpPayloads:
-        """Return some of the packets."""
+        """Return the packets that a mask selects."""
         columns: dict[str, Any] = {}
         for name in self.__struct_fields__:
             value = getattr(self, name)
@@ -111,10 +111,11 @@ def ipv4(
     """Read IPv4 headers.
 
     Args:
-        data: u8, the buffer.
-        network: i64, start of each header; the buffer has at least 28 bytes from there.
-        end: i64, one past each frame's last captured byte.
-        header: structured, with the fields of ``IPV4_HEADER``, if they were already read.
+        data: buffer, u8.
+        network: start of each header, i64; the buffer has at least 28 bytes from there.
+        end: offset after each frame's last captured byte, i64.
+        header: record with the fields of ``IPV4_HEADER``, if already read.
+        protocol: number of the transport protocol to keep.
     """
     if header is None:
         header = read_at(data, network, IPV4_HEADER)
@@ -154,9 +155,10 @@ def ipv6(
     """Read IPv6 headers and their extension headers.
 
     Args:
-        data: u8, the buffer.
-        network: i64, start of each header; the buffer has at least 40 bytes from there.
-        end: i64, one past each frame's last captured byte.
+        data: buffer, u8.
+        network: start of each header, i64; the buffer has at least 40 bytes from there.
+        end: offset after each frame's last captured byte, i64.
+        protocol: number of the transport protocol to keep.
     """
     header = read_at(data, network, _IPV6)
     position = network + 40
@@ -216,7 +218,7 @@ def merge_rows(parts: list[tuple[NDArray[np.int64], IpPayloads]]) -> IpPayloads:
     """Merge the results for several selections of rows, in the order of the rows.
 
     Args:
-        parts: the selected packets, and what was read of them; at most one part has addresses.
+        parts: indices of the selected packets, and their payloads; at most one part has addresses.
     """
     selections = [replace(part, rows=rows if part.rows is None else rows[part.rows]) for rows, part in parts]
     columns = {
@@ -237,15 +239,15 @@ def transport_payloads(
     protocols: tuple[int, int],
     least: int,
 ) -> IpPayloads:
-    """Find the payloads of one transport protocol that are no fragments, in packets with an IP header.
+    """Find the unfragmented payloads of one transport protocol, in packets with an IP header.
 
     Args:
-        data: u8, the buffer.
-        network: i64, start of each IP header.
-        version: u8, 4 or 6.
-        end: i64, one past each frame's last captured byte.
-        protocols: the number of the protocol in IPv4, and in IPv6.
-        least: bytes that must be captured of each.
+        data: buffer, u8.
+        network: start of each IP header, i64.
+        version: IP version, u8, 4 or 6.
+        end: offset after each frame's last captured byte, i64.
+        protocols: numbers of the protocol in IPv4, and in IPv6.
+        least: fewest captured bytes of a payload.
     """
     four, six = np.flatnonzero(version == 4), np.flatnonzero(version == 6)
     payloads = merge_rows(
@@ -261,20 +263,21 @@ def transport_payloads(
 
 
 _HEADS: Final = {4: (np.dtype((">u2", 14)), slice(6, 10)), 6: (np.dtype((">u2", 24)), slice(4, 20))}
-"""The words of an IP header without options and of the UDP header behind it, and which are the addresses."""
+"""Words of an IP header without options and the UDP header behind it, and which of them are addresses."""
 _ONES = 0xFFFF
 CHECKSUMS: Final = "", "UDP checksum wrong", "IPv4 checksum wrong", "UDP and IPv4 checksums wrong"
-"""What :func:`wrong_checksums` says, in words."""
+"""Texts of the codes that :func:`wrong_checksums` returns."""
 
 
 def wrong_checksums(batch: PacketBatch, network: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return which checksums of each datagram are wrong: 1 of UDP, 2 of IPv4, 3 both; its receiver drops it.
+    """Return a code of each datagram's wrong checksums: 1 UDP, 2 IPv4, 3 both; a receiver drops these.
 
-    Nothing is said of fragments, of what was cut, or has no checksum (0), of options, and of a checksum that
-    the sender left to its network card: the field then has the sum of the pseudo-header alone (RFC 768).
+    The code is 0, too, where a checksum cannot be judged: for fragments, datagrams that were cut, have no
+    checksum (0) or IP options, and where the sender left the checksum to its network card: then the field has
+    the sum of the pseudo-header alone (RFC 768).
 
     Args:
-        network: i64, where each row's network header starts.
+        network: start of each row's network header, i64.
     """
     wrong = np.zeros(len(batch), np.uint8)
     end = batch.frame_offset + batch.frame_length

@@ -32,9 +32,9 @@ def cut(frames: FrameBatch, size: NDArray[np.integer[Any]], header: NDArray[np.i
     """Return frames of one datagram each; numbers continue from the first frame's.
 
     Args:
-        size: integer (n,), payload bytes of each part; 0 for a frame that is not cut.
-        header: integer (n,), bytes from the IP header to the UDP header whose payload is cut; in a tunnel the
-            inner one, and the headers before it are repeated.
+        size: payload bytes of each part, integer (n,); 0 for a frame that is not cut.
+        header: bytes from the IP header to the UDP header whose payload is cut, integer (n,); in a tunnel
+            from the inner IP header, and the headers before it are repeated.
     """
     rows = np.flatnonzero(size)
     if not len(rows):
@@ -64,12 +64,12 @@ def cut(frames: FrameBatch, size: NDArray[np.integer[Any]], header: NDArray[np.i
 
 
 def _parts(frame: bytes, network: int, payload: int, size: int, whole: int) -> list[tuple[bytes, int]]:
-    """Return the frames that a frame is cut into, each with its captured bytes and its length on the wire.
+    """Return the frames into which a frame is cut, each with its captured bytes and its length on the wire.
 
     Args:
-        frame: its captured bytes.
-        network: start of its IP header.
-        payload: start of its UDP payload.
+        frame: captured bytes.
+        network: start of the IP header.
+        payload: start of the UDP payload.
         size: payload bytes of a part.
         whole: payload bytes in total, captured or not.
     """
@@ -91,7 +91,7 @@ def _parts(frame: bytes, network: int, payload: int, size: int, whole: int) -> l
             struct.pack_into(">H", header, network + 4, payload - network - 40 + length)
         udp = payload - _UDP_BYTES
         struct.pack_into(">HH", header, udp + 4, _UDP_BYTES + length, 0)
-        if len(body) == length:  # else it is unknown; 0 means that there is none
+        if len(body) == length:  # else the checksum is unknown; 0 means that there is none
             pseudo = addresses + struct.pack(">HH", _UDP, _UDP_BYTES + length)
             value = _checksum(pseudo + bytes(header[udp:]) + body) or 0xFFFF
             struct.pack_into(">H", header, udp + 6, value)

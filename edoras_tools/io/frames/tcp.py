@@ -3,22 +3,24 @@
 The rules:
 
 1. A row of the result is one message, as the link's ``Framing`` cuts it. Its time and number are those of the
-   segment with which it, and all before it, had come; rows are in the order of these segments.
-2. A message that is alone in its segment keeps the captured frame. For any other a segment is made that
-   holds it alone: the headers of the segment that completed it, with its sequence number, its length and new
-   checksums, without SYN, FIN and RST. So a recording of the rows is again a capture of the same stream.
-3. What is no message (the rest of one after missing bytes, another protocol) is a row without a payload, with
-   ``FRAGMENT`` and ``STREAM_GAP``; its frame has the bytes. So is a segment with bytes that had come before,
-   with ``FRAGMENT`` and ``STREAM_RESENT``. The first message after missing bytes has ``STREAM_GAP``.
+   segment that completes it and all messages before it; rows are in the order of these segments.
+2. A message that is alone in its segment keeps the captured frame. For any other message a segment is made
+   that holds only this message: it has the headers of the segment that completed it, with the right sequence
+   number, length and checksums, without SYN, FIN and RST. So a recording of the rows is again a capture of
+   the same stream.
+3. Bytes that are no message (the rest of one after missing bytes, or another protocol) are a row without a
+   payload, with ``FRAGMENT`` and ``STREAM_GAP``; its frame has the bytes. A segment with bytes that came
+   before is a row with ``FRAGMENT`` and ``STREAM_RESENT``. The first message after missing bytes has
+   ``STREAM_GAP``.
 4. Segments without bytes (SYN, FIN, acknowledgements) have no row.
 5. Missing bytes are waited for ``_PATIENCE_NS`` of capture time, ``_LATE_NS`` if the other end acknowledged
-   them (then only the capture lacks them), or until 16 MiB wait. What waits are whole frames, which are
-   put in front of the next batch: besides them, little is known of a connection.
+   them (then they are missing only in the capture), or until 16 MiB wait. Whole frames wait and are put in
+   front of the next batch; besides them, the state of a connection is small.
 6. A connection whose beginning was not captured, or that lost bytes, is read from the first place on where a
    message surely starts (``_Cut._sure``).
 
 In the usual case, one message a segment and all in order, no byte is copied and no Python runs per segment.
-Of bytes that came twice with different values, those that came first are used.
+If bytes came twice with different values, the first ones are used.
 """
 
 from __future__ import annotations
@@ -43,20 +45,20 @@ if TYPE_CHECKING:
 
 
 CONNECTIONS: Final = 1 << 16
-"""Directions that are remembered; of more, those seen first are forgotten."""
+"""Most directions that are remembered; above it, the oldest are forgotten."""
 _PATIENCE_NS: Final = 1_000_000_000
 _LATE_NS: Final = 50_000_000
 _FAR: Final = 1 << 26
-"""A segment this far from the others is of another connection with the same ports."""
+"""Bytes in sequence between two segments from which on they belong to different connections."""
 _BEFORE: Final = 64
-"""The most segments that come before the first one of their connection."""
+"""Segments of a connection that may come before its first one, at most."""
 _MANY: Final = 8
-"""Missing bytes of one direction, from which on the pieces between are looked at together."""
+"""Gaps in one direction from which on the pieces between them are handled together."""
 _FIRST_WINDOW: Final = 1 << 10
 _WINDOW: Final = 1 << 16
-"""Bytes that are searched at once for the start of a message, at first and at most,"""
+"""Bytes that are searched at once for the start of a message; ``_FIRST_WINDOW`` at first, then up to this."""
 _FOLLOWERS: Final = 3
-"""and messages that are to follow it, as far as there are bytes."""
+"""Messages that must follow a start of a message to prove it, as far as there are bytes."""
 _SYN: Final = 2
 _ACK: Final = 16
 _WRAP: Final = 1 << 32
@@ -66,10 +68,10 @@ _RESENT: Final = np.uint32(Finding.STREAM_RESENT)
 
 
 class _Shared(msgspec.Struct, eq=False):
-    """What both directions of a connection share.
+    """State that both directions of a connection share.
 
     Attributes:
-        state: what their messages depend on; None where each is its own content.
+        state: state that the messages' contents depend on; None if each message is its own content.
     """
 
     state: StreamState | None
@@ -84,15 +86,15 @@ class _Direction(msgspec.Struct, eq=False):
     """One direction of a connection.
 
     Attributes:
-        framing: cuts its messages.
-        shared: what is kept of both directions.
-        forward: which of the two it is.
+        framing: framing that cuts its messages.
+        shared: state of both directions.
+        forward: whether it is the direction seen first.
         next: sequence number of the first byte that was not handed over; -1 before the first.
-        begin: that of the first byte after SYN; -1 if that was not captured.
-        synced: whether a message starts there.
-        gap: whether bytes before it are missing.
-        synchronized: whether a message was found.
-        sender: what the headers of all its messages say of their sender; None if that is not known.
+        begin: sequence number of the first byte after SYN; -1 if SYN was not captured.
+        synced: whether a message starts at ``next``.
+        gap: whether bytes before ``next`` are missing.
+        synchronized: whether a message was ever read.
+        sender: header bytes that identify the sender in all its messages; None if unknown.
     """
 
     framing: Framing
@@ -107,14 +109,14 @@ class _Direction(msgspec.Struct, eq=False):
 
 
 class _Pieces(msgspec.Struct, eq=False):
-    """Bytes of a direction that are new, in the order of the stream; arrays of one length.
+    """New bytes of a direction, in the order of the stream; all arrays have the same length.
 
     Attributes:
-        segment: i64, which segment each is from.
-        offset: i64, its first byte in the data of the segments.
-        begin: i64, place in the stream, from the first byte that was not handed over.
-        length: i64.
-        untrimmed: bool, whether it is all that the segment holds.
+        segment: index of the segment that each is from, i64.
+        offset: first byte in the data of the segments, i64.
+        begin: place in the stream, i64, relative to the first byte that was not handed over.
+        length: number of bytes, i64.
+        untrimmed: whether the piece is all the data of its segment, bool.
     """
 
     segment: NDArray[np.int64]
@@ -131,18 +133,18 @@ class _Pieces(msgspec.Struct, eq=False):
 
 
 class _Rows(msgspec.Struct, eq=False):
-    """What was found, a list of arrays for each column of the result.
+    """The rows of the result; a list of arrays for each column.
 
     Attributes:
-        segment: which segment completes the row.
-        offset: its bytes, in the data of the segments and what was appended to it.
-        length: its bytes.
-        sequence: sequence number of its first byte.
-        whole: whether the captured frame holds it alone.
+        segment: index of the segment that completes the row.
+        offset: first byte, in the data of the segments followed by ``appended``.
+        length: number of bytes.
+        sequence: sequence number of the first byte.
+        whole: whether the captured frame holds only this row.
         findings: ``Finding`` bits.
-        direction: index into ``directions``.
-        appended: bytes put in order; they follow the data of the segments.
-        bytes: how many these are.
+        direction: index of the direction in the present call.
+        appended: bytes that were put in order; they follow the data of the segments.
+        bytes: number of bytes in ``appended``.
     """
 
     segment: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
@@ -160,7 +162,7 @@ class StreamReassembler:
     """Puts the bytes of connections in order and cuts them into messages; see the rules of this module.
 
     Args:
-        framings: how streams are cut, by the port that is listened on.
+        framings: framing of streams, by the port that is listened on.
     """
 
     def __init__(self, framings: Mapping[int, Framing]) -> None:
@@ -168,14 +170,14 @@ class StreamReassembler:
         self._directions: dict[tuple[Any, ...], _Direction] = {}
 
     def messages(self, segments: Segments, *, final: bool = False) -> tuple[PacketBatch, NDArray[np.int64]]:
-        """Return the messages that some segments complete, but for those of other programs' connections.
+        """Return the messages that some segments complete, except those of other programs' connections.
 
         Args:
-            segments: those that wait from the last call, then new ones, in the order of their capture.
-            final: nothing follows: wait for no missing byte.
+            segments: the segments that wait from the last call, then new ones, in the order of their capture.
+            final: nothing follows: do not wait for missing bytes.
 
         Returns:
-            The messages, and the segments that wait for more; give their frames again with the next ones.
+            The messages, and the segments that wait for more: give their frames again with the next ones.
         """
         rows, waiting = _Rows(), [np.empty(0, np.int64)]
         used: list[_Direction] = []
@@ -193,7 +195,7 @@ class StreamReassembler:
         return _batch(segments, rows, used), np.unique(np.concatenate(waiting))
 
     def _groups(self, segments: Segments) -> Iterator[tuple[tuple[Any, ...], NDArray[np.int64]]]:
-        """Yield each direction that has segments: its key, and which they are."""
+        """Yield each direction that has segments: its key, and the indices of its segments."""
         ip = segments.ip
         addresses = ip.source.astype(np.uint64) << np.uint64(32) | ip.destination
         ports = segments.source_port.astype(np.uint64) << np.uint64(16) | segments.destination_port
@@ -241,8 +243,8 @@ class _Follow:
         """Follow the direction; return the segments that wait.
 
         Args:
-            members: its segments, in the order of their capture.
-            reached: the sequence numbers that the other end acknowledged, of these segments' time.
+            members: indices of its segments, in the order of their capture.
+            reached: sequence numbers that the other end acknowledged in this call; None: no acknowledgement.
             final: see ``StreamReassembler.messages``.
         """
         way, segments = self.way, self.segments
@@ -272,7 +274,7 @@ class _Follow:
         return np.concatenate(waiting)
 
     def _opened(self, members: NDArray[np.int64], place: int, begin: int) -> int:
-        """Return where among segments a connection begins: its first may come behind others of it."""
+        """Return the index of a connection's first segment; it may be captured behind later ones."""
         before = members[max(place - _BEFORE, 0) : place]
         ahead = _from(begin, self.segments.sequence[before])
         late = (ahead >= 0) & (ahead < _FAR) & (self.segments.length[before] > 0)
@@ -323,7 +325,7 @@ class _Follow:
         return waiting
 
     def _pieces(self, members: NDArray[np.int64], base: int) -> tuple[_Pieces, NDArray[np.int64]]:
-        """Put segments in the order of the stream; return what is new, and the segments with what is not."""
+        """Put segments in the order of the stream; return new bytes, and the segments with resent bytes."""
         segments = self.segments
         start, length = _from(base, segments.sequence[members]), segments.length[members]
         if (start[1:] < start[:-1]).any():
@@ -335,7 +337,7 @@ class _Follow:
         if not twice.any():
             whole = np.ones(len(members), bool)
             return _Pieces(members, segments.start[members], start, length, whole), members[:0]
-        # Runs of segments that overlap; all others are as they are.
+        # Runs of segments that overlap; all other segments stay as they are.
         run = np.cumsum(~twice)
         alone = ~twice & (np.append(run[1:], -1) != run)
         single = np.flatnonzero(alone)
@@ -361,7 +363,7 @@ class _Follow:
     def _lost(
         self, pieces: _Pieces, breaks: NDArray[np.intp], reached: NDArray[np.int64] | None, base: int
     ) -> NDArray[np.bool_]:
-        """Return, for each piece behind missing bytes, whether these will not come any more."""
+        """Return, for each piece behind missing bytes, whether these bytes are given up."""
         time_ns = self.segments.frames.time_ns
         passed = time_ns.max() - time_ns[pieces.segment[breaks]]
         lost = passed > _PATIENCE_NS
@@ -370,11 +372,11 @@ class _Follow:
         return np.asarray(lost)
 
     def _alone(self, pieces: _Pieces, breaks: NDArray[np.intp], lost: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Return how far pieces follow each other that are a message each, with lost bytes before the next.
+        """Return the ends of runs of pieces that are one message each, with lost bytes between them.
 
         Returns:
-            For each run that missing bytes end, the first that is none of these, of the same sender; so one
-            that is none has its own place.
+            For each piece before a gap, the index of the first piece from it on that is no such message, or
+            is of another sender; its own index if it is none itself.
         """
         framing, nobody = self.way.framing, np.arange(len(breaks))
         if len(breaks) < _MANY or framing.sender == slice(0):
@@ -388,13 +390,13 @@ class _Follow:
         return np.where(alone, bounds[np.searchsorted(bounds, nobody, side="right")], nobody)
 
     def _is_known(self, pieces: _Pieces, at: int) -> bool:
-        """Return whether a piece begins as all messages of this direction do."""
+        """Return whether a piece begins like all messages of this direction."""
         way, data = self.way, self.segments.frames.data
         own = gather(data, pieces.offset[at : at + 1], way.framing.head)[:, way.framing.sender]
         return way.sender is not None and bool((own == way.sender).all())
 
     def _put_alone(self, pieces: _Pieces, base: int) -> None:
-        """Add pieces that are a message each, with missing bytes behind each."""
+        """Add pieces that are one message each, with missing bytes behind each of them."""
         self._add(pieces.segment, pieces.offset, pieces.length, base + pieces.begin)
         self.rows.whole[-1][:] = pieces.untrimmed
         self.rows.findings[-1][1:] = _GAP
@@ -406,8 +408,8 @@ class _Follow:
 
         Args:
             pieces: the bytes.
-            base: sequence number of place 0.
-            keep: whether more may follow them.
+            base: sequence number of place 0 in the stream.
+            keep: whether more bytes may follow.
         """
         way, segments = self.way, self.segments
         if not len(pieces):
@@ -427,7 +429,7 @@ class _Follow:
         return np.asarray(pieces.segment[cut.local + length > consumed])
 
     def _add_spans(self, cut: _Cut, spans: NDArray[np.int64], base: int, messages: NDArray[np.bool_]) -> None:
-        """Add rows of bytes that were put in order; ``spans`` has a row of start and length for each."""
+        """Add rows of bytes that were put in order; ``spans`` has the start and length of each row."""
         pieces, rows = cut.pieces, self.rows
         start, length = spans[:, 0], spans[:, 1]
         latest = np.maximum.accumulate(pieces.segment)
@@ -445,7 +447,7 @@ class _Follow:
         )
         rows.whole[-1][:] = whole
         rows.findings[-1][~messages] = _PART | _GAP
-        # A message directly behind what was no message follows missing bytes.
+        # A message directly behind bytes that are no message follows missing bytes.
         rows.findings[-1][1:][messages[1:] & ~messages[:-1]] |= _GAP
         if messages.any():
             self.way.gap |= bool(not messages[: int(np.argmax(messages))].all())
@@ -453,7 +455,7 @@ class _Follow:
         self.way.gap |= len(messages) > 0 and not messages[-1]
 
     def _mark_gap(self, place: int = 0) -> None:
-        """Note at the first message behind missing bytes that they are missing."""
+        """Set ``STREAM_GAP`` at the first message behind missing bytes."""
         if self.way.gap:
             self.rows.findings[-1][place] |= _GAP
             self.way.gap = False
@@ -476,12 +478,12 @@ class _Follow:
 
 
 class _Cut:
-    """Bytes without a gap, copied end to end, that are cut into messages.
+    """Consecutive bytes, copied end to end, that are cut into messages.
 
     Attributes:
-        pieces: where they come from.
-        local: i64, where each piece starts in ``buffer``.
-        buffer: u8, with padding.
+        pieces: pieces that the bytes come from.
+        local: start of each piece in ``buffer``, i64.
+        buffer: the bytes with padding, u8.
     """
 
     def __init__(self, way: _Direction, segments: Segments, pieces: _Pieces) -> None:
@@ -492,11 +494,11 @@ class _Cut:
         copy_rows(self.buffer, self.local, segments.frames.data, pieces.offset, pieces.length)
 
     def spans(self, *, keep: bool) -> tuple[NDArray[np.int64], NDArray[np.bool_], int]:
-        """Cut them.
+        """Cut the bytes.
 
         Returns:
-            i64 (n, 2), start and length of each part; bool (n,), which are messages; and how many bytes they
-            are together. The rest is the start of a message.
+            Start and length of each part, i64 (n, 2); whether each is a message, bool (n,); and the number of
+            bytes of all parts. The rest of the bytes is the start of a message.
         """
         way, framing = self.way, self.way.framing
         bounds: list[NDArray[np.int64]] = [np.empty((0, 2), np.int64)]
@@ -550,7 +552,7 @@ class _Cut:
         return np.concatenate(bounds), np.concatenate(kinds), position
 
     def _message_start(self, position: int) -> int | None:
-        """Return the first place where a message surely starts."""
+        """Return the first place where a message surely starts; None if there is none."""
         framing, total = self.way.framing, self.total
         size = _FIRST_WINDOW
         while position < total:
@@ -565,17 +567,17 @@ class _Cut:
         return None
 
     def _likely(self, places: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell at which places a message of the known sender, or a likely one, starts; bool (n,)."""
+        """Return at which places a message of the known sender, or a likely message, starts; bool (n,)."""
         way = self.way
         if way.sender is None or way.framing.sender == slice(0):
             return way.framing.likely(self.buffer, places, self.total)
         return np.asarray((self._senders(places) == way.sender).all(axis=1))
 
     def _sure(self, places: NDArray[np.int64], behind: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell at which places, of those where messages probably start and end, they surely do; bool (n,).
+        """Return at which of some likely messages a message surely starts; bool (n,).
 
-        Others of the same sender follow, as far as there are bytes. If there are none, the sender is known,
-        or the message fills whole segments.
+        Other messages of the same sender must follow, as far as there are bytes. If there are none, the
+        sender must be known, or the message must fill whole segments.
         """
         framing, total = self.way.framing, self.total
         if framing.checked or not len(places):
@@ -595,23 +597,23 @@ class _Cut:
         return np.asarray(sure & (senders | (framing.lengths(self.buffer, behind, total) != NOT_YET)))
 
     def _senders(self, places: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """Return what headers say of their sender, a row for each; what is not there is zeros."""
+        """Return the header bytes that identify the sender, one row a place; bytes past the end are zeros."""
         return gather(self.buffer, places, self.way.framing.head)[:, self.way.framing.sender]
 
 
 def _first_bytes(
     members: NDArray[np.int64], start: NDArray[np.int64], stop: NDArray[np.int64], rows: NDArray[np.intp]
 ) -> tuple[NDArray[np.int64], list[int]]:
-    """Choose, of segments that overlap, the bytes that came first.
+    """Choose, in segments that overlap, the bytes that came first.
 
     Args:
-        members: numbers that rise in the order of arrival.
-        start: place of the first byte of each; what is before 0 had come earlier.
-        stop: one past its last byte.
-        rows: which of them overlap, in the order of ``start``.
+        members: numbers that increase in the order of arrival.
+        start: place of each segment's first byte; bytes before 0 came earlier.
+        stop: place after its last byte.
+        rows: indices of the segments that overlap, in the order of ``start``.
 
     Returns:
-        i64 (n, 3), row, start and end of what is new; and the rows with bytes that had come before.
+        Row, start and end of the new bytes, i64 (n, 3); and the rows with bytes that came before.
     """
     spans: list[tuple[int, int, int]] = []
     again: list[int] = []
@@ -631,19 +633,19 @@ def _first_bytes(
             spans.append((row, at, end))
         span = [begin, end, *(edge for item in covered[first:last] for edge in item)]
         covered[first:last] = [(min(span), max(span))]
-        # One byte that had come before keeps a connection alive (RFC 1122 section 4.2.3.6).
+        # One byte that came before is a keep-alive (RFC 1122 section 4.2.3.6).
         if overlaps > (end - begin == 1):
             again.append(row)
     return np.array(spans, np.int64).reshape(-1, 3), again
 
 
 def _from(base: int | NDArray[np.int64], sequence: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return how far sequence numbers are behind ``base``; less than 2**31 either way."""
+    """Return the distance of sequence numbers from ``base``, modulo 2**32, between -2**31 and 2**31."""
     return np.asarray((sequence - base + _WRAP // 2) % _WRAP - _WRAP // 2)
 
 
 def _batch(segments: Segments, rows: _Rows, ways: list[_Direction]) -> PacketBatch:
-    """Return what was found as a batch."""
+    """Return the rows as a batch."""
     column: dict[str, NDArray[Any]] = {
         name: np.concatenate([np.empty(0, bool if name == "whole" else np.int64), *getattr(rows, name)])
         for name in _Rows.__struct_fields__
@@ -704,10 +706,11 @@ def _contents(
 ) -> tuple[
     list[NDArray[np.uint8]], NDArray[np.intp], NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]
 ]:
-    """Return the contents of messages that are not their bytes as they are.
+    """Return the contents of messages that differ from their bytes in the stream.
 
     Returns:
-        The bytes; which rows they are of; start and length of each, from ``used`` on; and which are parts.
+        The bytes; the rows they belong to; start and length of each, counted from ``used`` on; and which of
+        them are only parts.
     """
     extra: list[NDArray[np.uint8]] = []
     parts: list[tuple[NDArray[Any], ...]] = [

@@ -1,4 +1,4 @@
-"""TCP segments in columns: read from frames, and made to hold one message each (RFC 9293 section 3.1)."""
+"""TCP segments in columns: read from frames, and rebuilt with one message each (RFC 9293 section 3.1)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.frames.frame_batch import FrameBatch
 
 TCP_BYTES: Final = 20
-"""Of a header without options."""
+"""Bytes of a header without options."""
 _HEADER: Final = np.dtype(
     [
         ("source_port", ">u2"),
@@ -39,18 +39,18 @@ class Segments(msgspec.Struct, frozen=True, eq=False):
     """TCP segments; all arrays have the same length.
 
     Attributes:
-        frames: their frames.
-        network: i64, start of each IP header.
-        ip: what the IP headers say.
-        source_port: u16.
-        destination_port: u16.
-        sequence: i64, sequence number of the first byte of data.
-        acknowledged: i64, acknowledgement number.
-        flags: u8.
-        start: i64, first byte of data.
-        length: i64, bytes of data that were captured.
-        cut: bool, whether the capture has not all of them.
-        fresh: bool, whether it is seen for the first time.
+        frames: frames of the segments.
+        network: start of each IP header, i64.
+        ip: contents of the IP headers.
+        source_port: source port, u16.
+        destination_port: destination port, u16.
+        sequence: sequence number of the first byte of data, i64.
+        acknowledged: acknowledgement number, i64.
+        flags: TCP flags, u8.
+        start: first byte of data, i64.
+        length: captured bytes of data, i64.
+        cut: whether some of the data was not captured, bool.
+        fresh: whether the segment is seen for the first time, bool.
     """
 
     frames: FrameBatch
@@ -68,13 +68,13 @@ class Segments(msgspec.Struct, frozen=True, eq=False):
 
 
 def read_segments(frames: FrameBatch, network: NDArray[np.int64], ip: IpPayloads, old: int) -> Segments:
-    """Read TCP headers; of a damaged one, no data is taken.
+    """Read TCP headers; a segment with a damaged header has no data.
 
     Args:
-        frames: with ``PADDING`` bytes behind the last.
-        network: i64 (n,), start of each IP header.
-        ip: of the same rows; each holds ``TCP_BYTES`` at least.
-        old: how many of the first were read before.
+        frames: frames, with ``PADDING`` bytes behind the last.
+        network: start of each IP header, i64 (n,).
+        ip: IP payloads of the same rows; each has at least ``TCP_BYTES``.
+        old: number of segments, from the first on, that were read before.
     """
     frame_end = frames.offset + frames.length
     header = read_at(frames.data, ip.position, _HEADER)
@@ -100,13 +100,13 @@ def read_segments(frames: FrameBatch, network: NDArray[np.int64], ip: IpPayloads
 
 
 class SegmentBytes(msgspec.Struct, frozen=True, eq=False):
-    """What new segments are to hold; all arrays have the same length.
+    """Data of new segments; all arrays have the same length.
 
     Attributes:
-        data: u8, has the bytes.
-        offset: i64, start of each.
-        length: i64, bytes of each.
-        sequence: i64, sequence number of the first.
+        data: buffer with the bytes, u8.
+        offset: start of each segment's data, i64.
+        length: bytes of each segment's data, i64.
+        sequence: sequence number of the first byte, i64.
     """
 
     data: NDArray[np.uint8]
@@ -120,14 +120,15 @@ def rebuilt(
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
     """Make segments with the headers of others.
 
-    A packet longer than an IP header can say has the length 0 there, as segmentation offload leaves it.
+    A packet that is longer than its IP header can say has the length 0 there, as segmentation offload leaves
+    it.
 
     Args:
-        rows: i64 (n,), which of them.
-        contents: (n,), what the new segments hold.
+        rows: indices of the segments whose headers are used, i64 (n,).
+        contents: data of the new segments, (n,).
 
     Returns:
-        The frames, u8; i64 (n,), where each starts; i64 (n,), bytes of its headers.
+        The frames, u8; the start of each, i64 (n,); the bytes of its headers, i64 (n,).
     """
     offset = segments.frames.offset[rows]
     header = segments.start[rows] - offset
@@ -159,7 +160,7 @@ def _put_headers(
     length: NDArray[np.int64],
     sequence: NDArray[np.int64],
 ) -> None:
-    """Write the headers of segments of one shape: bytes of all, start of the TCP header, of the IP header."""
+    """Write the headers of segments of one shape: size of all headers, start of the TCP and the IP header."""
     size, transport, network = shape
     four = head[0, network] >> 4 == 4
     total = size - network + length

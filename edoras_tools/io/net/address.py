@@ -1,4 +1,4 @@
-"""Addresses: parsed, resolved, in both forms that systems use, and whether they belong to this machine."""
+"""Addresses of sockets: parsed, resolved, in both forms that systems use; own and loopback addresses."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Address(NamedTuple):
     """The address of a sender or receiver of datagrams, in both forms that systems use.
 
     Attributes:
-        packed: the socket address as bytes, padded with zeros; equal only for equal senders.
-        host: in the form that ``socket.sendto`` takes.
+        packed: socket address as bytes, padded with zeros; equal only for equal senders.
+        host: tuple that ``socket.sendto`` takes.
         length: bytes of ``packed`` without padding.
     """
 
@@ -68,10 +68,10 @@ def parse_endpoint(text: str, option: str = "") -> Endpoint:
     """Read ``HOST:PORT``, ``[IPV6]:PORT``, or ``PORT`` alone for this machine's loopback.
 
     Args:
-        option: the option that it was given with, for messages that nobody else begins with it.
+        option: command line option of the value, for the message; empty if the caller adds it.
 
     Raises:
-        ConfigError: it is none of them.
+        ConfigError: the text has none of these forms.
     """
     host, _, number = text.rpartition(":")
     try:
@@ -90,11 +90,11 @@ def resolve(endpoint: Endpoint, name: str = "") -> tuple[int, Address]:
     """Return the address family and address that an endpoint names.
 
     Args:
-        endpoint: a host's address or name, and a port.
-        name: what messages call the endpoint, e.g. ``--target HOST:PORT``; the endpoint itself by default.
+        endpoint: address or name of a host, and a port.
+        name: name of the endpoint in messages, e.g. ``--target HOST:PORT``; by default the endpoint itself.
 
     Raises:
-        CaptureError: its host is unknown, or the port is out of range.
+        CaptureError: the host is unknown, or the port is out of range.
     """
     name = name or str(endpoint)
     if not 0 <= endpoint.port <= _LAST_PORT:  # getaddrinfo reduces some larger numbers modulo 65536
@@ -134,9 +134,9 @@ def reach_note(
     """Return a line on who can reach a port; empty for a port on the loopback.
 
     Args:
-        endpoint: the address and port to listen on.
-        may: what a sender that reaches it can do, e.g. ``answer``.
-        instead: how to restrict it; the loopback by default.
+        endpoint: address and port to listen on.
+        may: action that a sender can do there, e.g. ``answer``.
+        instead: way to restrict it; by default the loopback.
         who: who can reach it.
     """
     if is_loopback(endpoint.address):
@@ -146,7 +146,7 @@ def reach_note(
 
 
 def arrives_at(target: Endpoint, listen: Endpoint) -> bool:
-    """Return whether datagrams to ``target`` arrive at ``listen`` on this machine; unknown host: False."""
+    """Return whether datagrams to ``target`` arrive at ``listen`` on this machine; unknown hosts: False."""
     if target.port != listen.port:
         return False
     try:
@@ -167,7 +167,7 @@ def _ip(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
 
 
 def _is_own(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> bool:
-    """Return whether an address is of an interface of this machine: only these can be bound."""
+    """Return whether an address belongs to an interface of this machine: only these can be bound."""
     family = socket.AF_INET if address.version == 4 else socket.AF_INET6
     try:
         with socket.socket(family, socket.SOCK_DGRAM) as probe:

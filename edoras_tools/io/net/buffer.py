@@ -34,7 +34,7 @@ SLOTS: Final = 256
 SPARE: Final = 256
 """Slots for datagrams made by the caller."""
 _STRIDE: Final = 65536 + 64
-"""Bytes from slot to slot: no power of two, which would map all slots to the same cache lines."""
+"""Bytes from slot to slot; not a power of two, which would map all slots to the same cache lines."""
 _ANCILLARY: Final = 128
 """Bytes for a receive time and a destination address."""
 
@@ -48,9 +48,9 @@ class DatagramBuffer:
     """Slots for a few hundred datagrams, with plain sockets: one datagram per system call.
 
     Attributes:
-        slots: u8 (``SLOTS + SPARE``, stride).
-        length: u32, bytes in each slot.
-        starts: i64, where each slot starts in the flat ``slots``.
+        slots: bytes of the slots, u8 (``SLOTS + SPARE``, stride).
+        length: bytes in each slot, u32.
+        starts: start of each slot in the flat ``slots``, i64.
     """
 
     def __init__(self) -> None:
@@ -76,7 +76,7 @@ class DatagramBuffer:
         """Fill slots from 0 on with the datagrams that have arrived.
 
         Returns:
-            the number of datagrams; -1 for a refusal (ICMP port unreachable) in their place.
+            The number of datagrams; -1 if there is a refusal (ICMP port unreachable) instead.
 
         Raises:
             CaptureError: the socket cannot be read.
@@ -139,7 +139,7 @@ class DatagramBuffer:
 
 
 class VectorBuffer(DatagramBuffer):
-    """The same with ``recvmmsg`` and ``sendmmsg``, if they are ``usable``."""
+    """``DatagramBuffer`` with ``recvmmsg`` and ``sendmmsg``, for systems where they are ``usable``."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.net.address import Address
 
 _LATENCIES: Final = 4096
-"""Latencies collected before they are counted: counting each one separately would be too slow."""
+"""Most latencies that are collected before they are counted together, which is faster."""
 assert _LATENCIES >= SLOTS + SPARE
 
 
@@ -29,18 +29,18 @@ class Direction(msgspec.Struct):
     """Counters of one direction.
 
     Attributes:
-        name: for the user, e.g. ``to 127.0.0.1:1234``.
-        received: datagrams that came in.
-        received_bytes: of their payloads.
-        sent: datagrams that the system accepted, including those made by the proxy.
-        refused: answers that nothing listens there (ICMP port unreachable).
-        failed: datagrams that the system did not send.
-        reason: the last error.
-        queued: datagrams that wait because a socket is full.
-        overflowed: datagrams lost because the queue was full.
-        kernel_drops: datagrams lost because the receive buffer was full.
-        unclaimed: datagrams that came before any client was known.
-        latency: from the kernel's receive time until the datagram was sent.
+        name: name for the user, e.g. ``to 127.0.0.1:1234``.
+        received: number of datagrams that came in.
+        received_bytes: bytes of their payloads.
+        sent: number of datagrams that the system accepted, including those made by the proxy.
+        refused: number of answers that nothing listens there (ICMP port unreachable).
+        failed: number of datagrams that the system did not send.
+        reason: text of the last error.
+        queued: number of datagrams that wait because a socket is full.
+        overflowed: number of datagrams lost because the queue was full.
+        kernel_drops: number of datagrams lost because the receive buffer was full.
+        unclaimed: number of datagrams that came before any client was known.
+        latency: time from the kernel's receipt until the datagram was sent.
     """
 
     name: str

@@ -10,8 +10,8 @@ Rules of this file:
    call.
 4. A call that never blocks keeps the interpreter's lock: releasing it would take longer than the call. A
    call that may block releases it.
-5. A refusal (ICMP port unreachable) is about an earlier datagram, so the datagram at which it was reported is
-   sent again, up to ``MOST_REFUSALS`` times, because each try may report another one.
+5. A refusal (ICMP port unreachable) answers an earlier datagram. The datagram at which it is reported was not
+   sent, so it is sent again, up to ``MOST_REFUSALS`` times, because each try may report another refusal.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ class ReceiveMany:
     """The argument of ``recvmmsg``.
 
     Args:
-        base: u64, memory address of each slot for a datagram.
+        base: memory address of each slot for a datagram, u64.
         size: bytes of each slot.
 
     Attributes:
-        length: u32, bytes of each datagram of the last call.
+        length: bytes of each datagram of the last call, u32.
     """
 
     def __init__(self, base: NDArray[np.uint64], size: int) -> None:
@@ -88,7 +88,7 @@ class ReceiveMany:
         """Receive the datagrams that have arrived, without waiting.
 
         Returns:
-            the number of datagrams; -1 for a refusal in their place.
+            The number of datagrams; -1 if there is a refusal instead.
 
         Raises:
             CaptureError: the socket cannot be read.
@@ -152,8 +152,8 @@ class SendMany:
         """Send datagrams in order.
 
         Args:
-            base: u64, memory address of each datagram.
-            length: bytes of each.
+            base: memory address of each datagram, u64.
+            length: bytes of each datagram.
             to: the receiver; None for a connected socket.
         """
         end = len(base)

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 _READ_BYTES: Final = 1 << 20
 """Approximate bytes of payloads per read, divided among the sockets."""
 _RECEIVE_BUFFER: Final = 64 << 20
-"""Bytes to ask for: a second of 100,000 small datagrams, as the kernel counts them. A recorder that may not
-exceed the limit of the system gets less; they are used only while it is behind."""
+"""Receive buffer to request, in bytes: a second of 100,000 small datagrams, as the kernel counts them. A
+recorder without the privilege to exceed the system's limit gets less; it is used only while it is behind."""
 _LINGER_S, _BUSY_LINGER_S = 0.4 if LINUX else 0.05, 0.01
 _LOOK_S: Final = 1.0
-"""A socket tells of every datagram by itself."""
+"""Longest time between two reads; a socket reports every datagram by itself, so it can be long."""
 _FULL: Final = 16
-"""A read comes soon enough to empty no more than this part of a receive buffer, as fast as it fills now."""
+"""Part of a receive buffer that may fill, at the present rate, before it is read: one 16th."""
 _CHARGED: Final = 600
 """Bytes that the kernel counts for a datagram besides its payload."""
 _FILL_RATE: Final = 40_000_000
@@ -55,7 +55,7 @@ class Sockets(Device):
         receive_buffer: bytes to request for each socket; the kernel may limit it.
 
     Attributes:
-        linger_s: short enough for the receive buffers.
+        linger_s: time for which datagrams may gather without filling the receive buffers.
         outages: always empty.
         endpoints: the addresses and ports that were bound.
 
@@ -95,9 +95,8 @@ class Sockets(Device):
     def read(self) -> FrameBatch | None:
         """Return the datagrams that have arrived, about a MiB at most, in order of time; None if none.
 
-        It is also None once after a read that has found all.
-        Datagrams that came to one socket after another one had been read are kept for the next read;
-        otherwise times could go back between two reads.
+        It is also None once after a read that emptied all sockets. Datagrams that came to one socket after
+        another one had been read are kept for the next read; otherwise times could go back between two reads.
         """
         if self._emptied:
             self._emptied = False
@@ -133,7 +132,7 @@ class Sockets(Device):
         return frames
 
     def _drain(self, bound: _Bound, page: FramePage) -> bool:
-        """Add a socket's datagrams to a page, up to its share; return whether that was all of them."""
+        """Add a socket's datagrams to a page, up to its share; return whether the socket is empty."""
         buffer, share = self._buffer, page.used + _READ_BYTES // len(self._bound)
         while page.used < share:
             count = buffer.receive(bound.socket)
@@ -162,7 +161,7 @@ class Sockets(Device):
         self.drops = sum(kernel_drops(bound.socket) for bound in self._bound)
 
     def pressed(self) -> bool:
-        """Return whether a buffer fills faster than before."""
+        """Return whether a buffer is fuller than ``_FULL`` allows."""
         return any(waiting_bytes(bound.socket) > self._smallest // _FULL for bound in self._bound)
 
     def refuse(self) -> None:

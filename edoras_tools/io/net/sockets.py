@@ -41,7 +41,7 @@ def open_socket(family: int, buffer_bytes: int = BUFFER_BYTES) -> socket.socket:
         with suppress(OSError):  # some systems refuse a size above their limit, others reduce it
             opened.setsockopt(socket.SOL_SOCKET, option, buffer_bytes)
         if LINUX:
-            with suppress(OSError):  # above the limit, if privileged
+            with suppress(OSError):  # a privileged process may exceed the limit
                 opened.setsockopt(socket.SOL_SOCKET, forced, buffer_bytes)
     if LINUX:
         opened.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
@@ -60,11 +60,11 @@ def open_bound(
 
     Args:
         endpoint: address and port; with port 0 the system chooses one.
-        name: what messages call the endpoint, e.g. ``--listen HOST:PORT``; the endpoint itself by default.
-        instead: the alternative to suggest if another program uses the port.
-        buffer_bytes: the buffer size to request.
-        destinations: have the kernel report each datagram's destination address; then an IPv6 socket takes no
-            IPv4.
+        name: name of the endpoint in messages, e.g. ``--listen HOST:PORT``; by default the endpoint itself.
+        instead: alternative to suggest if another program uses the port.
+        buffer_bytes: buffer size to request.
+        destinations: have the kernel report each datagram's destination address; an IPv6 socket then takes
+            no IPv4.
 
     Raises:
         CaptureError: it cannot be bound.
@@ -110,12 +110,12 @@ def local_endpoint(opened: socket.socket) -> Endpoint:
 
 
 def kernel_drops(opened: socket.socket) -> int:
-    """Return how many datagrams the kernel dropped at a socket since it was opened; 0 if unknown."""
+    """Return the number of datagrams that the kernel dropped at a socket so far; 0 if unknown."""
     return _memory_information(opened, _MEMINFO_DROPS)
 
 
 def waiting_bytes(opened: socket.socket) -> int:
-    """Return the bytes that wait to be read, as the kernel counts them against the buffer; 0 if unknown."""
+    """Return the bytes that wait to be read, as the kernel counts them for the buffer; 0 if unknown."""
     return _memory_information(opened, _MEMINFO_RECEIVED)
 
 
@@ -162,16 +162,16 @@ def _reason(error: OSError, port: int, instead: str) -> str:
 
 
 MOST_REFUSALS: Final = 8
-"""Refusals in a row for the same datagram; each is about an earlier one."""
+"""Most refusals in a row for the same datagram; each answers an earlier one."""
 
 
 class SendResult(NamedTuple):
     """The result of sending datagrams.
 
     Attributes:
-        sent: datagrams from the first on that were sent or failed.
-        refused: answers that nothing listens (ICMP port unreachable); each is about an earlier datagram.
-        errors: system errors of the others, with counts.
+        sent: number of datagrams, from the first on, that were sent or failed.
+        refused: number of answers that nothing listens (ICMP port unreachable) to earlier datagrams.
+        errors: number of datagrams that failed, by system error.
         full: whether the socket accepts no more now.
     """
 

@@ -1,12 +1,12 @@
-"""UDP sockets for sending on deadlines: one that sends to one target, and one that only listens.
+"""UDP sockets for senders with deadlines: one sends to one target, one only listens.
 
 Rules of a transmitter:
 
 1. Its socket is connected, so that the kernel reports refusals, and blocks while it is full: nothing is lost
    on this machine.
 2. A single datagram, which has a deadline, is sent by one system call without a copy. Many are sent by few
-   system calls.
-3. Each datagram is counted once, as sent or under its system error. A refusal is counted in addition: it
+   3. Each datagram is counted once, as sent or under its system error. A refusal is counted in addition: it
+      answers a datagram that was sent.
    answers a datagram that was sent.
 """
 
@@ -44,7 +44,7 @@ _MANY: Final = 512
 """Datagrams passed to the kernel at once."""
 _BUFFER_BYTES: Final = 4 << 20
 _MSG_PROBE: Final = 16
-"""Linux: ``send`` does all but make the datagram."""
+"""Flag of Linux with which ``send`` does everything except create the datagram."""
 _INSTEAD: Final = "choose another with --listen"
 _OR_NONE: Final = f"{_INSTEAD}, or receive no answers: --no-listen (edoras sim: --no-bridges)"
 
@@ -53,9 +53,9 @@ class SendStatistics(msgspec.Struct):
     """Counters of sent datagrams.
 
     Attributes:
-        sent: accepted by the kernel.
-        refused: answers that nothing listens there (ICMP port unreachable).
-        errors: system errors of the others, with counts.
+        sent: number of datagrams that the kernel accepted.
+        refused: number of answers that nothing listens there (ICMP port unreachable).
+        errors: number of datagrams that failed, by system error.
     """
 
     sent: int = 0
@@ -100,13 +100,13 @@ class Transmitter(_Port):
     """A connected socket.
 
     Args:
-        target: the receiver of all datagrams.
-        source: address and port to send from, where answers arrive; any by default.
+        target: receiver of all datagrams.
+        source: address and port to send from, where answers arrive; by default the system chooses.
 
     Attributes:
-        target: the resolved address.
-        local: the address and port it is bound to.
-        statistics: its counters.
+        target: resolved address.
+        local: address and port that the socket is bound to.
+        statistics: counters of sent datagrams.
 
     Raises:
         CaptureError: the target is unknown or cannot be reached, or the port is in use.
@@ -138,9 +138,9 @@ class Transmitter(_Port):
         return not sent.errors
 
     def rehearse(self, payload: bytes | memoryview) -> None:
-        """Do what ``send`` does, up to the kernel's checks: then the caches hold it, and nothing was sent.
+        """Do the same as ``send`` up to the kernel's checks, without sending, to fill the processor's caches.
 
-        After a sleep they hold nothing of it, and the next datagram would leave up to 10 us later.
+        After a sleep the caches are cold, and the next datagram would leave up to 10 us later.
         """
         if self._rehearses:
             send_one(self._socket, payload, flags=_MSG_PROBE)
@@ -149,9 +149,9 @@ class Transmitter(_Port):
         """Send datagrams in order, as fast as possible; return how many the kernel accepted.
 
         Args:
-            data: u8, the buffer that contains them.
-            offset: i64 (n,), where each starts.
-            length: i32 (n,), its bytes.
+            data: buffer that contains the datagrams, u8.
+            offset: start of each, i64 (n,).
+            length: bytes of each, i32 (n,).
         """
         if self._many is None:
             view, ends = data.data, (offset + length).tolist()
@@ -168,7 +168,7 @@ class Transmitter(_Port):
         return self.statistics.sent - before
 
     def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
-        """Return the datagrams that the target has answered with, ``most`` at most, and their senders."""
+        """Return the answers of the target, at most ``most`` datagrams, with their senders."""
         answers: list[tuple[bytes, Endpoint]] = []
         while True:
             try:
@@ -196,12 +196,12 @@ class Listener(_Port):
         super().__init__(open_bound(endpoint, f"UDP {endpoint}", _OR_NONE, buffer_bytes=_BUFFER_BYTES))
 
     def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
-        """Return the datagrams that have arrived, ``most`` at most, and their senders."""
+        """Return the datagrams that have arrived, at most ``most``, with their senders."""
         return list(received(self._socket, most))
 
 
 def _probes() -> bool:
-    """Return whether this system knows ``_MSG_PROBE``; another would send what is only rehearsed."""
+    """Return whether this system supports ``_MSG_PROBE``; others would send the rehearsed datagram."""
     if not LINUX:
         return False
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:

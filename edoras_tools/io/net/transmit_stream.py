@@ -1,9 +1,9 @@
-"""One TCP connection to send messages on; used as a ``Transmitter`` of datagrams is.
+"""One TCP connection that messages are sent on, with the interface of ``Transmitter``.
 
 Rules that it keeps:
 
-1. Each message leaves at once and whole. Where the target reads slowly, sending waits, for a limited time.
-2. What the target sends is cut into messages as the link's ``Framing`` says.
+1. Each message is sent at once and whole. If the target reads slowly, sending waits for a limited time.
+2. Bytes from the target are cut into messages as the link's ``Framing`` says.
 3. A connection that is refused, breaks or ends is one error that names the target.
 """
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Endpoint
 
 ANSWER_WITHIN_S: Final = 5.0
-"""How long a connection, or a target that does not read, is waited for."""
+"""Longest wait for a connection, or for a target that does not read."""
 _AT_ONCE: Final = 1 << 16
 
 
@@ -36,11 +36,11 @@ class StreamTransmitter:
     """A connection; it is a context manager.
 
     Args:
-        target: who listens.
+        target: address that listens for the connection.
 
     Attributes:
-        target: the resolved address.
-        local: the address and port of this end.
+        target: resolved address.
+        local: address and port of this end.
         statistics: counters of messages.
 
     Raises:
@@ -80,10 +80,10 @@ class StreamTransmitter:
         return bool(self._send(payload, 1))
 
     def rehearse(self, payload: bytes | memoryview) -> None:
-        """Do nothing: no part of a message can be sent and not arrive; see ``Transmitter.rehearse``."""
+        """Do nothing: TCP has no send that delivers nothing; see ``Transmitter.rehearse``."""
 
     def send_many(self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> int:
-        """Send messages one behind the other; return how many; see ``Transmitter.send_many``.
+        """Send messages one after the other; return their number; see ``Transmitter.send_many``.
 
         Raises:
             CaptureError: the connection is broken, or the target does not read.
@@ -93,12 +93,12 @@ class StreamTransmitter:
         return self._send(joined, len(offset))
 
     def receive(self) -> list[tuple[bytes, Endpoint]]:
-        """Return the messages that came whole, and the target.
+        """Return the messages that have arrived completely, with the target as their sender.
 
         Raises:
-            CaptureError: it closed the connection, or sends something else.
+            CaptureError: the target closed the connection, or sends another protocol.
         """
-        if not select.select([self._socket], (), (), 0)[0]:  # recv would wait as long as sending may
+        if not select.select([self._socket], (), (), 0)[0]:  # recv would block, up to the timeout of sends
             return []
         try:
             more = self._socket.recv(_AT_ONCE)

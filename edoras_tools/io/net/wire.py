@@ -1,4 +1,4 @@
-"""The network as a sender uses it: datagrams sent on their deadlines, and answers received meanwhile."""
+"""The network of a sender: datagrams are sent at their deadlines, and answers received meanwhile."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.outgoing import Outgoing
 
 SPIN_NS: Final = 200_000
-"""How long before a deadline sleeping ends: waking a processor takes up to this long."""
+"""Time before a deadline at which sleeping ends: waking a processor takes up to this long."""
 _STILL_NS: Final = 10_000
-"""How long before a deadline rehearsing ends: one rehearsal takes less, with a cold cache, too."""
+"""Time before a deadline at which rehearsing ends: one rehearsal takes less, even with a cold cache."""
 _SET_TIMER_SLACK: Final = 29  # PR_SET_TIMERSLACK
 
 
@@ -82,10 +82,10 @@ class UdpWire:
     """Real sockets and the host's clock.
 
     Args:
-        transmitter: sends, and receives the answers.
-        answers: the link that these answers belong to.
+        transmitter: socket that sends, and receives the answers.
+        answers: link that these answers belong to.
         listeners: further sockets, each with its link.
-        watched: further descriptors that end a wait, e.g. of a keyboard.
+        watched: further file descriptors that end a wait, e.g. of a keyboard.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class UdpWire:
 
 
 def _one(out: Outgoing, index: int) -> memoryview:
-    """Return a datagram without a copy."""
+    """Return the bytes of a datagram without a copy."""
     start = int(out.offset[index])
     return out.data.data[start : start + int(out.length[index])]
 

@@ -79,7 +79,7 @@ def fault_of(cdr: bytes) -> Fault:
 
 
 def _payload(layout: Layout, **cut: int) -> np.dtype[np.void]:
-    """Return a header as a record type, texts as bytes; it ends with a text that is shortened to a size."""
+    """Return a header as a record type with texts as bytes; ``cut`` names its last field and the size."""
     order = "<" if layout.byte_order == "little" else ">"
     fields: list[Any] = []
     for slot in layout.slots:
@@ -142,8 +142,8 @@ def software_bus_messages(
     """Return one ``edoras_msgs/msg/SoftwareBusHousekeeping`` for every complete 0x0803 packet.
 
     Args:
-        published: i64, publish time, ns since 1970.
-        big_endian: whether the counters have the highest byte first.
+        published: publish time, i64, ns since 1970.
+        big_endian: whether the counters are big-endian.
     """
     kind = _HOUSEKEEPING.newbyteorder(">") if big_endian else _HOUSEKEEPING
     rows, payload = _telemetry(batch, columns, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, kind)
@@ -174,8 +174,8 @@ def event_messages(
     ``line`` the EventID, ``file`` empty.
 
     Args:
-        published: i64, publish time, ns since 1970.
-        big_endian: whether the numbers have the highest byte first.
+        published: publish time, i64, ns since 1970.
+        big_endian: whether the numbers are big-endian.
     """
     kind = _EVENT.newbyteorder(">") if big_endian else _EVENT
     rows, payload = _telemetry(batch, columns, cfe.EVENT_MSG_ID, kind)
@@ -189,7 +189,7 @@ def reset_messages(batch: PacketBatch, columns: Columns, channel_id: int) -> Mes
     """Return one ``rcl_interfaces/msg/Log`` for every entry of an exception and reset log.
 
     ``name`` is ``CFE_ES``, ``msg`` the description, ``function`` ``0/0`` and ``line`` 0: an entry names no
-    sender and no event. How bad it is it does not say either, so the level is WARN.
+    sender and no event. It has no severity either, so the level is WARN.
     """
     rows = np.flatnonzero(columns.link == RESETS)
     entries = read_at(batch.data, batch.offset[rows], _RESET)
@@ -202,12 +202,12 @@ def reset_messages(batch: PacketBatch, columns: Columns, channel_id: int) -> Mes
 
 
 def outage_messages(outages: Sequence[InterfaceOutage], channel_id: int) -> Messages:
-    """Return one ``rcl_interfaces/msg/Log`` for each outage, so that a log panel shows what was not captured.
+    """Return one ``rcl_interfaces/msg/Log`` for each outage, so that a log panel shows gaps of the capture.
 
-    ``name`` is ``edoras``, ``msg`` what happened, at the time when the interface went away or returned.
+    ``name`` is ``edoras``, ``msg`` the event, at the time when the interface went away or returned.
 
     Args:
-        outages: those that started, and those that ended.
+        outages: outages that began, and those that ended.
     """
     payload = np.zeros(len(outages), dtype=_EVENT)
     for row, outage in zip(payload, outages, strict=True):
@@ -235,8 +235,8 @@ def _logs(
     """Return one ``rcl_interfaces/msg/Log`` for each event.
 
     Args:
-        payload: the events; an ``event_type`` that cFE does not have has the level of 0.
-        times: when each was captured, and its stamp.
+        payload: events; an unknown ``event_type`` gets the level of 0.
+        times: capture time of each event, and its stamp; i64, ns since 1970.
     """
     heads = np.zeros(len(rows), dtype=_LOG)
     kinds = payload["event_type"]
@@ -265,7 +265,7 @@ def _telemetry(
 def _log_strings(
     payload: NDArray[np.void], head_bytes: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
-    """Write what follows ``level`` in a Log: name, msg, file, function, line, as aligned CDR strings."""
+    """Write the fields after ``level`` in a Log: name, msg, file, function, line, as aligned CDR strings."""
     count = len(payload)
     senders = payload["spacecraft_id"].astype(np.uint64) << np.uint64(32) | payload["processor_id"]
     distinct, _, which = distinct_rows(senders)

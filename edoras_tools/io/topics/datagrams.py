@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
 
 NO_MESSAGE = Finding.CDR_INVALID | Finding.ENVELOPE_OVERRUN | Finding.TRUNCATED | Finding.CAPTURE_CUT
-"""A datagram with any of these contains no complete ROS message."""
+"""Findings of a datagram that contains no complete ROS message."""
 _LONGER: Final = Finding.CDR_TRAILING | Finding.CDR_TOO_LONG
 
 _MAPPED = 0xFFFF0000
@@ -77,7 +77,7 @@ class DatagramWriter:
             published: i64, publish time, ns since 1970.
         """
         rows = np.arange(len(batch))
-        if (batch.original_length < 0).any():  # packets that were taken out of frames: the frames are written
+        if (batch.original_length < 0).any():  # packets from inside of frames: only the frames are written
             rows = np.flatnonzero(batch.original_length >= 0)
             batch, columns, published = batch.take(rows), columns.take(rows), published[rows]
 
@@ -149,7 +149,7 @@ def without_trailing(
 ) -> Columns:
     """Return the columns with CDR lengths that end at the message's last field.
 
-    C++ and JavaScript readers ignore the bytes after it; rosbags refuses more than 3.
+    C++ and JavaScript readers ignore bytes after that field; rosbags rejects more than 3.
     """
     rows = np.flatnonzero((columns.route >= 0) & (columns.findings & np.uint32(_LONGER) != 0))
     if not len(rows):

@@ -1,4 +1,4 @@
-"""The topics of a recording without datagrams, and its messages: what ``Streams`` is for captures."""
+"""The topics and messages of a recording without datagrams; the counterpart of ``Streams``."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ QOS_METADATA: Final = "offered_qos_profiles"
 
 
 class RecordedStreams:
-    """The topics of a recording without datagrams, and its messages on them: all as they were recorded.
+    """The topics of a recording without datagrams, and its messages, as they were recorded.
 
-    It stands in for ``Streams`` where a sink writes such messages.
+    Sinks use it in place of ``Streams`` for such recordings.
 
     Args:
-        types: has the definitions that the recording does not hold.
-        places: of the topics that are written; None: all.
+        types: type definitions that the recording may not hold.
+        places: indices of the topics to write; None: all.
     """
 
     def __init__(self, mission: Mission, types: TypeStore, places: Collection[int] | None = None) -> None:
@@ -45,7 +45,7 @@ class RecordedStreams:
         self._ids[self._places] = ids
 
     def prepare(self, batch: PacketBatch, columns: Columns) -> PreparedBatch:
-        """Take note of a batch, in the order of the recording."""
+        """Process a batch, in the order of the recording; keep the last messages of latched topics."""
         assert batch.recorded is not None, "they are messages of a recording"
         published = batch.recorded["publish_ns"]
         if self._latched.routes:
@@ -54,7 +54,7 @@ class RecordedStreams:
         return PreparedBatch(published, [], {})
 
     def prepared_messages(self, batch: PacketBatch, *_: Any) -> list[Messages]:
-        """Return the messages of a batch; this can be done in any order, and in any process."""
+        """Return the messages of a batch; callable in any order, and in any process."""
         return [self._messages(batch)]
 
     def _messages(self, batch: PacketBatch) -> Messages:
@@ -67,7 +67,7 @@ class RecordedStreams:
         return whole_messages(np.arange(len(batch)), heads, channels, recorded["sequence"], *times, rest)
 
     def latched(self, time_ns: int) -> list[Messages]:
-        """Return the last message of each latched topic again, for a new file; all belong to row 0."""
+        """Return the last message of each latched topic, for the start of a new file; all belong to row 0."""
         return [self._latched.again(self._ids, time_ns)]
 
     def finish(self) -> Messages:
@@ -80,7 +80,7 @@ class RecordedStreams:
 
 
 def _recorded_topic(topic: RecordedTopic, types: TypeStore) -> Topic:
-    """Return a topic as it is written: with its own schema, or that of its type where it has none."""
+    """Return a topic as it is written: with its own schema, or with that of its type if it has none."""
     schema = topic.schema_encoding, topic.schema
     if not topic.schema and not topic.unread:
         schema = "ros2msg", types.definition(topic.type).encode()

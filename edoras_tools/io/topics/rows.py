@@ -1,4 +1,4 @@
-"""Messages of one kind in columns, and their record headers: the content of chunks."""
+"""Messages of one kind in columns, and their record headers, from which chunks are made."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 MAGIC: Final = b"\x89MCAP0\r\n"
 """The first and last bytes of a file."""
 RECORD_PREFIX_BYTES: Final = 9
-"""Bytes that a record's length does not include: its opcode, and the length itself."""
+"""Bytes of a record that its length field does not count: the opcode, and the field itself."""
 DATAGRAMS_TOPIC: Final = "/edoras/datagrams"
 OUTAGE_METADATA_NAME: Final = "edoras_outage"
-"""A metadata record when an interface went away, and another when it returned."""
+"""Name of the metadata records that are written when an interface goes away and when it returns."""
 COUNTS_METADATA_NAME: Final = "edoras_counts"
-"""What ``info`` counts in a recording; with the version, and length and CRC-32 of the bytes that it is of."""
+"""Name of the metadata with the counts for ``info``, the version, and the covered bytes with their CRC-32."""
 APART: Final = "/dds"
-"""Put before a topic of DDS that the mission has too, or that two types have: its messages are not mixed."""
+"""Prefix of a DDS topic that the mission has too, or that has two types, so that messages are not mixed."""
 
 
 RECORD = [
@@ -49,15 +49,15 @@ class Messages(msgspec.Struct, frozen=True, eq=False):
     """Messages of one kind in columns: a fixed head, then bytes from a buffer.
 
     Attributes:
-        rows: i64, increasing: the row of the batch that each belongs to.
-        channel_id: MCAP channel, one for each or one for all.
-        log_time: i64, ns since 1970.
-        head_bytes: size of a head.
-        heads: returns the heads of a slice of the messages: structured, ``RECORD`` first, then the fixed
-            bytes at the start of the message data. They are valid until the next call.
-        data: u8, the buffer that ``offset`` points into.
-        offset: i64, start of the rest of the message data.
-        length: integer, bytes of this rest; may be 0.
+        rows: row of the batch that each message belongs to, i64, increasing.
+        channel_id: MCAP channel, one for each message or one for all.
+        log_time: log time, i64, ns since 1970.
+        head_bytes: bytes of a head.
+        heads: function that returns the heads of a slice of the messages: records that begin with ``RECORD``,
+            then the fixed bytes at the start of the message data. They are valid until the next call.
+        data: buffer that ``offset`` points into, u8.
+        offset: start of the rest of the message data, i64.
+        length: bytes of this rest, integer; may be 0.
         repeats: whether ``rows`` may contain a row more than once.
     """
 
@@ -86,14 +86,14 @@ def whole_messages(
     *,
     repeats: bool = False,
 ) -> Messages:
-    """Return messages with these heads, whose record, and encapsulation if they have it, are filled here.
+    """Return messages with these heads; record headers, and the encapsulation if any, are filled in here.
 
     Args:
         rows: see ``Messages``, as for ``channel_id``, ``log_time`` and ``repeats``.
-        heads: structured, starts with ``RECORD``.
-        sequence: u32.
-        publish_time: ns since 1970.
-        rest: what follows the heads: a buffer, where each starts in it, and its bytes; None: nothing.
+        heads: records that begin with ``RECORD``.
+        sequence: sequence number, u32.
+        publish_time: publish time, ns since 1970.
+        rest: bytes after the heads: a buffer, the start of each part in it, and its length; None: nothing.
     """
     if rest is None:
         nothing = np.zeros(len(rows), np.int64)
@@ -120,12 +120,12 @@ def bodies_of(
     *,
     repeats: bool = False,
 ) -> Messages:
-    """Return whole messages.
+    """Return whole messages from their bodies.
 
     Args:
         bodies: CDR, little-endian, without the encapsulation.
-        times_ns: of each, ns since 1970.
-        rows: that they belong to; by default each to one of its own, from 0.
+        times_ns: log and publish time of each, ns since 1970.
+        rows: rows that they belong to; by default 0, 1, 2 and so on.
         repeats: see ``Messages``.
     """
     length = np.array([len(body) for body in bodies], dtype=np.int64)
@@ -137,23 +137,23 @@ def bodies_of(
 
 
 def no_messages(channel_id: int, head: np.dtype[np.void]) -> Messages:
-    """Return no message of a kind, as most small batches have of most kinds.
+    """Return no messages: most small batches have none of most kinds.
 
     Args:
-        head: the record that each would begin with.
+        head: record type with which each message would begin.
     """
     nowhere = np.zeros(0, np.int64)
     return whole_messages(nowhere, np.zeros(0, head), channel_id, 0, nowhere, nowhere)
 
 
 class Records(msgspec.Struct, frozen=True, eq=False):
-    """Messages one after the other; arrays have one element per message.
+    """Messages in sequence; arrays have one element a message.
 
     Attributes:
-        channel_id: u16.
-        log_time: u64, ns since 1970.
-        start: i64, where the message data starts in ``data``.
-        end: i64, one past its last byte.
+        channel_id: MCAP channel, u16.
+        log_time: log time, u64, ns since 1970.
+        start: start of the message data in ``data``, i64.
+        end: offset after its last byte, i64.
         data: complete MCAP Message records.
     """
 
@@ -193,7 +193,7 @@ def lay_out(streams: Sequence[Messages], rows: int) -> Records:
 
 
 def within_rows(stream: Messages, total: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the start of each message in its row, after ``total`` bytes; add its bytes to ``total``."""
+    """Return each message's start in its row, after ``total`` bytes there; add its bytes to ``total``."""
     size = stream.head_bytes + stream.length.astype(np.int64)
     rows = stream.rows
     if len(rows) == len(total) and not stream.repeats:

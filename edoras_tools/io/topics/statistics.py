@@ -1,4 +1,4 @@
-"""Once a second: ``/edoras/link_statistics``, the traffic, and ``/edoras/host``, what the kernel counted."""
+"""Messages sent once a second: ``/edoras/link_statistics``, and ``/edoras/host`` with kernel counters."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 _GROUP = np.dtype(
     [("second", "i8"), ("flow", "i8"), ("count", "i8"), ("gaps", "i8"), ("bytes", "i8"), ("largest", "i8")]
 )
-"""The counters of one flow, a MsgId on a link of a spacecraft, in one second."""
+"""The counters of one flow (a MsgId on a link of a spacecraft) in one second."""
 
 _MSG_ID_BITS = 17
-"""A flow is a number: spacecraft, link (8 bits), then this many bits of MsgId + 1, so that no MsgId is 0."""
+"""Bits of a flow number for MsgId + 1 (so that MsgId -1 is 0); above them 8 bits of link, then spacecraft."""
 
 _MSG_ID_MASK = (1 << _MSG_ID_BITS) - 1
 
@@ -56,14 +56,14 @@ _LINK_STATISTICS = np.dtype(
 
 
 class LinkStatistics:
-    """Adds up batches and returns one message a second for every (link, MsgId) seen in it.
+    """Adds up batches and returns one message a second for every flow seen in that second.
 
     Seconds are counted from the first datagram. If time goes back, datagrams stay in the current second.
 
     Args:
-        statistics: of the source, read for its kernel drops; None if it has no such counter.
-        sequences: shared with others that see the same batches; by default its own.
-        structs: whose topics are told of packets that no route names.
+        statistics: counts of the source, for its kernel drops; None if it has no such counter.
+        sequences: sequence counts shared with other users of the same batches; by default own ones.
+        structs: structs whose topics name packets without a route.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class LinkStatistics:
 
     @property
     def flows(self) -> dict[str, int]:
-        """The datagrams of each flow so far, named ``LINK/MSG_ID``."""
+        """The number of datagrams of each flow so far, by ``LINK/MSG_ID``."""
         return {self._flow_name(flow): count for flow, count in self._total.items()}
 
     def messages(self, batch: PacketBatch, columns: Columns, channel_id: int) -> Messages:
@@ -192,7 +192,7 @@ _UNKNOWN: Final = -1
 
 
 def host_messages(host: HostCounters, channel_id: int, types: TypeStore) -> Messages:
-    """Return the message of one reading, in row 0."""
+    """Return the message of one reading of the counters, in row 0."""
     seconds, rest = divmod(host.time_ns, SECOND)
     counters = {name: getattr(host, name) for name in _COUNTERS}
     values = {
@@ -204,7 +204,7 @@ def host_messages(host: HostCounters, channel_id: int, types: TypeStore) -> Mess
 
 
 def host_counters_of(cdr: bytes, types: TypeStore) -> HostCounters:
-    """Return the reading in a message.
+    """Return the counters in a message.
 
     Raises:
         WireError: the message is not one of these.

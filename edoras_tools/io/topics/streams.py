@@ -48,18 +48,19 @@ if TYPE_CHECKING:
 
 
 _JUMP_NS = 5_000_000_000
-"""A change of a sender's offset that only a restart or a clock that was set can explain."""
+"""Change of a sender's offset, in ns, that only a restart or a clock that was set can explain."""
 _MAX_SENDERS = 4096
-"""Corrupt packets could name any number of senders; above this number the oldest are forgotten."""
+"""Most senders that are remembered; corrupt packets could name any number. The oldest are forgotten."""
 _FEW = 128
-"""Up to this many senders and jumps in a batch, one call for each is faster."""
+"""Most segments of senders and jumps in a batch for which one call each is faster."""
 
 
 class MissionClock:
     """Offset of each sender's mission clock from UTC: the smallest (capture time - mission time) so far.
 
-    Delays only increase it, so the smallest is the best estimate. A sender is a (link, ProcessorID).
-    When the offset changes by more than 5 s, the sender's clock was reset, and the estimate starts again.
+    Delays only increase that difference, so the smallest is the best estimate. A sender is a (link,
+    ProcessorID). When the offset changes by more than 5 s, the sender's clock was reset, and the estimate
+    starts again.
     """
 
     def __init__(self) -> None:
@@ -74,7 +75,7 @@ class MissionClock:
         A mission time of 0 is no time: cFS counts from a start offset, and senders without a clock write 0.
 
         Args:
-            time_ns: i64, capture time.
+            time_ns: capture time, i64.
         """
         rows = np.flatnonzero(columns.mission_time_ns > 0)
         published = time_ns.copy()
@@ -129,14 +130,14 @@ def _running_least(
 
 
 LATCHED_NAMES: Final = ("tf_static", "robot_description")
-"""Last parts of names of topics that ROS latches; others are by ``durability: transient_local``."""
+"""Last parts of the names of topics that ROS latches; other topics need ``durability: transient_local``."""
 
 
 class LatchedTopics:
     """The last message of each latched topic.
 
     Attributes:
-        routes: their indices in ``Mission.routes``.
+        routes: indices in ``Mission.routes`` of these topics.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -158,11 +159,11 @@ class LatchedTopics:
                 self._last[route] = data, int(head["sequence"]), int(head["publish_time"])
 
     def again(self, channel_ids: NDArray[np.uint16], time_ns: int) -> Messages:
-        """Return the last message of each, as logged at a time; all belong to row 0.
+        """Return the last message of each topic with a new log time; all belong to row 0.
 
         Args:
             channel_ids: MCAP channel of each of ``Mission.routes``.
-            time_ns: since 1970.
+            time_ns: log time, ns since 1970.
         """
         messages = list(self._last.values())
         length = np.array([len(data) for data, _, _ in messages], np.int64)
@@ -188,11 +189,11 @@ class Topic(msgspec.Struct, frozen=True):
     """A topic that messages are written to.
 
     Attributes:
-        name: with a leading ``/``.
+        name: name with a leading ``/``.
         type: ROS type name.
         metadata: further properties.
-        encoding: of its messages.
-        schema: encoding and bytes of its schema as it was recorded; None for the definition of its type.
+        encoding: encoding of the messages.
+        schema: encoding and bytes of a recorded schema; None for the definition of the type.
     """
 
     name: str
@@ -210,7 +211,7 @@ OWN_TOPICS: Final = (
 )
 """The topics of this package; those of the mission's routes follow."""
 _OF_EACH: Final = OWN_TOPICS[1:3]
-"""Those that each spacecraft has."""
+"""The topics that each spacecraft has."""
 TRANSFORMS: Final = Topic(TF_TOPIC, TF_TYPE)
 """Poses as coordinate frames; only on request."""
 FAULTS: Final = Topic(FAULTS_TOPIC, FAULTS_TYPE)
@@ -220,11 +221,11 @@ HOST_COUNTERS: Final = Topic(HOST_TOPIC, HOST_TYPE)
 
 
 class PreparedBatch(msgspec.Struct, frozen=True, eq=False):
-    """What depends on the batches before a batch; all else follows from the batch itself.
+    """Results for a batch that depend on earlier batches; everything else follows from the batch itself.
 
     Attributes:
-        published: i64, publish time of each row, ns since 1970.
-        statistics: the seconds of link statistics that have ended, and the links' own messages.
+        published: publish time of each row, i64, ns since 1970.
+        statistics: messages of the ended seconds of link statistics, and the links' own messages.
         added: channel ids of the topics that were added so far, by name.
     """
 
@@ -237,22 +238,23 @@ class Streams:
     """The topics of a mission, and the messages of batches on them.
 
     Args:
-        mission: its routes become topics.
-        statistics: of the source, if link statistics include its kernel drops.
+        mission: mission whose routes become topics.
+        statistics: counts of the source, if link statistics include its kernel drops.
         datagrams: whether there is a topic with every whole datagram.
-        structs: C structs in packets, each with a topic of its own; None for those of cFE itself.
-        add: adds the topic of a struct when its first packet comes, and returns its channel id; None: such
+        structs: C structs in packets, each with its own topic; None for those of cFE itself.
+        add: adds the topic of a struct at its first packet, and returns its channel id; None: such
             packets make no messages.
-        transforms: whether ``/tf`` is made of the poses, and added in the same way.
+        transforms: whether ``/tf`` is made from the poses; it is added in the same way.
+        sequences: sequence counts shared with other users of the same batches; by default own ones.
 
     Attributes:
-        topics: those of this package, then one for each route.
+        topics: the topics of this package, then one for each route.
         added: channel ids of the topics that were added, by name.
-        definitions: complete ``ros2msg`` texts by type, of all these topics.
-        structs: those without a route.
-        all_wanted: whether messages of anything but statistics and events are made.
-        clock: maps mission time to UTC.
-        endpoints: of DDS, as the decoder learns them; until it is set, their samples make no messages.
+        definitions: complete ``ros2msg`` texts of all these topics, by type.
+        structs: structs whose MsgId has no route.
+        all_wanted: whether to make messages besides statistics and events.
+        clock: clock that maps mission time to UTC.
+        endpoints: DDS endpoints that the decoder discovers; None: DDS samples make no messages.
 
     Raises:
         RouteError: a route's type is unknown.
@@ -307,7 +309,7 @@ class Streams:
         self._own_topics = table.LinkStates(lambda link: link.topics(self))
         self._statistics = LinkStatistics(mission, statistics, sequences, self.structs)
         self._others: dict[int, Streams] = {}
-        """The topics of spacecraft behind the first."""
+        """The topics of other spacecraft than the first, by number."""
         self.number(range(len(self.topics)))
 
     def number(self, ids: Sequence[int]) -> None:
@@ -319,7 +321,7 @@ class Streams:
         self._routes = np.array(ids[len(own) :], dtype=np.uint16)
         self.added: dict[str, int] = {}
         self._new = self.structs
-        """Those of which a topic is not added, but for ``_placed``."""
+        """Structs whose topic is not added yet, except those in ``_placed``."""
         self._placed: set[Key] = set()
 
     def messages(
@@ -334,9 +336,9 @@ class Streams:
         """Return the messages of a batch of at least one row, in their order within a row.
 
         Args:
-            datagrams: whether the topic of whole datagrams is wanted now.
-            statistics: whether link statistics are wanted, for this and every other batch.
-            transforms: whether ``/tf`` is wanted now, if it is made at all.
+            datagrams: whether to write the topic of whole datagrams now.
+            statistics: whether to make link statistics; the same for every batch.
+            transforms: whether to write ``/tf`` now, if it is made at all.
         """
         prepared = self.prepare(batch, columns, statistics=statistics, transforms=transforms)
         return self.prepared_messages(batch, columns, prepared, datagrams=datagrams, transforms=transforms)
@@ -350,12 +352,12 @@ class Streams:
         statistics: bool = True,
         transforms: bool = True,
     ) -> PreparedBatch:
-        """Take note of a batch, in the order of the capture, and add the topics that it needs first.
+        """Process a batch, in the order of the capture, and add the topics that appear in it first.
 
         Args:
             batch: see ``messages``.
             columns: see ``messages``.
-            published: i64, publish times, ns since 1970, where they are not those of these batches.
+            published: publish times, i64, ns since 1970; None: they follow from these batches.
             statistics: see ``messages``.
             transforms: see ``messages``.
         """
@@ -376,11 +378,11 @@ class Streams:
         return PreparedBatch(whole, messages, self.added)
 
     def _several(self, columns: Columns) -> bool:
-        """Tell whether rows are of a spacecraft behind the first, and its topics can be added."""
+        """Return whether rows are of another spacecraft than the first, whose topics can be added."""
         return self._add is not None and bool((columns.spacecraft != FIRST_SPACECRAFT).any())
 
     def _of(self, number: int, channel: Callable[[Topic], int]) -> Streams:
-        """Return the topics of a spacecraft; ``channel`` says which ones those behind the first have."""
+        """Return the topics of a spacecraft; if it is not the first, ``channel`` returns their channels."""
         if number == FIRST_SPACECRAFT:
             return self
         if number not in self._others:
@@ -399,7 +401,7 @@ class Streams:
     def prepare_part(
         self, batch: PacketBatch, columns: Columns, published: NDArray[np.int64] | None, *, transforms: bool
     ) -> NDArray[np.int64]:
-        """Take note of a batch of one spacecraft; return its publish times."""
+        """Process a batch of one spacecraft; return its publish times."""
         if published is None:
             published = self.clock.publish_times(batch.time_ns, columns)
         if self._latched.routes:
@@ -423,12 +425,12 @@ class Streams:
         datagrams: bool = True,
         transforms: bool = True,
     ) -> list[Messages]:
-        """Return the messages of a prepared batch; this can be done in any order, and in any process.
+        """Return the messages of a prepared batch; callable in any order, and in any process.
 
         Args:
             batch: see ``messages``.
             columns: see ``messages``.
-            prepared: what ``prepare`` returned.
+            prepared: result of ``prepare``.
             datagrams: see ``messages``.
             transforms: see ``messages``.
         """
@@ -469,7 +471,7 @@ class Streams:
         return without_trailing(batch, columns, self.types, self.mission.routes)
 
     def latched(self, time_ns: int) -> list[Messages]:
-        """Return the last message of each latched topic again, for a new file; all belong to row 0."""
+        """Return the last message of each latched topic, for the start of a new file; all belong to row 0."""
         others = (self._of(number, self._place).latched(time_ns) for number in self._others)
         return [self._latched.again(self._routes, time_ns), *chain.from_iterable(others)]
 
@@ -478,7 +480,7 @@ class Streams:
         return outage_messages(news, self._events)
 
     def _place_structs(self, batch: PacketBatch, columns: Columns) -> None:
-        """Add the topics of structs that come for the first time."""
+        """Add the topics of structs that appear for the first time."""
         samples = payloads(self._new, partial(getattr, columns), partial(getattr, batch), batch.data)
         for bound, _, fits in self._new.split(samples, self._placed):
             if fits.any():
@@ -488,11 +490,11 @@ class Streams:
 
     @property
     def flows(self) -> dict[str, int]:
-        """How many datagrams of each link and MsgId there were, up to what ``finish`` returned."""
+        """The number of datagrams of each link and MsgId in the statistics messages returned so far."""
         return self._statistics.flows
 
     def used_names(self) -> set[str]:
-        """Return the names of topics that other messages have, or may have."""
+        """Return the topic names that other messages have, or may get."""
         used = {item.name for item in (*self.topics, TRANSFORMS, FAULTS, HOST_COUNTERS)}
         return (
             used
@@ -501,7 +503,7 @@ class Streams:
         )
 
     def offer(self) -> None:
-        """Add the topics that links know already, before a message of theirs comes."""
+        """Add the topics that links know already, before their first messages."""
         if self.endpoints is not None and self.endpoints.announced:
             self._own_topics.begin(link for link in table.links() if link.samples)
         for topics in self._own_topics.by_link.values():

@@ -1,4 +1,4 @@
-"""Messages of the C structs in packets, one topic each; events of a dictionary are log messages too."""
+"""Messages of the C structs in packets, one topic each; events of a dictionary are log messages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 _FEW: Final = 1024
-"""Of structs with fewer messages in a batch all are written at once: the calls would take longest."""
+"""Messages of a struct in a batch below which they are joined with others: one call for all is faster."""
 
 
 def struct_messages(
@@ -58,7 +58,7 @@ def struct_messages(
 def _joined(
     some: list[Held], batch: PacketBatch, columns: Columns, ids: Mapping[str, int], published: Integers
 ) -> Messages:
-    """Return the messages of several structs, none of which is twice in a row."""
+    """Return the messages of several structs, each of which is at most once in a row."""
     encoded = [payload.encode() for payload in some]
     channels = np.array([ids[payload.bound.topic] for payload in some], np.uint16)
     rows = np.concatenate([payload.rows for payload in some])
@@ -79,7 +79,7 @@ def _messages(
     """Return the messages of one struct."""
     rows = payload.rows
     encoded = None if payload.size else payload.encode()
-    # Messages of the same length are part of their heads, and are copied with them.
+    # Messages of the same length become part of their heads, and are copied with them.
     width = encoded.width if encoded else payload.size
     heads = np.zeros(len(rows), [*RECORD, ("message", f"V{width}")])
     if encoded is None:
@@ -95,11 +95,11 @@ def _messages(
 def log_messages(
     batch: PacketBatch, columns: Columns, structs: Structs, types: TypeStore, channel_id: int
 ) -> Messages:
-    """Return one ``rcl_interfaces/msg/Log`` for every event of a dictionary; its time is the capture's.
+    """Return one ``rcl_interfaces/msg/Log`` for every event of a dictionary, stamped with the capture time.
 
     Args:
-        structs: has a dictionary.
-        types: has the type.
+        structs: structs with a dictionary.
+        types: types that include the Log message.
     """
     table = structs.dictionary
     assert table is not None, "called with one"

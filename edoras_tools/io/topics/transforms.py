@@ -23,22 +23,22 @@ _POSES: Final = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose",
     "nav_msgs/msg/Odometry": "pose.pose",
 }
-"""Types with a pose in the frame of their header, and where it is."""
+"""Types with a pose in the frame of their header, and the field that has it."""
 _VALUES: Final = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))
 _WORD: Final = 4
 _BEFORE_NAMES: Final = 16
-"""Bytes of the CDR before the characters of the first name."""
+"""Bytes of the CDR before the characters of the first frame name."""
 _DOUBLE: Final = 8
 
 
 class Transforms:
-    """Makes a transform of each message with a pose: from the frame of its header to one named as its topic.
+    """Makes a transform from each message with a pose: from its header's frame to one named like its topic.
 
     Args:
-        mission: its routes with poses are taken; none if ``/tf`` is a route itself.
+        mission: mission whose routes with poses are used; none if ``/tf`` is a route itself.
 
     Attributes:
-        frames: the frame of each such route, by the route's index: its topic without the leading ``/``.
+        frames: frame name of each such route, by the route's index: its topic without the leading ``/``.
     """
 
     def __init__(self, mission: Mission, types: TypeStore) -> None:
@@ -56,7 +56,7 @@ class Transforms:
         return bool(self.frames) and bool(np.isin(columns.route, list(self.frames)).any())
 
     def messages(self, batch: PacketBatch, columns: Columns, channel_id: int) -> Iterator[Messages]:
-        """Yield the transforms of a batch, for each route and frame; poses without a frame have none."""
+        """Yield the transforms of a batch, for each route and frame; poses without a frame are left out."""
         for place, child in self.frames.items():
             rows = np.flatnonzero((columns.route == place) & (columns.cdr_length > 0))
             if not len(rows):
@@ -82,7 +82,7 @@ class Transforms:
 
 
 def _record(frame: bytes, child: bytes) -> np.dtype[np.void]:
-    """Return the record of a transform between two frames: names end with a NUL and are padded (CDR)."""
+    """Return the record of a transform between two frames: CDR names end with NUL and are padded."""
     first = _up(len(frame) + 1, _WORD)
     second_at = _BEFORE_NAMES + first + _WORD
     second = _up(second_at + len(child) + 1, _DOUBLE) - second_at

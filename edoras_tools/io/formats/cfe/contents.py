@@ -1,4 +1,4 @@
-"""What is in a file of cFE that has no packets: resets, markers of the performance log, a table, or text."""
+"""The content of cFE files without packets: resets, markers of the performance log, a table, or text."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ _LARGEST: Final = 64 << 20
 
 
 class CfeFile(msgspec.Struct, frozen=True):
-    """A file of cFE.
+    """A file that cFE wrote.
 
     Attributes:
-        path: where it was read.
+        path: path of the file.
         header: the fields of ``FILE_HEADER``.
-        head: those of the header behind it, of a table or a performance log; else empty.
-        entries: of a log or a table, the fields of each; of a system log the lines, as ``text``.
-        markers: of a performance log: (n, 3) i64: number of the marker, 1 at its exit, time in ns.
+        head: the fields of the second header, of a table or a performance log; else empty.
+        entries: the fields of each entry of a log or a table; of a system log the lines, as ``text``.
+        markers: events of a performance log, (n, 3) i64: marker number, 0 entry or 1 exit, time in ns.
     """
 
     path: Path
@@ -66,17 +66,17 @@ class CfeFile(msgspec.Struct, frozen=True):
 
     @property
     def kind(self) -> str:
-        """What it is, as ``table image``."""
+        """The kind of file, such as ``table image``."""
         return cfe_file.kind_of(self.header["subtype"])
 
     @property
     def made_ns(self) -> int:
-        """Mission time when it was made, as ns since 1970; 0 where it has none: a table from the ground."""
+        """Mission time at which the file was made, ns since 1970; 0 for a table made on the ground."""
         return mission_ns(self.header) if self.header["seconds"] else 0
 
     @property
     def spans(self) -> NDArray[np.int64]:
-        """Each entry with the exit after it, by time: (n, 3) i64: marker, begin in ns, length in ns."""
+        """Each entry of a marker with its exit, by time, (n, 3) i64: marker, begin in ns, length in ns."""
         assert self.markers is not None
         rows = self.markers[np.argsort(self.markers[:, 0], kind="stable")]
         first, second = rows[:-1], rows[1:]
@@ -85,7 +85,7 @@ class CfeFile(msgspec.Struct, frozen=True):
         return spans[np.argsort(spans[:, 1], kind="stable")]
 
     def summary(self) -> dict[str, Any]:
-        """Return it in the shape of ``info --json``."""
+        """Return the content in the shape of ``info --json``."""
         entries = self.entries if self.markers is None else list(_by_marker(self.markers[:, 0], self.spans))
         return {
             "source": str(self.path),
@@ -98,7 +98,7 @@ class CfeFile(msgspec.Struct, frozen=True):
 
 
 def marker_name(number: int) -> str:
-    """Return the name of a marker that cFE sets; ``marker 36`` of a mission's own."""
+    """Return the name of a marker of cFE; of a mission's own, its number: ``marker 36``."""
     return MARKERS.get(number, f"marker {number}")
 
 
@@ -121,10 +121,10 @@ def mission_ns(fields: dict[str, Any]) -> int:
 
 
 def read_cfe_file(path: Path) -> CfeFile | None:
-    """Read a file of cFE whole; None if it is another file, or has packets, and is read as a capture.
+    """Read a whole cFE file; None if it is another file, or contains packets and is read as a capture.
 
     Raises:
-        CaptureError: it cannot be read, or it ends too early.
+        CaptureError: the file cannot be read, or ends too early.
     """
     if not path.is_file():  # bytes of a pipe can be read only once
         return None
@@ -160,10 +160,10 @@ def read_cfe_file(path: Path) -> CfeFile | None:
 
 
 def message_limits(path: Path) -> dict[int, int]:
-    """Return how many messages of each MsgId may wait in Telemetry Output's pipe, by an image of its table.
+    """Return the message limit of each MsgId in Telemetry Output's pipe, from an image of its table.
 
     Raises:
-        CaptureError: it cannot be read, or is no image of that table.
+        CaptureError: the file cannot be read, or is not an image of that table.
     """
     table = read_cfe_file(path) if path.exists() else None
     if table is None or not table.entries or "message_limit" not in table.entries[0]:
@@ -173,10 +173,10 @@ def message_limits(path: Path) -> dict[int, int]:
 
 
 def network_peers(path: Path) -> tuple[SbnPeerConfig, ...]:
-    """Return the peers that an image of SBN's table names, cFS itself among them.
+    """Return the peers in an image of SBN's table; cFS itself is one of them.
 
     Raises:
-        CaptureError: it cannot be read, or is no image of that table in the usual size.
+        CaptureError: the file cannot be read, or is not an image of that table in the usual size.
     """
     table = read_cfe_file(path) if path.exists() else None
     if table is None or table.head.get("table_name") != sbn.TABLE or "protocols" not in table.head:
@@ -204,7 +204,7 @@ def _parsed(path: Path, layout: Layout, data: bytes, at: int) -> dict[str, Any]:
 
 
 def _whole(path: Path, data: bytes, size: int, entries: str) -> int:
-    """Return the number of entries of a size; the data must have no rest."""
+    """Return the number of entries of ``size`` bytes; an error if bytes remain."""
     count, rest = divmod(len(data), size)
     if rest:
         raise CaptureError(

@@ -1,11 +1,11 @@
-"""What has a time in files of cFE: packets of its event log and of Data Storage, entries of its reset log.
+"""Reads the dated contents of cFE files: packets of event logs and Data Storage, entries of reset logs.
 
-Each becomes a datagram without addresses; its time is its mission time, a command's that of the packet before
-it. Read with a capture, they are aligned to its clock.
+Each becomes a datagram without addresses; its time is its mission time, and a command has the time of the
+packet before it. When they are read with a capture, they are aligned to its clock.
 
-An entry that cFE makes while it starts has no mission time, because that has not begun: its stamp is the
+An entry that cFE makes while it starts has no mission time, which has not begun yet: its stamp is the
 processor's own clock. The first such entry of a power-on gets the time at which mission time begins, others
-that of the entry before them.
+get the time of the entry before them.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ class CfePacketSource(RecordSource):
         return time_ns
 
     def _where_time_is(self, window: NDArray[np.uint8]) -> int:
-        """Return the byte of the time: with cFE's extended header, it is that nearer to the file's own."""
+        """Return the offset of the time: of two candidates, the one nearer to the file header's time."""
         usual = ccsds.PRIMARY.size
         seconds = [
             cfe.TELEMETRY.column("seconds", window, at).astype(np.int64)
@@ -149,15 +149,15 @@ class CfePacketSource(RecordSource):
 
 
 def reset_times(rows: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-    """Return when each entry of a reset log was made, and the order in which they were.
+    """Return the time of each entry of a reset log, and the order in which the entries were made.
 
-    The log is a ring: where the mission times of its entries fall, its oldest entry follows.
+    The log is a ring: where mission time decreases from one entry to the next, the oldest entry follows.
 
     Args:
-        rows: (n, ``RESET_ENTRY.size``), in the file's order.
+        rows: the entries, (n, ``RESET_ENTRY.size``) u8, in the file's order.
 
     Returns:
-        Mission time as ns since 1970, i64 (n,); places of the entries, the oldest first.
+        Mission time as ns since 1970, i64 (n,); indices of the entries, oldest first.
     """
     core, power_on, subtype, seconds, subseconds = (
         RESET_ENTRY.column(name, rows).astype(np.int64)

@@ -6,10 +6,10 @@ The rules that this file keeps:
    row that is larger than a buffer gets a buffer of its own.
 2. A full buffer is divided between messages into chunks of about ``CHUNK_BYTES``, each with a CRC.
 3. A stream with many messages is copied with ``spill_rows``, which also writes beyond the end of each
-   message. It is copied first; every other stream, and every head, is written afterwards.
-4. A record's head is written after its body, for the same reason.
-5. Messages are indexed while they go into the buffer; the indexes of its chunks are made from that at once.
-6. A large batch gets chunks of its own, so that any process can make them: the file is the same.
+   4. A record's head is written after its body, because ``spill_rows`` may overwrite it.
+   5. Messages are indexed while they go into the buffer; the indexes of all its chunks are made at once.
+   6. A large batch gets chunks of its own, so that any process can make them, and the file is always the
+      same.
 
 One wrong byte costs a whole chunk, and a reader has to read a whole chunk for one message. Small chunks
 compress worse, and each has an index of its own: ``docs/recover.md`` has the figures.
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 CHUNK_BYTES = 128 << 10
 """Uncompressed bytes of a full chunk; more by at most one message."""
 _BUFFER_BYTES = 8 << 20
-"""Bytes that are laid out at once, and then divided into chunks."""
+"""Bytes of messages that are laid out at once, and then divided into chunks."""
 _ENOUGH = 16 << 20
-"""Bytes that compressing a buffer may need. Where memory runs out inside ``multi_compress_to_buffer``,
-zstandard 0.25 frees some of it twice and the process aborts; asked for before, it is a ``MemoryError``."""
+"""Bytes that compressing a buffer may need. If memory runs out inside ``multi_compress_to_buffer``,
+zstandard 0.25 frees some of it twice and the process aborts; allocated before, it is a ``MemoryError``."""
 _MOST_MADE = 8
-"""Batches whose chunks may wait for those before them: limits memory."""
+"""Most batches whose chunks wait for those of earlier batches: a limit of memory."""
 
 
 class ChunkPress:
@@ -53,13 +53,13 @@ class ChunkPress:
         self._buffer = _blank()
         self._index = MessageIndex()
         self.used = 0
-        """Bytes that are laid out and not yet in a chunk."""
+        """Bytes of messages in the buffer that are not yet in a chunk."""
 
     def append(self, streams: Sequence[Messages], rows: int) -> Iterator[PackedChunks]:
         """Append messages of a batch, row by row, in each row in the order of ``streams``.
 
         Yields:
-            the chunks of a buffer that is full; all must be taken.
+            The chunks of each full buffer; the caller must take all of them.
         """
         streams = [stream for stream in streams if len(stream)]
         if not streams:
@@ -90,7 +90,7 @@ class ChunkPress:
             first = last
 
     def finish(self) -> Iterator[PackedChunks]:
-        """Yield the chunks of what is laid out, if there is anything."""
+        """Yield the chunks of the messages in the buffer, if there are any."""
         if not self.used:
             return
         raw = self._buffer[: self.used].data
@@ -102,11 +102,11 @@ class ChunkPress:
         yield chunks
 
     def _packed(self, raw: memoryview, edges: NDArray[np.int64]) -> list[memoryview]:
-        """Return chunks of a buffer compressed; one alone is the same either way, and sooner done."""
+        """Return the compressed chunks of a buffer; a single one is compressed alone, which is faster."""
         if len(raw) <= CHUNK_BYTES:
             return [memoryview(self._compressor.compress(raw))]
         segments = np.stack([edges[:-1], np.diff(edges)], axis=1).astype(np.uint64)
-        np.empty(self.used + _ENOUGH, np.uint8)  # asked for, and given back at once
+        np.empty(self.used + _ENOUGH, np.uint8)  # allocated and freed at once, see _ENOUGH
         packed = self._compressor.multi_compress_to_buffer(
             zstandard.BufferWithSegments(raw, segments.tobytes())
         )
@@ -118,9 +118,9 @@ class ChunkWriter:
     """Appends messages to a file in chunks.
 
     Args:
-        press: makes them; with nothing laid out.
-        work: makes chunks of a large batch, see ``append_batch``.
-        workers: run ``work`` too, if there are any.
+        press: makes chunks; its buffer must be empty.
+        work: makes the chunks of a large batch, see ``append_batch``.
+        workers: processes that run ``work`` too; None: none.
 
     Raises:
         CaptureError: from every method: the file cannot be written, or a worker was killed.
@@ -139,7 +139,7 @@ class ChunkWriter:
 
     @property
     def size_bound(self) -> int:
-        """Maximum size of the file once everything appended here is written, without its summary."""
+        """Upper limit of the size of the file with all appended messages, without its summary."""
         return self._file.size + self._press.used
 
     def append(self, streams: Sequence[Messages], rows: int) -> None:
@@ -149,9 +149,9 @@ class ChunkWriter:
             self._file.add_chunks(chunks)
 
     def append_batch(self, *batch: object, last: bool = False) -> None:
-        """Append chunks of their own that ``work(*batch)`` returns.
+        """Append the chunks that ``work(*batch)`` returns; they hold only messages of this batch.
 
-        Those of the last batch are made here: nothing else is to be done.
+        Those of the last batch are made in this process, which has nothing else to do.
         """
         if self._press.used:
             self.flush()
@@ -160,12 +160,12 @@ class ChunkWriter:
         self._put_packed(_MOST_MADE)
 
     def flush(self) -> None:
-        """End the current chunk, and return when all chunks are written to the operating system."""
+        """End the current chunk, and return when the operating system has all chunks."""
         self._put_packed(0)
         self._put(self._press.finish())
 
     def _put_packed(self, most: int | None = None) -> None:
-        """Write the chunks of batches that are made; wait while there are more than ``most`` others."""
+        """Write finished chunks of batches; wait while more than ``most`` batches are unfinished."""
         for packed in self._packed.results(most):
             self._put(packed)
 
@@ -182,7 +182,7 @@ class _Part:
     """The messages of one stream while they are put into chunks.
 
     Args:
-        positions: i64, start of each message, counted from the batch's first.
+        positions: start of each message, i64, relative to the first message of the batch.
         copy: copies the bytes after the heads.
     """
 
@@ -197,7 +197,7 @@ class _Part:
 
         Args:
             last: a row of the batch.
-            buffer: u8, the chunk.
+            buffer: memory to write to, u8.
             shift: position in the buffer of the batch's first message.
         """
         messages = self._messages

@@ -50,22 +50,26 @@ if TYPE_CHECKING:
 _FOOTER_BYTES_IN_CRC = 9 + 8 + 8
 """The summary's CRC covers the footer record up to the CRC itself."""
 _REPEATED = 200
-"""Schemas and channels stand in the file again whenever so many times their size was written."""
+"""Factor of the schemas' and channels' size after whose bytes they are repeated in the file."""
 _MOST_BEGUN = 32 << 20
-"""Not in a larger chunk: some four times its size would be in memory."""
+"""Largest chunk that gets repeated records, in bytes: about four times its size is needed in memory."""
 LEVEL = -1
 """zstd level: an eighth faster than 1 for a twentieth more bytes; still faster levels compress much worse."""
 
 
 class Summary(msgspec.Struct, eq=False):
-    """The contents of the data section; becomes the summary section.
+    """The contents of the data section, for the summary section.
 
     Attributes:
+        schemas: the schemas by id.
+        channels: the channels by id.
         chunks: number of chunks.
         chunk_bytes: uncompressed bytes of all chunks.
-        chunk_indexes: their ChunkIndex records as bytes; as objects they would need too much memory in a long
+        chunk_indexes: ChunkIndex records as bytes; as objects they would need too much memory in a long
             recording.
-        counts: messages of each channel.
+        attachments: AttachmentIndex records.
+        metadata: MetadataIndex records.
+        counts: number of messages of each channel.
         start_ns: smallest log time; None if there is no message.
         end_ns: largest log time.
     """
@@ -85,9 +89,9 @@ class Summary(msgspec.Struct, eq=False):
         """Count a chunk, and keep its ChunkIndex record.
 
         Args:
-            place: its position in the file, and its length.
-            records: where its MessageIndex records start, ``INDEX_PLACE``.
-            length: bytes of these records.
+            place: position and length of the chunk in the file.
+            records: positions of its MessageIndex records, ``INDEX_PLACE``.
+            length: bytes of the MessageIndex records.
         """
         name = head.compression.encode()
         index = b"".join(
@@ -129,7 +133,7 @@ class Summary(msgspec.Struct, eq=False):
 
         Args:
             position: end of the data section in the file.
-            checksum: CRC-32 of everything before.
+            checksum: CRC-32 of all bytes before that position.
         """
         end = record_bytes(DataEnd(checksum))
         start = position + len(end)
@@ -155,15 +159,15 @@ class Summary(msgspec.Struct, eq=False):
 
 
 class PackedChunks(msgspec.Struct, frozen=True, eq=False):
-    """Chunks, each followed by its message indexes, as they stand in a file; n chunks.
+    """Chunks, each followed by its message indexes, as in a file; n chunks.
 
     Attributes:
-        data: u8, the records.
-        heads: of the chunks.
+        data: bytes of the records, u8.
+        heads: heads of the chunks.
         sizes: bytes of each chunk, and of its indexes.
-        places: ``INDEX_PLACE``, where the indexes start in ``data``.
-        place_edges: i64 (n + 1), the first of each chunk's ``places``, and the end of the last ones.
-        counts: messages of each channel.
+        places: positions of the indexes in ``data``, ``INDEX_PLACE``.
+        place_edges: first index in ``places`` of each chunk, and the end of the last one, i64 (n + 1).
+        counts: number of messages of each channel.
         start_ns: smallest log time.
         end_ns: largest log time.
     """
@@ -181,11 +185,12 @@ class PackedChunks(msgspec.Struct, frozen=True, eq=False):
 def pack_chunks(
     raw: memoryview, packed: Sequence[_Bytes], messages: ChunkMessages, *, proved: bool = True
 ) -> PackedChunks:
-    """Put chunks and their message indexes together.
+    """Join chunks and their message indexes.
 
     Args:
         raw: the records of all chunks.
-        packed: the records of each, compressed with zstd.
+        packed: the records of each chunk, compressed with zstd.
+        messages: the messages of the chunks.
         proved: add checksums; False for records that may already be wrong.
     """
     edges = pairwise(messages.edges.tolist())
@@ -202,7 +207,7 @@ def pack_chunks(
 def join_chunks(
     chunks: Sequence[Sequence[_Bytes]], heads: Sequence[ChunkHead], messages: ChunkMessages
 ) -> PackedChunks:
-    """Put chunk records, each in pieces, and their message indexes together."""
+    """Join chunk records, each given in pieces, and their message indexes."""
     places, indexes = messages.places.copy(), messages.records.data
     spans = pairwise(messages.record_edges.tolist()), pairwise(messages.place_edges.tolist())
     pieces: list[_Bytes] = []
@@ -224,12 +229,12 @@ class McapFile:
 
     Args:
         path: the file; an existing one is replaced when this one is complete.
-        header: what it starts with; magic and a header record of the ``ros2`` profile by default.
-        offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty where it is not known.
+        header: first bytes of the file; by default magic and a header record of the ``ros2`` profile.
+        offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
 
     Attributes:
         output: the file itself.
-        checksum: CRC-32 of what was written so far.
+        checksum: CRC-32 of all bytes written so far.
 
     Raises:
         CaptureError: from every method: the file cannot be written.
@@ -240,11 +245,11 @@ class McapFile:
         self.summary = Summary()
         self.checksum = 0
         self._again = 0
-        """Size of the file from which on the next chunk begins with all schemas and channels."""
+        """Size of the file at which the next chunk begins with all schemas and channels."""
         self._described: tuple[list[bytes], list[bytes]] = [], []
-        """The records of all schemas, and of all channels."""
+        """Records of all schemas, and of all channels."""
         self._news: list[bytes] = []
-        """Those that no chunk has yet; from the second chunk after them on one has."""
+        """Records that no chunk contains yet; the second chunk after them gets them."""
         self._news_from = 0
         with os_errors(f"{path}: cannot be created"):
             self.output = OutputFile(path)
@@ -257,7 +262,7 @@ class McapFile:
 
     @property
     def path(self) -> Path:
-        """Where it is; see ``OutputFile``."""
+        """Path of the file; see ``OutputFile``."""
         return self.output.path
 
     @property
@@ -290,7 +295,7 @@ class McapFile:
         return channel.id
 
     def _describe(self, record: Schema | Channel) -> None:
-        """Write a record where it is first needed, and once more in the second chunk from here on."""
+        """Write a record before its first use, and repeat it in the second chunk from here on."""
         data = record_bytes(record)
         self.add_bytes(data)
         self._described[isinstance(record, Channel)].append(data)
@@ -315,7 +320,8 @@ class McapFile:
     def add_chunks(self, chunks: PackedChunks) -> None:
         """Write chunks and their message indexes to the operating system, in one call.
 
-        Some begin with schemas and channels again, so that a damaged beginning costs only itself.
+        Some chunks begin with repeated schemas and channels, so that a damaged beginning of the file makes no
+        later chunk unreadable.
         """
         places = chunks.places.copy()
         places["offset"] += np.uint64(self.size)
@@ -339,7 +345,7 @@ class McapFile:
             self.summary.add_messages(chunks.counts, chunks.start_ns, chunks.end_ns)
 
     def _due(self, size: int) -> bytes:
-        """Return the schemas and channels that the chunk at a position begins with; mostly none."""
+        """Return the schemas and channels with which the chunk at position ``size`` begins; mostly none."""
         whole = bool(self._again and size >= self._again)
         if not whole and not (self._news and self.summary.chunks >= self._news_from):
             return b""
@@ -351,7 +357,7 @@ class McapFile:
         return records
 
     def finish(self) -> None:
-        """Write the summary and close the file; it replaces an older one."""
+        """Write the summary and close the file; it then replaces an existing file."""
         self.add_bytes(self.summary.tail(self.size, self.checksum))
         try:
             self.output.finish()
@@ -363,7 +369,7 @@ class McapFile:
         self.output.close()
 
     def add_bytes(self, *pieces: bytes | memoryview) -> None:
-        """Write bytes that need no entry in the summary; when this returns, the operating system has them."""
+        """Write bytes that need no entry in the summary; on return, the operating system has them."""
         for piece in pieces:
             self.checksum = crc32(piece, self.checksum)
         try:
@@ -387,10 +393,10 @@ def _beginning_with(
     """Put records before those of a chunk, compressed with zstd.
 
     Args:
-        stretch: u8, the chunk's record and its message indexes.
+        stretch: the chunk's record and its message indexes, u8.
 
     Returns:
-        Its head, its record, and its message indexes.
+        The new head, chunk record and message indexes.
     """
     data = len(_chunk_start(head))
     end = data + head.length
@@ -414,12 +420,12 @@ def _chunk_start(head: ChunkHead) -> bytes:
 
 
 def _text(name: str) -> str:
-    """Escape what UTF-8 cannot encode: file names may contain bytes that are not text."""
+    """Escape characters that UTF-8 cannot encode: file names may contain bytes that are not text."""
     return name.encode(errors="backslashreplace").decode()
 
 
 def record_bytes(*records: McapRecord) -> bytes:
-    """Return records in the format of the file."""
+    """Return the bytes of records, as in a file."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)

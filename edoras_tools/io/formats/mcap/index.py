@@ -28,15 +28,15 @@ INDEX_HEAD: Final = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel_id"
 """A MessageIndex record up to its entries."""
 INDEX_ENTRY: Final = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 INDEX_PLACE: Final = np.dtype([("channel_id", "<u2"), ("offset", "<u8")])
-"""In a ChunkIndex record: the position of a channel's MessageIndex record."""
+"""Entry of a ChunkIndex record: the position of a channel's MessageIndex record."""
 CHUNK_INDEX: Final = np.dtype(
     [("start_ns", "<u8"), ("end_ns", "<u8"), ("position", "<u8"), ("length", "<u8"), ("places", "<u4")]
 )
-"""A ChunkIndex record up to its ``INDEX_PLACE`` entries, of which it says how many bytes they are."""
+"""A ChunkIndex record up to its ``INDEX_PLACE`` entries; ``places`` is the number of bytes of these."""
 MAX_CHUNK_BYTES: Final = 128 << 20
-"""A chunk, or another record, that holds more is not read: some three times its size are in memory."""
+"""Largest chunk or other record that is read, in bytes: about three times its size is needed in memory."""
 MOST_IDLE: Final = 1 << 18
-"""Behind so many records in a row that hold no message, nothing is read: a bomb has millions of them, and
+"""Most records in a row without a message; reading stops behind them. A decompression bomb has millions,
 a recording at most 65,535 schemas, as many channels, and an index for each."""
 CHUNK_HEAD_BYTES: Final = CHUNK_HEAD.size + 16 + 8
 """Bytes of a chunk's head with up to 16 letters for the compression."""
@@ -50,7 +50,7 @@ class ChunkHead(msgspec.Struct, frozen=True):
         start_ns: smallest log time.
         end_ns: largest log time.
         size: uncompressed bytes of its records.
-        crc: CRC-32 of these; 0 if the writer gave none.
+        crc: CRC-32 of the uncompressed records; 0 if the writer computed none.
         compression: "", "zstd", "lz4", or an unknown name.
         data: start of the compressed bytes, counted from the record's content.
         length: number of compressed bytes.
@@ -80,14 +80,14 @@ class ChunkMessages(msgspec.Struct, frozen=True, eq=False):
     """The messages of the chunks that a buffer was divided into; n chunks.
 
     Attributes:
-        edges: i64 (n + 1), start of each chunk in the buffer, and the end of the last one.
-        start_ns: u64 (n), smallest log time of each; 0 if there is no message.
-        end_ns: u64 (n), largest log time.
-        counts: messages of each channel in all chunks, in order of the channels.
-        records: u8, the MessageIndex records, those of a chunk in sequence.
-        record_edges: i64 (n + 1), start of each chunk's records, and the end of the last ones.
-        places: ``INDEX_PLACE``, start of each record, counted from the first one of its chunk.
-        place_edges: i64 (n + 1), as ``record_edges``, for ``places``.
+        edges: start of each chunk in the buffer, and the end of the last one, i64 (n + 1).
+        start_ns: smallest log time of each chunk, u64 (n); 0 if it has no message.
+        end_ns: largest log time of each chunk, u64 (n).
+        counts: number of messages of each channel in all chunks, in order of the channels.
+        records: MessageIndex records, u8; those of one chunk are in sequence.
+        record_edges: start of each chunk's MessageIndex records, and the end of the last ones, i64 (n + 1).
+        places: start of each record, relative to the first one of its chunk, ``INDEX_PLACE``.
+        place_edges: the same edges for ``places``, i64 (n + 1).
     """
 
     edges: NDArray[np.int64]
@@ -115,9 +115,9 @@ class MessageIndex:
         """Add at least one message; those of a channel must come in order of their positions.
 
         Args:
-            channel_id: of each message, or of all.
-            log_time: i64 or u64, ns since 1970; copied.
-            position: i64, start of each message's record in the buffer; not copied.
+            channel_id: channel of each message, or one for all of them.
+            log_time: log times, i64 or u64, ns since 1970; copied.
+            position: start of each message's record in the buffer, i64; not copied.
         """
         times = log_time.view(np.uint64)
         if isinstance(channel_id, int):
@@ -146,7 +146,8 @@ class MessageIndex:
         base = np.arange(len(channels))[:, None] * size
         positions += np.repeat(base[:, 0], [sum(len(pair[1]) for pair in pairs) for pairs in noted])
         edges = _edges(positions, base, size, limit)
-        # (channels, chunks): the first message of each, and how many.
+        # (channels, chunks): index of the first message of each channel in each chunk, and number of
+        # messages.
         bounds = np.searchsorted(positions, base + edges)
         first, counts = bounds[:, :-1], np.diff(bounds, axis=1)
         entries = np.empty(len(positions), INDEX_ENTRY)
@@ -188,16 +189,17 @@ def _edges(positions: NDArray[np.int64], base: NDArray[np.int64], size: int, lim
     """Return the start of each chunk of a buffer, and the end of the last one.
 
     Args:
-        positions: of the messages, for each channel plus its ``base``; increasing.
-        base: (channels, 1).
+        positions: starts of the messages, for each channel plus its ``base``; increasing.
+        base: offset of each channel in ``positions``, (channels, 1).
         size: bytes of the buffer in use.
+        limit: bytes of a full chunk.
     """
     if size <= limit:
         return np.array([0, size])
     count = -(-size // limit)
     targets = np.arange(1, count) * size // count
     last = np.searchsorted(positions, base + targets, side="right") - 1
-    # If a channel has no message that early, the one found is of another channel, or there is none.
+    # If a channel has no message before a target, the index points to another channel, or is -1.
     starts = np.where(last < 0, 0, np.maximum(positions[last] - base, 0)).max(axis=0)
     edges = np.concatenate([[0], starts, [size]])
     return edges[np.diff(edges, prepend=-1) > 0]

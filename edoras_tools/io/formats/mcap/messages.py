@@ -1,4 +1,4 @@
-"""The messages of an MCAP file of any tool, in columns: along its index, or from start to end without one."""
+"""Reads the messages of any MCAP file as columns: by its index, or without one from start to end."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _BATCH_BYTES: Final = 4 << 20
-"""Chunks are put together up to this."""
+"""Bytes up to which chunks are joined."""
 _BEFORE: Final = "; all before was read"
 
 
 class SelectedMessages(NamedTuple):
-    """The messages of some channels in a few chunks, arrays one element a message.
+    """The messages of some channels in a few chunks; each array has one element a message.
 
     Attributes:
-        channel_id: u16.
-        log_time: i64, ns since 1970.
-        data: u8, the chunks' records.
-        offset: i64, first byte of the message data in ``data``.
-        length: i64, its bytes.
-        sequence: u32.
-        publish_time: i64, ns since 1970.
+        channel_id: channel, u16.
+        log_time: log time, i64, ns since 1970.
+        data: the chunks' records, u8.
+        offset: first byte of the message data in ``data``, i64.
+        length: bytes of the message data, i64.
+        sequence: sequence number, u32.
+        publish_time: publish time, i64, ns since 1970.
     """
 
     channel_id: NDArray[np.uint16]
@@ -58,13 +58,13 @@ class SelectedMessages(NamedTuple):
     publish_time: NDArray[np.int64]
 
     def take(self, rows: NDArray[Any] | slice) -> SelectedMessages:
-        """Return the messages that an index array, a mask or a slice chooses, over the same buffer."""
+        """Return the messages that an index array, a mask or a slice selects, over the same buffer."""
         parts = {name: value if name == "data" else value[rows] for name, value in self._asdict().items()}
         return SelectedMessages(**parts)
 
 
 def is_indexed(summary: Summary | None) -> bool:
-    """Tell whether indices lead to every message of a file, so that ``chunk_content`` reads all of it."""
+    """Return whether indexes lead to every message of a file, so that ``chunk_content`` can read all."""
     if summary is None or summary.statistics is None or not summary.chunk_indexes:
         return False
     every = len(summary.chunk_indexes) == summary.statistics.chunk_count
@@ -87,10 +87,12 @@ def chunk_content(
 
 
 def scanned(path: Path, name: str) -> Iterator[SelectedMessages | Schema | Channel]:
-    """Yield what is in a file without a whole index, in its order: messages of a chunk together.
+    """Yield the records of a file in their order; the messages of a chunk come together.
+
+    It needs no index.
 
     Raises:
-        CaptureError: it is cut off or damaged; after all before that place.
+        CaptureError: the file is cut off or damaged; raised after all records before that place.
     """
     with FileBytes(path) as file:
         place, loose, opcode, idle = len(MAGIC), bytearray(), 0, 0
@@ -125,7 +127,7 @@ def scanned(path: Path, name: str) -> Iterator[SelectedMessages | Schema | Chann
 
 
 def _walked(raw: bytes | bytearray | memoryview) -> Iterator[SelectedMessages | Schema | Channel]:
-    """Yield the channels among some records, then the messages, as many at once as a batch may have."""
+    """Yield the schemas and channels among some records, then the messages, in parts of ``_BATCH_BYTES``."""
     records = walk(bytes(raw))
     yield from (item for item in records.others if isinstance(item, (Schema, Channel)))
     edges = np.searchsorted(records.start, np.arange(0, len(records.data) + _BATCH_BYTES, _BATCH_BYTES))
@@ -138,7 +140,7 @@ def _walked(raw: bytes | bytearray | memoryview) -> Iterator[SelectedMessages | 
 
 
 def joined_messages(parts: Sequence[SelectedMessages]) -> SelectedMessages:
-    """Put the messages of several chunks together: what is done with them costs about as much for few."""
+    """Join the messages of several chunks: work on few messages costs about as much as on many."""
     if len(parts) == 1:
         return parts[0]
     ends = np.cumsum([len(part.data) for part in parts])
@@ -148,7 +150,7 @@ def joined_messages(parts: Sequence[SelectedMessages]) -> SelectedMessages:
 
 
 def _offsets(file: IO[bytes], index: ChunkIndex, channel: int) -> NDArray[np.int64]:
-    """Return where the Message records of a channel start in a chunk."""
+    """Return the positions of a channel's Message records in a chunk."""
     file.seek(index.message_index_offsets[channel])
     _, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
     entries = file.read(min(length, index.message_index_length))[INDEX_HEAD.itemsize - RECORD_HEAD.size :]

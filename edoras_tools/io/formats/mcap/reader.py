@@ -1,7 +1,7 @@
 """Reads recordings: the frames of ``/edoras/datagrams``, chunk by chunk.
 
-Messages come in the order of the file, which is the order of the capture. So a capture made from a recording
-is equal to the original one, bit for bit, even if its timestamps step back.
+Messages come in the order of the file, which is the order of the capture. Therefore a capture made from a
+recording is equal to the original one, bit for bit, even if its timestamps step back.
 """
 
 from __future__ import annotations
@@ -80,21 +80,21 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 METADATA_NAMES = ("edoras_opening", "edoras")
-"""The later one has more values; it is missing if a recording was cut off."""
+"""Metadata records of a recording. The later one has more values; a cut-off recording has only the first."""
 
 _LEAD_NS = 10 * SECOND
-"""So much before a period is read too: a packet may have begun there, or its first copy come."""
+"""Time before a period that is read too: a packet of the period, or its first copy, may begin there."""
 _BATCH_BYTES = 4 << 20
-"""Chunks are small; several are joined to a batch of this size."""
+"""Bytes of a batch; several chunks are joined, because they are small."""
 _AHEAD_BYTES = 256 << 10
-"""Records are small; so much of the file is read at once."""
+"""Bytes of the file that are read at once, because records are small."""
 _MOST_INDEX_BYTES = 1 << 20
-"""A larger record of the summary is no index."""
+"""Largest summary record that can be an index, in bytes."""
 _CHECKED_BYTES = 256 << 20
-"""Of so much of a file a checksum takes less than the start of a command."""
+"""Largest file whose checksum is compared, in bytes: it takes less time than the start of a command."""
 _DESCRIBING = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.METADATA, Opcode.ATTACHMENT}
 _DATA_END = struct.Struct("<BQI")
-"""The record in front of the summary, with the CRC of all before it."""
+"""The record before the summary, with the CRC of all bytes before it."""
 _CRC = struct.Struct("<I")
 _KIND = 0xFFFF
 """The bits of a CDR encapsulation that contain the byte order; the rest are options."""
@@ -104,16 +104,17 @@ class McapSource(SourceDefaults):
     """Reads a recording.
 
     Args:
-        name: what it is called in messages; usually its path.
-        copy: a temporary file that is there until the source is closed.
+        path: path of the file.
+        name: name in messages; by default the path.
+        copy: temporary file that exists until the source is closed, or None.
 
     Attributes:
-        info: resolution and snap length are those of the original capture; the attachments are its mission
-            files, the definitions its schemas.
+        info: information on the recording: resolution and snap length of the original capture, mission files
+            as attachments, schemas as definitions.
         statistics: frames and datagrams counted so far.
 
     Raises:
-        CaptureError: it is not an MCAP file, or a complete one without datagrams.
+        CaptureError: it is not an MCAP file, or a complete recording without datagrams.
     """
 
     def __init__(self, path: str | Path, name: str = "", copy: Any = None) -> None:
@@ -139,7 +140,7 @@ class McapSource(SourceDefaults):
         try:
             self._check(whole=self._read_front())
         except BaseException:
-            self._file.close()  # the copy is still of use: what has no datagrams may have topics
+            self._file.close()  # the copy is still needed: a recording without datagrams may have topics
             raise
         values = {key: item for kind in METADATA_NAMES for key, item in self._metadata.get(kind, {}).items()}
         self._flows = _flows(values.get("flows", ""))
@@ -213,7 +214,7 @@ class McapSource(SourceDefaults):
         self.statistics.position = self._size
 
     def _rest(self) -> Iterator[PacketBatch]:
-        """Yield what waited for more of a TCP stream."""
+        """Yield the datagrams that waited for more bytes of a TCP stream."""
         rest = self._demux.finish()
         if rest is not None and len(rest):
             self.statistics.datagrams += len(rest)
@@ -234,7 +235,7 @@ class McapSource(SourceDefaults):
         self._demux.framings = framings
 
     def narrow(self, period: Callable[[int], tuple[int, int]]) -> None:
-        """See ``SourceDefaults``; only a recording whose summary lists its chunks passes over any."""
+        """See ``SourceDefaults``; chunks are skipped only if the summary lists them."""
         self._period = period if self._chunks else None
 
     def choose(self, choice: Choice) -> None:
@@ -242,7 +243,10 @@ class McapSource(SourceDefaults):
         self._chosen = choice
 
     def decoded(self, batch: PacketBatch, decode: Callable[[PacketBatch], Columns]) -> Columns:
-        """Return the columns of a batch, with what others that were passed over made its datagrams be."""
+        """Return the columns of a batch; after ``choose`` with the recorded findings.
+
+        Other datagrams, which are skipped now, may have caused these findings.
+        """
         columns = decode(batch)
         heads = self._heads_of(batch.number)
         return columns if heads is None else replace(columns, findings=heads["findings"])
@@ -253,7 +257,7 @@ class McapSource(SourceDefaults):
         return None if heads is None else heads["publish_time"].astype(np.int64)
 
     def _heads_of(self, number: NDArray[np.int64]) -> NDArray[np.void] | None:
-        """Return what is recorded of datagrams of the last batch, if others were passed over."""
+        """Return the recorded headers of datagrams of the last batch, after ``choose``; else None."""
         if self._chosen is None or not len(number):
             return None
         heads = self._heads[0] if len(self._heads) == 1 else np.concatenate(self._heads)
@@ -262,9 +266,9 @@ class McapSource(SourceDefaults):
         return heads[order[np.searchsorted(heads["number"], number, sorter=order)]]
 
     def _needed(self, start_ns: int, end_ns: int) -> list[int]:
-        """Return where the chunks are that may hold a datagram of a time, and the last one.
+        """Return the positions of the chunks that may hold a datagram of a period, and of the last chunk.
 
-        All are needed if the summary is damaged.
+        An empty list means all chunks: the summary is damaged.
         """
         heads, _, _ = self._indexes()
         needed = (heads["end_ns"] >= max(start_ns - _LEAD_NS, 0)) & (heads["start_ns"] < max(end_ns, 0))
@@ -272,9 +276,10 @@ class McapSource(SourceDefaults):
         return self._passing_over(heads, needed)
 
     def _holding(self, choice: Choice) -> list[int]:
-        """Return where the chunks are that may hold a chosen datagram, the first and the last one.
+        """Return the positions of chunks that may hold a chosen datagram, and of the first and last chunk.
 
-        None where that is not known: the messages of each chosen MsgId must be as many as its datagrams.
+        An empty list means all chunks: their times overlap, or the number of messages of a chosen MsgId is
+        not that of its datagrams.
         """
         (heads, owner, places), channels = self._indexes(), self._channels_of(choice)
         if not channels or (heads["end_ns"][:-1] > heads["start_ns"][1:]).any():
@@ -287,15 +292,16 @@ class McapSource(SourceDefaults):
         first, end = (np.searchsorted(owner, holding, side).tolist() for side in ("left", "right"))
         for chunk, begin, beyond in zip(holding.tolist(), first, end, strict=True):
             inside = dict(places[begin:beyond].tolist())
-            # The datagram of its first message may end the chunk before.
+            # The datagram of the first message may be at the end of the chunk before.
             if self._first(inside, channels) < self._first(inside, datagrams):
                 needed[max(chunk - 1, 0)] = True
         return self._passing_over(heads, needed)
 
     def _passing_over(self, heads: NDArray[np.void], needed: NDArray[np.bool_]) -> list[int]:
-        """Return where the needed chunks are; warn where a checksum says that any is damaged, also of others.
+        """Return the positions of the needed chunks; warn if the file's checksum is wrong.
 
-        Of a large file that would take longer than what is asked for.
+        The damage may be in chunks that are skipped. The checksum of a large file is not computed, because
+        that would take longer than reading the needed chunks.
         """
         _, _, crc = _DATA_END.unpack(self._pread(self._data_end, _DATA_END.size))
         small = self._data_end <= _CHECKED_BYTES and crc and not needed.all()
@@ -307,10 +313,10 @@ class McapSource(SourceDefaults):
         return heads["position"][needed].tolist()
 
     def _first(self, inside: Mapping[int, int], channels: Collection[int]) -> int:
-        """Return where in a chunk the first message of some channels is; beyond all where there is none.
+        """Return the position in a chunk of the first message of some channels; the maximum if there is none.
 
         Args:
-            inside: where the MessageIndex record of each channel in the chunk is.
+            inside: position of the MessageIndex record of each channel of the chunk.
         """
         places = [place for key, place in inside.items() if key in channels]
         entries = [
@@ -326,7 +332,8 @@ class McapSource(SourceDefaults):
     def _channels_of(self, choice: Choice) -> set[int]:
         """Return the channels of the messages in chosen datagrams.
 
-        None if some are in no message, or if there are datagrams of no link, which always come.
+        The set is empty if some of these datagrams have no message, or if there are datagrams of no link,
+        which are always read.
         """
         codes = {link.label: int(link) for link in links()}
         if not self._flows or any(label not in codes for label, _ in self._flows):
@@ -356,14 +363,15 @@ class McapSource(SourceDefaults):
 
     @property
     def _total(self) -> int:
-        """How many datagrams there are; fewer than were recorded after a repair."""
+        """Number of datagrams in the recording; after a repair it may be less than was recorded."""
         return sum(self._counts.get(key, 0) for key in self._datagrams)
 
     def _indexes(self) -> tuple[NDArray[np.void], NDArray[np.intp], NDArray[np.void]]:
-        """Return what the summary says of the chunks, in the order of the file; nothing if it is damaged.
+        """Return the chunk indexes of the summary, in the order of the file; empty if it is damaged.
 
         Returns:
-            ``CHUNK_INDEX`` of each; which of them each list of messages is of; and ``INDEX_PLACE`` of each.
+            ``CHUNK_INDEX`` of each chunk; then, for each list of messages, the index of its chunk, and its
+            ``INDEX_PLACE``.
         """
         size = CHUNK_INDEX.itemsize
         chunks = sorted(self._chunks, key=lambda item: int.from_bytes(item[16:24], "little"))
@@ -379,20 +387,20 @@ class McapSource(SourceDefaults):
         return heads, np.repeat(np.arange(len(heads)), [*map(len, lists)]), places
 
     def _listed(self) -> bool:
-        """Return whether the summary is as it was written; one without a checksum may be."""
+        """Return whether the summary's checksum is right; a summary without one is accepted."""
         start, end = self._data_end + _DATA_END.size, self._size - len(MAGIC) - _CRC.size
         (value,) = _CRC.unpack(self._pread(end, _CRC.size))
         return value in {0, self._checksum(start, end)}
 
     def _checksum(self, start: int, end: int, value: int = 0) -> int:
-        """Return the CRC-32 of a part of the file, going on from that of what is in front of it."""
+        """Return the CRC-32 of a part of the file; ``value`` is the CRC of the bytes before it."""
         while start < end and (block := self._pread(start, min(end - start, _AHEAD_BYTES))):
             value = crc32(block, value)
             start += len(block)
         return value
 
     def recorder_counts(self) -> str:
-        """See ``SourceDefaults``; every byte up to the summary is compared with the checksums."""
+        """See ``SourceDefaults``; the checksums of all bytes before the summary are compared."""
         values = self._metadata.get(COUNTS_METADATA_NAME, {})
         if values.get("version") != __version__ or not self._data_end:
             return ""
@@ -403,16 +411,16 @@ class McapSource(SourceDefaults):
         return values.get("counts", "") if whole else ""
 
     def faults(self) -> list[Fault]:
-        """Return the faults that a proxy or a replay injected, as far as the recording is readable."""
+        """Return the faults that a proxy or a replay injected, if the recording can be read."""
         return self._extras(FAULTS_TOPIC, fault_of)
 
     def host(self) -> list[HostCounters]:
-        """Return what the kernel of the recording host counted, as far as the recording is readable."""
+        """Return the counters of the recording host's kernel, if the recording can be read."""
         types = TypeStore()
         return self._extras(HOST_TOPIC, lambda cdr: host_counters_of(cdr, types))
 
     def _extras(self, topic: str, read: Callable[[bytes], T]) -> list[T]:
-        """Return the messages of a topic of ours that not every recording has."""
+        """Return the messages of an optional topic of ours."""
         if topic not in self._topics.values():
             return []
         values = []
@@ -422,7 +430,7 @@ class McapSource(SourceDefaults):
         return values
 
     def close(self) -> None:
-        """Close the file; a copy is gone then."""
+        """Close the file, and remove the temporary copy."""
         self._file.close()
         if self._copy is not None:
             self._copy.close()
@@ -445,7 +453,7 @@ class McapSource(SourceDefaults):
 
         Args:
             data: the uncompressed records; without padding, which ``joined_frames`` adds.
-            offsets: start of each datagram message; None if no index gives it.
+            offsets: start of each datagram message; None if there is no index.
             place: position of the chunk in the file, for error messages.
         """
         if offsets is None:
@@ -510,7 +518,7 @@ class McapSource(SourceDefaults):
         """Read the message index after a chunk.
 
         Returns:
-            The start of each datagram message in the chunk, None if no complete index gives it; and the
+            The start of each datagram message in the chunk, or None without a complete index; and the
             position of the next record.
         """
         parts: list[NDArray[np.int64]] = []
@@ -519,7 +527,8 @@ class McapSource(SourceDefaults):
             _, start, end = record
             indexed = True
             channel_id = int.from_bytes(self._read(start, min(start + 2, end)), "little")
-            # The record of an unknown channel is in the chunk: then the chunk's records are read one by one.
+            # The Channel record of an unknown channel is in the chunk: then all its records are read one by
+            # one.
             if channel_id not in self._topics:
                 return None, end
             if self._topics[channel_id] == DATAGRAMS_TOPIC:
@@ -542,7 +551,7 @@ class McapSource(SourceDefaults):
 
     def _scan_topics(self) -> None:
         """Look for topics in a file without a summary: other tools describe them anywhere."""
-        with suppress(CaptureError):  # it is cut off; that is told when it is read
+        with suppress(CaptureError):  # the file is cut off: the error is raised when it is read
             for record in scanned(self._path, self._name):
                 if isinstance(record, Channel):
                     self._topics[record.id] = record.topic
@@ -579,7 +588,7 @@ class McapSource(SourceDefaults):
         return True
 
     def _summary(self, position: int, until: int) -> Iterator[tuple[int, int, int, bytes]]:
-        """Yield opcode, start, end and content of records, many read at once; without that of a large one."""
+        """Yield opcode, start, end and content of summary records; the content of a large one is empty."""
         piece, at = b"", 0
         while position + RECORD_HEAD.size <= until:
             if at + RECORD_HEAD.size > len(piece):
@@ -599,7 +608,7 @@ class McapSource(SourceDefaults):
             position = end
 
     def _piece(self, position: int, until: int) -> bytes:
-        """Read some of the summary; no record of an index is larger."""
+        """Read a piece of the summary that holds at least one index record."""
         return self._pread(position, min(until - position, 2 * _MOST_INDEX_BYTES))
 
     def _remember(self, opcode: int, start: int, end: int) -> None:
@@ -673,7 +682,10 @@ class McapSource(SourceDefaults):
 
 
 def _following(needed: list[int] | None, position: int) -> int:
-    """Return where the next chunk is that is needed, from a position on; all are, behind the last one."""
+    """Return the position of the next needed chunk from ``position`` on.
+
+    All chunks are needed if ``needed`` is empty, and those behind the last needed one.
+    """
     return needed[bisect_left(needed, position)] if needed and position < needed[-1] else position
 
 
@@ -691,7 +703,7 @@ def _words(text: str) -> dict[str, str]:
 
 
 def _flows(text: str) -> dict[tuple[str, int], int]:
-    """Return how many datagrams there are by link and MsgId, of a JSON object; empty if it is not one."""
+    """Return the number of datagrams by link and MsgId, from a JSON object; empty if it is not one."""
     try:
         counts = [(name.partition("/"), count) for name, count in _words(text).items()]
         return {(label, int(msg_id, 16)): int(count) for (label, _, msg_id), count in counts}

@@ -1,17 +1,18 @@
-"""Repairs damaged recordings: keeps what can be proved, and builds new what a reader needs.
+"""Repairs damaged recordings: keeps what can be proved, and rebuilds the indexes that readers need.
 
-How records are found: ``scan``. What is kept:
+``scan`` finds the records. The rules for keeping them:
 
-1. A chunk with a correct checksum, with the channels of the file that it belongs to: those of the summary
+1. A chunk with a correct checksum is kept, with channels of the file that it belongs to: those of the summary
    that lists the chunk, else those of a chunk near it whose checksum is right, else those that came before.
-2. Nothing of a chunk with a wrong checksum, or of one that is cut off: a wrong bit often decompresses without
+2. A chunk with a wrong checksum, or a cut-off one, is not kept: one wrong bit often decompresses without an
    error to other bytes. Its readable messages are counted, and kept only on request.
-3. Data that never had a checksum, as far as it can be read: there is no way to check it.
-4. A channel whose record is lost is one of our recorder if all its messages are as that would write them;
-   else it is ``/unknown/N``. Where a summary says which channels there are, no other one is kept.
+3. Data that never had a checksum is kept as far as it can be read: there is no way to check it.
+4. A channel whose record is lost is taken for a channel of our recorder if that could have written all its
+   messages; else its topic is ``/unknown/N``. If a summary lists the channels, no other channel is kept.
 
-What describes a chunk may stand behind it, so a damaged file is read once more with what the first reading
-found. The result is read through its own index, and by the ``mcap`` library, before it gets its name.
+The records that describe a chunk may be behind it, so a damaged file is read a second time with the results
+of the first reading. The result is read through its own index, and by the ``mcap`` library, before it gets
+its name.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ def verify(
     Arguments are those of ``recover``.
 
     Raises:
-        CaptureError: it cannot be read, is not an MCAP file, or has no message that could be kept.
+        CaptureError: the file cannot be read, is not MCAP, or has no message that could be kept.
     """
     with FileBytes(Path(source)) as file:
         return _examined(file, topics or KnownTopics(), progress, unproved=unproved)[0]
@@ -84,7 +85,7 @@ def verify(
 def _examined(
     file: FileBytes, topics: KnownTopics, progress: Callable[[int, int], None], *, unproved: bool
 ) -> tuple[Recovery, Sequence[Stretch]]:
-    """Return what could be recovered, and what is to be known for that."""
+    """Return the report of what can be recovered, and the stretches that a further reading needs."""
     first = _Assembly(file, None, topics, unproved=unproved)
     report, stretches = first.run(progress), first.stretches
     if first.doubtful and any(item.proved or item.fits for item in stretches):
@@ -110,14 +111,14 @@ def recover(
 ) -> Recovery:
     """Repair a damaged or cut-off MCAP file, or several in sequence, written by any program.
 
-    Intact chunks are kept byte for byte. Message index, chunk index, statistics and summary are built new.
+    Intact chunks are kept byte for byte. Message index, chunk index, statistics and summary are rebuilt.
 
     Args:
         source: the file; it is only read.
         target: the file to write; it appears when it is complete, and only if ``source`` is not intact.
-        topics: those of a recording of ours whose description is lost.
+        topics: topics of a recording of ours whose channel records are lost.
         unproved: also keep readable messages of damaged and cut-off chunks.
-        progress: called with the bytes that were read, and with all; once more for each further reading.
+        progress: called with the bytes read and the bytes in total; each further reading starts again.
 
     Returns:
         The report.
@@ -153,10 +154,10 @@ def recover(
 
 
 class _Assembly:
-    """Assembles what the scan finds; ``out`` is None if it is only counted.
+    """Assembles the pieces of a scan into a file; if ``out`` is None, it only counts them.
 
     Args:
-        known: ``stretches`` of an earlier reading.
+        known: stretches of an earlier reading.
     """
 
     def __init__(
@@ -171,7 +172,7 @@ class _Assembly:
         self._topics, self._known = topics, stretches
         self.stretches: list[Stretch] = []
         self.doubtful = False
-        """Whether another reading with ``stretches`` may find more."""
+        """Whether another reading that uses ``stretches`` may find more."""
         self._unknown: set[int] = set()
         self._loose = bytearray()
         self._file = file
@@ -193,7 +194,7 @@ class _Assembly:
         ) = 0
 
     def run(self, progress: Callable[[int, int], None]) -> Recovery:
-        """Process the whole file, and write the end."""
+        """Process the whole file, write the end of the result, and return the report."""
         for piece in self._scan.pieces():
             self._take(piece)
             progress(piece.end, self._file.size)
@@ -255,7 +256,7 @@ class _Assembly:
 
     @property
     def _stretch(self) -> Stretch:
-        """What is known of the stretch that is being read."""
+        """The results of an earlier reading for the present stretch."""
         place = len(self.stretches) - 1
         return self._known[place] if place < len(self._known) else Stretch()
 
@@ -276,7 +277,7 @@ class _Assembly:
         return Channel(number, f"/unknown/{number}", "", {}, 0), None
 
     def _of_place(self, place: int) -> FilePart | None:
-        """Return the file that a position certainly belongs to; None if that is unknown."""
+        """Return the part that certainly contains a position; None if it is unknown."""
         section = self._scan.section(place)
         if section is None or not section.owns(place):
             return None
@@ -309,7 +310,7 @@ class _Assembly:
             )
         self._lost_bytes += size
         if self._open_loss and self._losses and piece.end == self._file.size:
-            # Its message index is cut off too, so it does not list all messages.
+            # Its message index is cut off too, so the index does not list all messages.
             last = self._losses.pop()
             piece_start, size, reason = last.start, last.bytes + size, last.reason
             self._losses.append(LostStretch(piece_start, size, reason, None, last.start_ns, last.end_ns))
@@ -333,7 +334,7 @@ class _Assembly:
         part.others += self._total - before
 
     def _orphan(self, piece: Piece) -> None:
-        """Use a message index without its chunk: it shows what was lost."""
+        """Use a message index without its chunk: it lists messages that are lost."""
         if self._open_loss and self._losses and (last := self._losses[-1]).messages is None:
             count = sum(map(len, piece.entries.values()))
             size = last.bytes + piece.end - piece.start
@@ -397,7 +398,7 @@ class _Assembly:
         return sum(self._counts.values())
 
     def _keep(self, part: FilePart, walked: Walked, piece: Piece | None) -> None:
-        """Write the messages of a chunk whose channels are known; unchanged if ``piece`` is intact."""
+        """Write the messages of a chunk whose channels are known; an intact chunk is copied unchanged."""
         self._begin()
         definitions = [record for record in walked.others if isinstance(record, Schema | Channel)]
         ids = np.unique(walked.channel).tolist()
@@ -433,7 +434,7 @@ class _Assembly:
     def _learn(
         self, part: FilePart, definitions: Sequence[Schema | Channel], walked: Walked, *, proved: bool
     ) -> None:
-        """Take note of the schemas and channels in a chunk, and of what channels without one may be."""
+        """Learn the schemas and channels in a chunk, and which undescribed channels may be our recorder's."""
         for record in definitions:
             part.definitions.learn(record)
             if proved:
@@ -445,7 +446,7 @@ class _Assembly:
                     fits[key] = fits.get(key, True) and self._topics.fits(key, walked)
 
     def _put_loose(self) -> None:
-        """Make a chunk of the messages that are in none: an index leads to chunks only."""
+        """Put the messages outside of chunks into a chunk: indexes lead only to chunks."""
         if self._loose:
             walked, self._loose = walk(bytes(self._loose)), bytearray()
             self._chunks += 1
@@ -453,7 +454,7 @@ class _Assembly:
                 self._write(self._out, walked, None, stands=False)
 
     def _stand(self, part: FilePart, definitions: Sequence[Schema | Channel]) -> bool:
-        """Return whether these definitions are the part's own, and keep their numbers."""
+        """Return whether these definitions are those of the part, and keep their numbers."""
         return all(
             part.definitions.agrees(item) and self._numbering.keeps(item, part.definitions.below(item))
             for item in definitions
@@ -493,7 +494,7 @@ class _Assembly:
             self._extra(part, piece)
 
     def _begin(self, header: Header | None = None) -> None:
-        """Write the beginning of the file, once; with a header of our own if there is none."""
+        """Write the beginning of the file once; without ``header``, with a header record of our own."""
         if self._headed:
             return
         self._headed = True
@@ -506,7 +507,7 @@ class _Assembly:
     def _define(
         self, part: FilePart, record: Schema | Channel, inside: Container[tuple[type, int]] = ()
     ) -> None:
-        """Write a schema or channel where it is read, if it is new; the chunk contains those ``inside``."""
+        """Write a new schema or channel at this place; those ``inside`` are in the chunk itself."""
         self._begin()
         if isinstance(record, Schema):
             schema = part.definitions.schema(record.id)
@@ -559,7 +560,7 @@ class _Assembly:
             self._out.add_bytes(self._file.read(start, min(start + _COPY_BYTES, piece.end)))
 
     def _close(self, section: FoundSummary) -> None:
-        """Note that a file ends here; what was read before belongs to it, even if its start is unknown."""
+        """Note the end of a file; what was read before belongs to it, even if its start is unknown."""
         part, current = self._of.get(section) or self._new(section.base, section), self._current
         if current is not part and current.section is None:
             part.absorb(current)
@@ -568,7 +569,7 @@ class _Assembly:
         self._current = part
 
     def _whole(self) -> bool:
-        """Return whether the file is intact, and note why not."""
+        """Return whether the file is intact; if not, add the reasons."""
         part = self._parts[0] if self._parts else self._current
         section = part.section
         why = {
@@ -604,9 +605,9 @@ class _Assembly:
 def _before_use(
     walked: Walked, channels: Mapping[int, tuple[Channel, Schema | None]]
 ) -> set[tuple[type, int]]:
-    """Return the schemas and channels that a chunk has before the messages that need them.
+    """Return the schemas and channels that stand in a chunk before the messages that need them.
 
-    Who reads a file from its beginning needs the others before the chunk.
+    The others must be written before the chunk, for readers that read a file from its beginning.
     """
     places: dict[tuple[type, int], int] = {}
     for item, place in zip(walked.others, walked.places, strict=True):

@@ -1,4 +1,4 @@
-"""A recovered file, read again as its readers will: along its index, and by the ``mcap`` library."""
+"""Checks a recovered file by reading it as readers will: by its index, and with the ``mcap`` library."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.mcap.recovery.report import Recovery
 
 _BY_LIBRARY: Final = 20_000
-"""About so many messages are read by the ``mcap`` library too, which takes some 40 us for each."""
+"""Approximate number of messages to read with the ``mcap`` library too: it takes some 40 us for each."""
 
 
 def read_again(path: Path, report: Recovery) -> Recovery:
-    """Return the report of a file, with what its readers do not find.
+    """Return the report of a recovery, with a reason added if readers do not find all messages.
 
     Every message is read along the index, and whole chunks, evenly spread, by the ``mcap`` library.
 

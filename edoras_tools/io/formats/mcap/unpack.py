@@ -1,4 +1,4 @@
-"""Decompresses chunks, and checks what proves their contents."""
+"""Decompresses chunks, and checks the proof of their contents."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 COMPRESSIONS = ("", "zstd", "lz4")
 _PIECE_BYTES = 1 << 9
-"""Small: zstd makes up to 16 MiB of so many bytes."""
+"""Bytes given to a decompressor at once; few, because zstd may make up to 16 MiB of them."""
 _INFLATERS: Final[dict[str, Callable[[], Any]]] = {
     "zstd": lambda: zstandard.ZstdDecompressor().decompressobj(),
     "lz4": lz4.frame.LZ4FrameDecompressor,
@@ -28,7 +28,7 @@ _UNKNOWN_SIZE = (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR)
 
 
 class Proof(Enum):
-    """What proves that a chunk's bytes are those that were written."""
+    """Evidence that a chunk's bytes are those that were written."""
 
     CHECKSUM = "its checksum is right"
     NONE = "it has no checksum"
@@ -36,7 +36,7 @@ class Proof(Enum):
 
 
 def unpack_chunk(head: ChunkHead, packed: bytes | memoryview) -> tuple[bytes | memoryview, Proof]:
-    """Decompress a chunk, and return what proves it; for a damaged one the bytes are empty.
+    """Decompress a chunk and return the proof of it; the bytes of a damaged one are empty.
 
     A zstd or lz4 frame may have its own checksum. It proves the records even if the head is damaged.
     """
@@ -54,17 +54,17 @@ def unpack_chunk(head: ChunkHead, packed: bytes | memoryview) -> tuple[bytes | m
 def chunk_records(
     name: str, place: int, size: int, read: Callable[[], bytes], ending: str
 ) -> bytes | memoryview:
-    """Return the records of a chunk, as every reader takes them.
+    """Return the records of a chunk.
 
     Args:
-        name: of the file, for messages.
-        place: of the chunk, likewise.
+        name: name of the file, for messages.
+        place: position of the chunk, for messages.
         size: bytes of its content in the file.
-        read: returns its content; not called where that is too much.
-        ending: what the reader does with the rest of the file, likewise.
+        read: returns its content; not called if ``size`` is too large.
+        ending: what the reader does with the rest of the file, for messages.
 
     Raises:
-        CaptureError: it is too large, damaged, or compressed with something else.
+        CaptureError: the chunk is too large, damaged, or has an unsupported compression.
     """
     content = memoryview(read() if size <= MAX_CHUNK_BYTES + CHUNK_HEAD_BYTES else b"")
     head = chunk_head(content)
@@ -86,7 +86,7 @@ def _decompress(head: ChunkHead, packed: bytes | memoryview) -> tuple[bytes | me
     """Return a chunk's records, and whether the compression's own checksum proved them.
 
     Raises:
-        ValueError: there are more than ``MAX_CHUNK_BYTES``, or the compression is unknown.
+        ValueError: the records have more than ``MAX_CHUNK_BYTES``, or the compression is unknown.
     """
     if head.size > MAX_CHUNK_BYTES:
         raise ValueError(head.size)
@@ -107,13 +107,13 @@ def _decompress(head: ChunkHead, packed: bytes | memoryview) -> tuple[bytes | me
     checked = lz4.frame.get_frame_info(packed)["content_checksum"]
     decompressor = lz4.frame.LZ4FrameDecompressor()
     raw = decompressor.decompress(packed, max_length=min(head.size, MAX_CHUNK_BYTES) + 1)
-    if not decompressor.eof:  # other readers refuse such a frame, even if all records are there
+    if not decompressor.eof:  # other readers refuse a frame without its end, even if all records are there
         raise EOFError
     return raw, checked
 
 
 def inflate(head: ChunkHead, packed: bytes) -> bytes:
-    """Decompress a damaged or cut chunk as far as possible; nothing proves the result."""
+    """Decompress a damaged or cut-off chunk as far as possible; nothing proves the result."""
     return b"".join(_inflate(packed, head.compression, min(head.size, MAX_CHUNK_BYTES)))
 
 
@@ -124,7 +124,7 @@ def frame_at(data: bytes) -> tuple[bytes, int] | None:
         data: starts with the frame.
 
     Returns:
-        Its contents and its length; None if there is no such frame.
+        The contents and the length of the frame; None if there is none at the start.
     """
     try:
         if not zstandard.get_frame_parameters(data).has_checksum:

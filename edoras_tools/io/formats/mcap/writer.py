@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 METADATA_NAME = "edoras"
 """The metadata record of a complete recording."""
 OPENING_METADATA_NAME = "edoras_opening"
-"""The values known at the start, so that a cut-off recording has them too."""
+"""The values that exist at the start, so that a cut-off recording has them too."""
 
 _STEPS = 8
 """When files are split by size, the size is checked this many times per file."""
@@ -59,7 +59,7 @@ class McapSink(Sink):
     Args:
         path: the file, replaced if it exists; when split ``NAME_0.mcap``, ``NAME_1.mcap`` and so on.
         mission: its routes become channels, its files attachments.
-        info: of the source, for the metadata record.
+        info: information on the source, for the metadata record.
         options: the contents, and how files are split.
         statistics: the source's, if ``/edoras/link_statistics`` is to show its kernel drops live.
 
@@ -161,13 +161,13 @@ class McapSink(Sink):
             self._chunks.append([fault_messages(faults, self._extra(FAULTS))], len(faults))
 
     def write_host(self, host: HostCounters) -> None:
-        """Write what the kernel of this host counts now; creates the topic if it does not exist."""
+        """Write the present counters of this host's kernel; creates the topic if it does not exist."""
         with self._failing():
             self._attach(host.time_ns)
             self._chunks.append([host_messages(host, self._extra(HOST_COUNTERS), self._types)], 1)
 
     def _extra(self, topic: Topic) -> int:
-        """Return the channel of a topic of ours that not every recording has."""
+        """Return the channel of an optional topic of ours."""
         if topic.name not in self._extras:
             self._extras[topic.name] = self._add_topic(topic)
         return self._extras[topic.name]
@@ -209,8 +209,8 @@ class McapSink(Sink):
             self._workers.close()
 
     def _add_topic(self, topic: Topic) -> int:
-        """Create a topic that not every recording has; return its channel."""
-        self._chunks.flush()  # so that it does not depend on the workers where in the file it is
+        """Create an optional topic; return its channel."""
+        self._chunks.flush()  # so that its place in the file does not depend on the workers
         text = self._streams.structs.text(topic.type)
         if text is None:  # an empty text is that of an empty message
             text = self._types.definition(topic.type)
@@ -340,7 +340,7 @@ class McapSink(Sink):
         }
 
     def _standing(self, streams: Streams) -> dict[str, str]:
-        """Return whether datagrams can be read without the others, and how many there are of each kind."""
+        """Return the metadata that lets readers skip datagrams, with the number of datagrams of each kind."""
         apart = self._options.apart.metadata() if self._options.apart and not self._options.is_part else {}
         return {**apart, "flows": json.dumps(streams.flows)} if apart else {}
 

@@ -33,11 +33,11 @@ MAGICS = {
 _LARGEST_SNAP_LENGTH = 16 << 20
 """A larger snap length is not trusted; Wireshark's own limit is far below."""
 _LOOKED_BACK = 8
-"""Records before a damaged place of which one may have a wrong length, so that others are in its frame."""
+"""Records before a damaged place that are checked: one may claim a length that covers later records."""
 _FAR_S = 86400
-"""Behind a damaged place no record is later or earlier than the last one by so much,"""
+"""Largest plausible step of time between two records of a damaged file, in s."""
 _FAR_RECORDS = 5
-"""unless so many others follow it: another capture may begin there."""
+"""Records that must follow a record at a distant time to prove it: another capture may begin there."""
 _STRIDE = 16 << 10
 _SIGHT = 512
 """A seed is searched for in the first _SIGHT bytes of every _STRIDE."""
@@ -135,7 +135,7 @@ class PcapSource(RecordSource):
         return f"record {{}} claims a frame of {claimed} bytes, but the maximum is {self._limit}"
 
     def _is_wrong(self, place: int, captured: int, end: int, *, far: bool) -> bool:
-        """Return whether the length of a record is wrong: another one begins in it."""
+        """Return whether the length of a record is wrong, because another record begins inside its frame."""
         edge = place + RECORD_HEADER_BYTES + captured
         if not far:
             return self._next_record(place + RECORD_HEADER_BYTES, edge) is not None
@@ -147,7 +147,10 @@ class PcapSource(RecordSource):
         return self._search(start, end, near=False) if place is None and self._latest_s else place
 
     def _search(self, start: int, end: int, *, near: bool) -> int | None:
-        """Return where a record begins, of about the time of the last one, or one that many others follow."""
+        """Return the position of a record.
+
+        With ``near``, its time is near that of the last record; else many records follow it.
+        """
         data = self._window.data
         while start < end:
             if not data[start]:  # there may be gigabytes of zeros, of which three begin a header at most

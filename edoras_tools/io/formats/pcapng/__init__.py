@@ -3,4 +3,4 @@
 from typing import Final
 
 LISTENED: Final = "edoras record --listen "
-"""A comment of a section that begins so names the ports that a recorder was told to receive on."""
+"""Beginning of a section comment with the ports on which our recorder was set to listen."""

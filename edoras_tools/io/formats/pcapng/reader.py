@@ -1,8 +1,8 @@
 """pcapng files: sections of blocks, either byte order (draft-ietf-opsawg-pcapng).
 
-It reads section headers, interface descriptions, the three kinds of packet blocks, and how many packets were
-lost by the statistics of interfaces; it skips every other block. A simple packet block has no time: its
-frames get 1970-01-01.
+It reads section headers, interface descriptions, the three kinds of packet blocks, and the counts of lost
+packets in interface statistics; it skips every other block. A simple packet block has no time: its frames
+get 1970-01-01.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ _OPT_COMMENT = 1
 _IF_TSRESOL = 9
 _IF_TSOFFSET = 14
 _ISB_DROPS = {5, 7}
-"""Lost by the interface, and by the system, since the capture began."""
+"""Options with packets lost by the interface, and by the system, since the capture began."""
 _MULTIPLE_OF_4 = 0xFFFFFFFC
 _STRIDE = 16 << 10
 _SIGHT = 512
@@ -155,7 +155,7 @@ class PcapngSource(RecordSource):
         self._order = "<"
         self._interfaces: list[_Interface] = []
         self._lost: dict[tuple[int, int], int] = {}
-        """By section and interface: what the last statistics of it say."""
+        """Packets lost, by section and interface, from the latest statistics block of each."""
         self._section = 0
         self._seen: list[_Interface] = []
         self._read_with: dict[str, str] = {}
@@ -246,7 +246,7 @@ class PcapngSource(RecordSource):
         self._section += 1
 
     def _listened(self, at: int, length: int) -> dict[str, str]:
-        """Return the ports of a recorder that listened, if a section's comment is one of ours."""
+        """Return the ports on which our recorder listened, from the section's comment; else empty."""
         for code, value in self._options(at + 24, at + length - 4):
             if code == _OPT_COMMENT and value.startswith(LISTENED.encode()):
                 return {"listened": value[len(LISTENED) :].decode(errors="replace")}
@@ -275,7 +275,7 @@ class PcapngSource(RecordSource):
         self._seen.append(self._interfaces[-1])
 
     def _count_lost(self, at: int, length: int) -> None:
-        """Take the counts of lost packets from the statistics of an interface, if they are there."""
+        """Read the counts of lost packets from an interface statistics block, if it has them."""
         if length < _LEAST_STATISTICS:
             return
         interface = int.from_bytes(self._window.data[at + 8 : at + 12].tobytes(), _ORDERS[self._order])

@@ -27,7 +27,7 @@ class PcapngSink(CaptureFileSink):
     """Writes the frames of batches to a pcapng file, bit for bit."""
 
     head = 28 + 32  # section and interface
-    overhead = _HEAD_BYTES + _TAIL_BYTES + 3  # with what a frame is padded with
+    overhead = _HEAD_BYTES + _TAIL_BYTES + 3  # with the padding of a frame
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class PcapngSink(CaptureFileSink):
             path_or_file: where to write; a file of the caller is not closed.
             nanosecond: write ns; otherwise us, rounded down.
             snap_length: the capture's maximum bytes of a frame.
-            comment: of the section, for people and for ``PcapngSource``; empty for none.
+            comment: comment of the section, for people and for ``PcapngSource``; empty for none.
 
         Raises:
             CaptureError: the file cannot be opened or written.
@@ -92,7 +92,7 @@ class PcapngSink(CaptureFileSink):
         return out
 
     def _finish(self, statistics: SourceStatistics | None) -> None:
-        """Write how many frames were lost, if the source tells, as statistics of the first interface."""
+        """Write the number of lost frames, if the source knows it, as statistics of the first interface."""
         drops = statistics.kernel_drops if statistics else None
         if drops is not None and self._interfaces:
             time = self._last_ticks >> 32, self._last_ticks & 0xFFFFFFFF

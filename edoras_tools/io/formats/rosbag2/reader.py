@@ -5,8 +5,8 @@ The rules that this file keeps:
 1. Every message of every topic is read, whatever its encoding. Its bytes are not decoded; those that rosbag2
    compressed one by one are unpacked.
 2. Messages of a file are in order of time. Chunks whose times overlap are held back until nothing earlier can
-   come, up to ``_MOST_HELD`` bytes; without an index they come as they are in the file.
-3. What is damaged is said after all that could be read.
+   come, up to ``_MOST_HELD`` bytes; a file without an index keeps its own order.
+3. An error of damage is raised after all readable messages.
 """
 
 from __future__ import annotations
@@ -54,17 +54,17 @@ _ROWS: Final = 8192
 """Rows of a database that are read at once."""
 _MOST_HELD: Final = 128 << 20
 _LARGEST: Final = 256 << 20
-"""Bytes of a message at the most that is compressed on its own."""
+"""Most bytes of a message that is compressed on its own."""
 
 
 class RecordedMessage(NamedTuple):
     """One ROS message of a recording.
 
     Attributes:
-        time_ns: when it was recorded, ns since 1970.
+        time_ns: time of recording, ns since 1970.
         topic: with a leading slash.
         type: ROS type name.
-        cdr: encapsulation and body.
+        cdr: the bytes, encapsulation and body.
     """
 
     time_ns: int
@@ -74,14 +74,14 @@ class RecordedMessage(NamedTuple):
 
 
 class RecordedBlock(NamedTuple):
-    """Messages of one topic in columns, arrays one element a message.
+    """Messages of one topic as columns; each array has one element for each message.
 
     Attributes:
         topic: with a leading slash.
-        time_ns: i64, when each was recorded, ns since 1970.
-        data: u8, what ``offset`` points into.
-        offset: i64, first byte of each, encapsulation included.
-        length: i32, bytes of each.
+        time_ns: time of recording, i64, ns since 1970.
+        data: buffer that ``offset`` points into, u8.
+        offset: offset of the first byte in ``data``, i64, encapsulation included.
+        length: number of bytes, i32.
     """
 
     topic: str
@@ -92,7 +92,7 @@ class RecordedBlock(NamedTuple):
 
 
 class Rosbag:
-    """The ROS messages of a recording: those in CDR whose type is named.
+    """The ROS messages of a recording that are CDR and have a named type.
 
     Attributes:
         path: a rosbag2 directory, or one file of it.
@@ -104,10 +104,10 @@ class Rosbag:
 
     @cached_property
     def _opened(self) -> list[tuple[TopicFile, dict[int, RecordedTopic]]]:
-        """The files, each with those of its topics by channel.
+        """The files, each with its selected topics by channel.
 
         Raises:
-            CaptureError: one cannot be read, or not all of it.
+            CaptureError: a file cannot be read, or not completely.
         """
         opened = [open_topic_file(SettledFile(file, str(file))) for file in self.files]
         for failure in filter(None, (file.failure for file in opened)):
@@ -118,7 +118,7 @@ class Rosbag:
         ]
 
     def topics(self) -> dict[str, str]:
-        """Return the topics with their types.
+        """Return the type of each topic.
 
         Raises:
             CaptureError: a file cannot be read.
@@ -141,7 +141,7 @@ class Rosbag:
                     yield RecordedMessage(time_ns, selection[channel].topic, selection[channel].type, cdr)
 
     def blocks(self, topics: Collection[str]) -> Iterator[RecordedBlock]:
-        """Yield the messages of some topics, many at a time.
+        """Yield the messages of some topics in blocks.
 
         Raises:
             CaptureError: as ``messages``.
@@ -186,7 +186,7 @@ def files_of(folder: Path) -> list[Path]:
 
 
 def storage_of(path: Path) -> str:
-    """Return the kind of a file, from its first bytes: ``db3`` or ``mcap``.
+    """Return the storage kind of a file, from its first bytes: ``db3`` or ``mcap``.
 
     Raises:
         CaptureError: it is neither.
@@ -206,12 +206,12 @@ class TopicFile(ABC):
     """One file of a recording.
 
     Attributes:
-        topics: by channel.
-        ordered: whether its messages are in order of time.
-        failure: why not all topics are known; told again when the messages are read.
-        start_ns: time of its first message; 0 if it has none.
-        size: in bytes.
-        position: how much of it was read.
+        topics: topics by channel number.
+        ordered: whether ``messages`` yields them in order of time.
+        failure: the error if not all topics could be read; raised again when the messages are read.
+        start_ns: time of the first message; 0 if there is none.
+        size: bytes of the file.
+        position: bytes read so far.
     """
 
     def __init__(self, file: SettledFile) -> None:
@@ -227,7 +227,7 @@ class TopicFile(ABC):
         """Yield the messages of some channels, in order of time as far as they fit into memory.
 
         Args:
-            channels: of ``topics``; None: all.
+            channels: channel numbers, keys of ``topics``; None: all.
 
         Raises:
             CaptureError: it is damaged or cut off; after all that could be read.
@@ -373,10 +373,10 @@ class _Database(TopicFile):
             raise failure
 
     def _checked(self, topic: Any, time_ns: Any, data: Any) -> tuple[int, int, bytes]:
-        """Return a row; SQLite does not enforce types.
+        """Return a row if its values have the right types, which SQLite does not enforce.
 
         Raises:
-            CaptureError: it is no message.
+            CaptureError: the row is not a message.
         """
         if topic in self.topics and isinstance(time_ns, int) and isinstance(data, bytes):
             return topic, time_ns, data
@@ -408,7 +408,7 @@ def _of_rows(rows: Sequence[tuple[int, int, bytes]]) -> SelectedMessages:
 def _released(
     parts: Sequence[SelectedMessages], until: int | None
 ) -> tuple[SelectedMessages | None, list[SelectedMessages]]:
-    """Return messages before a time, in order of time, and the others; None for all."""
+    """Return the messages before a time (None: all), in order of time, and the remaining ones."""
     if not parts:
         return None, []
     joined = joined_messages(parts)
@@ -422,7 +422,7 @@ def _released(
 
 
 def _compact(messages: SelectedMessages) -> SelectedMessages:
-    """Return messages over a buffer that holds them alone."""
+    """Return the messages over a new buffer that holds nothing else."""
     offset = np.cumsum(messages.length) - messages.length
     data = np.zeros(int(messages.length.sum()) + PADDING, np.uint8)
     copy_rows(data, offset, messages.data, messages.offset, messages.length)
@@ -430,10 +430,10 @@ def _compact(messages: SelectedMessages) -> SelectedMessages:
 
 
 def unpacked(part: SelectedMessages) -> SelectedMessages:
-    """Unpack the messages that rosbag2 compressed one by one: CDR never begins as they do.
+    """Unpack the messages that rosbag2 compressed one by one; CDR never begins with zstd's magic number.
 
     Raises:
-        CaptureError: one is damaged.
+        CaptureError: a compressed message is damaged.
     """
     head = gather(part.data, part.offset, len(_ZSTD)).view("<u4").reshape(-1)
     packed = np.flatnonzero((head == int.from_bytes(_ZSTD, "little")) & (part.length > len(_ZSTD)))
@@ -455,7 +455,7 @@ def unpacked(part: SelectedMessages) -> SelectedMessages:
 
 
 def _all_sorted(parts: Iterable[SelectedMessages]) -> list[SelectedMessages]:
-    """Return all messages in order of time, in one piece; none if there is none."""
+    """Return all messages in order of time, as one part; empty if there is none."""
     ready, _ = _released([*parts], None)
     return [] if ready is None else [ready]
 
@@ -477,7 +477,7 @@ def readable(path: Path) -> Iterator[McapReader]:
 
 
 def query(path: Path, text: str, values: tuple[Any, ...]) -> Iterator[Any]:
-    """Yield the rows that a query of a database gives.
+    """Yield the rows of a database query.
 
     Raises:
         CaptureError: it is not a readable rosbag2 database.

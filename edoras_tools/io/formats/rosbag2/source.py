@@ -1,8 +1,8 @@
-"""Reads recordings without datagrams as a ``Source``: its rows are messages, in order of time.
+"""Reads recordings without datagrams as a ``Source`` whose rows are messages, in order of time.
 
-A row's bytes are the message's as recorded. There is no frame and no address; ``PacketBatch.recorded`` has
-what the recording says besides the time. The files of a directory follow each other, in order of their first
-message.
+A row contains the bytes of a message as recorded. It has no frame and no address; ``PacketBatch.recorded``
+has the recording's other fields besides the time. The files of a directory follow each other in order of
+their first message.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ class FolderSource(MergedSource):
     """A rosbag2 directory.
 
     Args:
-        parts: its files, in order.
+        path: the directory.
+        parts: the sources of its files, in order.
     """
 
     def __init__(self, path: Path, parts: Sequence[Source]) -> None:
@@ -48,19 +49,19 @@ class FolderSource(MergedSource):
         return replace(super().info, name=str(self._path), kind="rosbag2")
 
     def host(self) -> list[HostCounters]:
-        """Return the kernel's counters of the recording host, of all parts."""
+        """Return the counters of the recording host's kernel in all parts."""
         return [*chain.from_iterable(source.host() for source in self._sources)]
 
 
 def open_folder(path: Path, open_part: Callable[[Path], Source]) -> Source | None:
-    """Open a directory; None if it is not one recording: it has no metadata, or no part is there.
+    """Open a directory; None if it is not one recording: it has no metadata, or no files.
 
     Args:
         open_part: opens one of its files.
 
     Raises:
-        CaptureError: a part cannot be read.
-        NoDatagramsError: it is another tool's, and holds topics only.
+        CaptureError: a file cannot be read.
+        NoDatagramsError: another tool recorded it, and it has topics only.
     """
     files = files_of(path)
     whole = (path / METADATA).exists()
@@ -75,7 +76,7 @@ def open_folder(path: Path, open_part: Callable[[Path], Source]) -> Source | Non
 
 
 def _parts(path: Path, files: Sequence[Path], open_part: Callable[[Path], Source]) -> Iterator[Source]:
-    """Open the files of a directory: all hold datagrams, or all hold topics only."""
+    """Open the files of a directory; either all contain datagrams, or all contain topics only."""
     topics: list[Any] = []
     reasons: list[str] = []
     for number, file in enumerate(files):
@@ -99,14 +100,14 @@ def _parts(path: Path, files: Sequence[Path], open_part: Callable[[Path], Source
 
 _MOST_ROWS: Final = 1 << 18
 _MOST_TOPICS: Final = 32767
-"""A row's topic has 15 bits."""
+"""Most topics: the field of a row has 15 bits."""
 
 
 class NumberedTopics:
-    """The topics of several recordings, numbered: those that are alike have one number.
+    """The topics of several recordings, numbered; equal topics have the same number.
 
     Attributes:
-        topics: by their number.
+        topics: the topics; the index is the number.
     """
 
     def __init__(self) -> None:
@@ -114,10 +115,10 @@ class NumberedTopics:
         self._numbers: dict[tuple[str, str, str], int] = {}
 
     def number(self, topic: RecordedTopic, name: str) -> int:
-        """Return a topic's number, a new one if it is new.
+        """Return the number of a topic; a new topic gets the next number.
 
         Raises:
-            CaptureError: there are too many in the recording of that name.
+            CaptureError: the recording ``name`` has too many topics.
         """
         key = topic.topic, topic.type, topic.encoding
         if key not in self._numbers:
@@ -132,7 +133,7 @@ class MessageSource(SourceDefaults):
     """Reads one recording.
 
     Attributes:
-        info: of kind ``topics``.
+        info: information on the source, of kind ``topics``.
         statistics: ``datagrams`` counts the messages.
 
     Raises:
@@ -192,7 +193,7 @@ def message_batch(messages: SelectedMessages, numbers: Mapping[int, int], first:
     """Return messages as rows of a batch.
 
     Args:
-        numbers: of the topics, by channel.
+        numbers: number of the topic of each channel.
         first: number of the first message.
     """
     count = len(messages.log_time)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import HostCounters, SourceInfo, SourceStatistics
 
 _VERSIONS: Final = {"iron": 8, "jazzy": 9}
-"""Version of the metadata format since a distribution; older ones read at most ``_OLDEST``."""
+"""Metadata version by the distribution that introduced it; older distributions read up to ``_OLDEST``."""
 _OLDEST: Final = 5
 _WITH_HASHES: Final = 7
 _WITH_DISTRO: Final = 8
@@ -41,7 +41,7 @@ _QOS: Final = {
     "liveliness_lease_duration": (_FOREVER, _FOREVER),
     "avoid_ros_namespace_conventions": (False, False),
 }
-"""ROS's default quality of service, as the bridges use it: by name from version 9 on, before by number."""
+"""ROS's default quality of service, which the bridges use: by name from version 9 on, by number before."""
 
 _POLICIES: Final = {
     "history": ("system_default", "keep_last", "keep_all", "unknown"),
@@ -103,7 +103,7 @@ class Rosbag2Sink(McapSink):
         if self._ended:
             return
         self._ended = True
-        place = self.output.place  # somewhere else, if it was moved
+        place = self.output.place  # another directory, if it was moved
         super().close(statistics)
 
         target = (place.parent if place else self._folder) / "metadata.yaml"
@@ -134,7 +134,7 @@ def _offered(version: int) -> str | list[dict[str, Any]]:
 
 
 def _text(offered: str | list[dict[str, Any]]) -> str:
-    """Return it as text, as in a channel of the storage."""
+    """Return a quality of service as text, as a channel of the storage has it."""
     return offered if isinstance(offered, str) else _yaml_text(offered)
 
 
@@ -145,7 +145,7 @@ def _yaml_text(content: Any) -> str:
 
 
 def _recorded_qos(text: str, version: int) -> str | list[dict[str, Any]]:
-    """Return the quality of service of a topic that was copied, in the notation of a metadata version."""
+    """Return the quality of service of a copied topic, in the notation of a metadata version."""
     try:
         profiles = YAML(typ="safe").load(text)
     except YAMLError:
@@ -160,7 +160,7 @@ def _recorded_qos(text: str, version: int) -> str | list[dict[str, Any]]:
 
 
 def _qos_value(name: str, value: Any, *, by_name: bool) -> Any:
-    """Return a policy by name or by number, as rmw numbers them; all else as it is."""
+    """Return a policy by name or by number, as rmw numbers them; any other value unchanged."""
     names = _POLICIES.get(name, ())
     if by_name and isinstance(value, int) and value < len(names):
         return names[value]
@@ -168,7 +168,7 @@ def _qos_value(name: str, value: Any, *, by_name: bool) -> Any:
 
 
 def _metadata(files: list[McapFile], types: TypeStore) -> dict[str, Any]:
-    """Return the content of ``metadata.yaml`` as the distribution of the types writes it."""
+    """Return the content of ``metadata.yaml`` in the version of the distribution of the types."""
     version = _version(types.distro)
     offered = _offered(version)
     summaries = [file.summary for file in files]
@@ -178,7 +178,7 @@ def _metadata(files: list[McapFile], types: TypeStore) -> dict[str, Any]:
     topics: dict[tuple[str, str, str, str], int] = {}
     for summary in summaries:
         for channel_id, channel in summary.channels.items():
-            schema = summary.schemas.get(channel.schema_id)  # a recording that was copied may have none
+            schema = summary.schemas.get(channel.schema_id)  # a copied recording may have none
             qos = channel.metadata.get("offered_qos_profiles", "")
             key = (channel.topic, schema.name if schema else "", channel.message_encoding, qos)
             topics[key] = topics.get(key, 0) + summary.counts.get(channel_id, 0)

@@ -1,4 +1,4 @@
-"""Schemas and channels: those of one or several files, what is known without them, and one file's numbers."""
+"""Schemas and channels in a recovery: those read, those assumed, and their numbers in the new file."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Definitions:
     """The schemas and channels of one file.
 
     Args:
-        schemas: the proved ones, by id.
-        channels: the proved ones, by id.
+        schemas: proved schemas by id.
+        channels: proved channels by id.
 
     Attributes:
         altered: whether a record differed from a proved one.
-        late: those that chunks further on prove.
+        late: records that later chunks prove, by type and id; None where two of them differ.
     """
 
     def __init__(self, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
@@ -47,7 +47,7 @@ class Definitions:
 
     @property
     def complete(self) -> bool:
-        """Whether a summary says which channels there are."""
+        """Whether a summary lists the channels."""
         return any(kind is Channel for kind, _ in self._proved)
 
     def _record(self, kind: type, number: int) -> Schema | Channel | None:
@@ -58,7 +58,7 @@ class Definitions:
         """Add a record. Proved records are never replaced; of two that differ, neither is used."""
         key = type(record), record.id
         if key not in self._known and any(kind is type(record) for kind, _ in self._proved):
-            return  # not of this file: of a recording inside an attachment
+            return  # it belongs to a recording inside an attachment, not to this file
         if key in self._known and self._known[key] != record:
             self.altered = True
             if key not in self._proved:
@@ -67,16 +67,16 @@ class Definitions:
         self._known.setdefault(key, record)
 
     def agrees(self, record: Schema | Channel) -> bool:
-        """Return whether a record is the one that is used, or the only one of its kind and number."""
+        """Return whether a record equals the one in use, or is the only one of its kind and number."""
         return (self._record(type(record), record.id) or record) == record
 
     def channel(self, channel_id: int) -> tuple[Channel, Schema | None] | None:
-        """Return a channel and its schema, None for one that is unknown; None if the channel is."""
+        """Return a channel and its schema (None if unknown); None if the channel is unknown."""
         channel = self._record(Channel, channel_id)
         return (channel, self.schema(channel.schema_id)) if isinstance(channel, Channel) else None
 
     def below(self, record: Schema | Channel) -> Schema | None:
-        """Return the schema of a channel; None if it is unknown, and for a schema."""
+        """Return the schema of a channel; None if it is unknown, or if the record is a schema."""
         return self.schema(record.schema_id) if isinstance(record, Channel) else None
 
     def schema(self, schema_id: int) -> Schema | None:
@@ -86,11 +86,11 @@ class Definitions:
 
 
 class Stretch(msgspec.Struct):
-    """What one reading of a file learns of a stretch without a damaged place, for the next reading.
+    """The results of one reading for a stretch of the file without damage, for the next reading.
 
     Attributes:
         proved: schemas and channels in chunks whose checksum is right; None where two of them differ.
-        fits: of each channel without a record, whether all its messages are as our recorder would write them.
+        fits: whether all messages of a channel without a record could be of our recorder, by channel.
     """
 
     proved: dict[tuple[type, int], Schema | Channel | None] = msgspec.field(default_factory=dict)
@@ -103,7 +103,7 @@ class Stretch(msgspec.Struct):
 
 
 class KnownTopics:
-    """The channels of a recording of ours, as they are numbered: the project's own, then the mission's."""
+    """The channels of a recording of ours, with their usual numbers: the project's, then the mission's."""
 
     def __init__(self, mission: Mission | None = None, types: TypeStore | None = None) -> None:
         self._mission, self._types = mission or Mission(), types or TypeStore()
@@ -130,7 +130,7 @@ class KnownTopics:
         ]
 
     def fits(self, number: int, walked: Walked) -> bool:
-        """Tell whether all messages of a channel in a chunk are valid for the type that it would have."""
+        """Return whether all messages of a channel in a chunk are valid for our channel of that number."""
         if not 0 < number <= len(self._channels):
             return False
         rows = walked.channel == number
@@ -141,7 +141,7 @@ class KnownTopics:
         return bool(((behind >= 0) & (behind <= self._types.most_trailing(name))).all())
 
     def channel(self, number: int, stretch: Stretch) -> tuple[Channel, Schema] | None:
-        """Return a channel and its schema; None if the stretch is not of our recorder: it has datagrams."""
+        """Return our channel and its schema; None if the stretch is not of our recorder (no datagrams)."""
         return self._channels[number - 1] if stretch.fits.get(1) and stretch.fits.get(number) else None
 
     def definition(self, name: str) -> str:
@@ -151,18 +151,18 @@ class KnownTopics:
         return ""
 
     def schema(self, topic: str) -> Schema | None:
-        """Return the schema of a topic whose own is lost; None if nobody knows it."""
+        """Return the schema of a topic whose own record is lost; None if the topic is unknown."""
         return next((schema for channel, schema in self._channels if channel.topic == topic), None)
 
 
 class Numbering:
-    """Assigns a unique number to each channel and schema; its own number if that is free.
+    """Assigns a unique number to each channel and schema; it keeps its own number if that is free.
 
     Args:
         out: the file to write them to; None to write nothing.
 
     Attributes:
-        topics: the topic of each channel, by its number.
+        topics: topic of each channel, by number.
     """
 
     def __init__(self, out: McapFile | None) -> None:
@@ -180,7 +180,7 @@ class Numbering:
         return self._put(key, schema, write=write, inside=inside)
 
     def keeps(self, record: Schema | Channel, schema: Schema | None) -> bool:
-        """Return whether a record keeps its number, a channel that of its schema too; nothing is written."""
+        """Return whether a record, and the schema of a channel, keep their numbers; nothing is written."""
         if isinstance(record, Schema):
             return self.schema(record, write=False) == record.id
         number = self.number(record, schema)
@@ -202,7 +202,7 @@ class Numbering:
 
         Args:
             schema: its schema, or None.
-            inside: kinds and numbers of what a chunk contains, so that it is not written again.
+            inside: kinds and numbers of records in the chunk itself, which are not written again.
         """
         last = self._last.get((id(channel), id(schema)))
         if last is not None:

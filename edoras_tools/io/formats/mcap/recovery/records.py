@@ -40,7 +40,7 @@ _KINDS: Final[dict[int, Any]] = {
 }
 _WINDOW: Final = 1 << 20
 _OVERLAP: Final = 64
-"""Longer than any pattern that is searched for."""
+"""Bytes by which windows overlap; more than any pattern that is searched for."""
 
 
 def parse(opcode: int, content: bytes) -> Any:
@@ -48,7 +48,7 @@ def parse(opcode: int, content: bytes) -> Any:
 
     An attachment's own checksum must be correct, if it has one.
     """
-    # mcap silently reads fewer bytes than needed: with one more byte at the end, reading too much is noticed.
+    # mcap silently reads fewer bytes than needed: one added byte at the end reveals reading too far.
     stream = BytesIO(content + b"\0")
     with suppress(McapError, struct.error, ValueError, OverflowError, MemoryError):
         if opcode in _KINDS:
@@ -66,7 +66,8 @@ class FileBytes:
     """Random access to a file whose size must not change meanwhile.
 
     Attributes:
-        size: its bytes when it was opened.
+        path: path of the file.
+        size: bytes of the file when it was opened.
 
     Raises:
         CaptureError: from every method: the file cannot be read.

@@ -1,4 +1,4 @@
-"""The report of a recovery: what is kept of each file, what is lost, and when."""
+"""The report of a recovery: the kept and the lost parts of each file, with their times."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
 
 
 class FilePart(msgspec.Struct, eq=False):
-    """What is known about one file while it is read.
+    """The present knowledge about one file while it is read.
 
     Attributes:
-        definitions: its channels.
+        definitions: its schemas and channels.
         section: its summary, if that is intact.
-        start: where it begins.
-        listed: messages kept from chunks that its summary lists.
-        others: other messages kept.
-        claimed: the chunk indexes of its chunks, by identity.
+        start: position where it begins.
+        listed: number of messages kept from chunks that its summary lists.
+        others: number of other messages kept.
+        claimed: identities of the chunk indexes of its chunks.
         gaps: whether something in it is not kept.
-        ended: whether its last data record was found.
+        ended: whether its last data record was read.
         checked: whether a checksum over all of it is correct.
         gap_bytes: bytes that are not kept.
         names: names of the attachments and metadata records kept.
-        loose: messages kept that are not in a chunk.
+        loose: number of kept messages that are not in a chunk.
         last_ns: time of the last message kept.
     """
 
@@ -52,7 +52,7 @@ class FilePart(msgspec.Struct, eq=False):
 
     @property
     def missing(self) -> int | None:
-        """Messages that are not kept; None if that is unknown."""
+        """Number of messages that are not kept; None if it is unknown."""
         statistics = self.section.statistics if self.section else None
         if statistics is None or self.section is None:
             return None if self.gaps or not self.ended else 0
@@ -75,7 +75,7 @@ class FilePart(msgspec.Struct, eq=False):
         return [name for name in names.elements() if name != OPENING_METADATA_NAME or METADATA_NAME in names]
 
     def absorb(self, start: FilePart) -> None:
-        """Add what was read before it was known to belong to this file."""
+        """Add another part that turned out to be the start of this file."""
         self.start = start.start
         self.gaps |= start.gaps
         self.ended |= start.ended
@@ -88,21 +88,21 @@ class FilePart(msgspec.Struct, eq=False):
 
 
 _LONGEST = 10_000
-"""Characters of a line, at most: a topic may have any number."""
+"""Most characters of a line: a topic may be any length."""
 _MOST = 12
-"""Maximum losses that are listed."""
+"""Most losses that are listed."""
 
 
 class LostStretch(NamedTuple):
     """A range of the file that is not kept.
 
     Attributes:
-        start: its first byte.
-        bytes: its length.
+        start: offset of its first byte.
+        bytes: number of bytes.
         reason: why it is not kept.
-        messages: messages lost in it; None if that is unknown.
-        start_ns: start of their times, ns since 1970; None if that is unknown.
-        end_ns: end of their times.
+        messages: number of messages lost in it; None if it is unknown.
+        start_ns: earliest time of these messages, ns since 1970; None if it is unknown.
+        end_ns: latest time of these messages.
     """
 
     start: int
@@ -121,20 +121,21 @@ class Recovery(msgspec.Struct, frozen=True):
     """The report of a recovery.
 
     Attributes:
-        whole: the recording was intact; nothing was written.
-        messages: messages in the result, by topic.
-        chunks: chunks in the result.
-        salvaged: messages in the result from damaged or cut-off chunks.
+        whole: whether the recording was intact, so that nothing was written.
+        messages: number of messages in the result, by topic.
+        chunks: number of chunks in the result.
+        salvaged: number of messages in the result from damaged or cut-off chunks.
         kept_bytes: bytes of the file that were kept.
         lost_bytes: bytes of the file that could not be kept, without those of a damaged summary.
-        proved: messages in the result with a correct checksum.
-        unproved: messages in the result without a checksum.
-        left_out: readable messages of damaged chunks that were not kept, because nothing proves them.
+        proved: number of messages in the result with a correct checksum.
+        unproved: number of messages in the result without a checksum.
+        left_out: number of readable messages of damaged chunks that were not kept, because nothing proves
+            them.
         lost: whether something was lost.
-        lost_messages: number of messages lost; None if that is unknown.
-        losses: where.
-        reasons: why it is not intact, one line each.
-        unit: what ``messages`` counts; packets have no topic.
+        lost_messages: number of messages lost; None if it is unknown.
+        losses: stretches that were lost.
+        reasons: reasons why it is not intact, one line each.
+        unit: unit that ``messages`` counts; packets have no topic.
     """
 
     whole: bool

@@ -8,7 +8,7 @@ Rules that the search keeps:
 2. A chunk with a damaged head is found by its compressed frame, if that has its own checksum.
 3. Nothing inside a damaged chunk is accepted as a record of the file: messages outside of chunks count only
    in files that have no chunks.
-4. A message in which others begin, one behind the other and of its time, has a wrong length.
+4. A message whose content holds other messages, in sequence and of about its time, has a wrong length.
 5. If a summary is intact, chunks after a damaged place must be in its index. Other data that looks like a
    chunk is part of something else: of a recording inside a message or an attachment.
 """
@@ -48,9 +48,9 @@ _PLACES: Final = re.compile(
     rb"(?s)(?=[\x01-\x0f](?!\x00{8}[\x01-\x0f\x80-\xff]\x00{8}).{4}\x00{4}"
     rb"|\x89MCAP0\r\n|\x28\xb5\x2f\xfd|\x04\x00{3}zstd|\x03\x00{3}lz4)"
 )
-"""Where something may prove itself: a record's prefix, a magic, a zstd frame, a compression's name.
+"""Places to test: a record's prefix, a magic, a zstd frame, a compression's name.
 
-Not an empty record before another: none but private ones can be empty, and a file may hold a million."""
+An empty record before another is excluded: only private ones can be empty, and a file may hold a million."""
 _EMPTY: Final = re.compile(rb"(?:[\x80-\xff]\x00{8})+")
 _RUN_BYTES: Final = 1 << 16
 _FRAME: Final = b"\x28\xb5\x2f\xfd"
@@ -58,7 +58,7 @@ _NAMES: Final = (b"\x04\0\0\0zstd", b"\x03\0\0\0lz4")
 _NAME_AT: Final = 28
 """Position of the compression's name in a chunk's content."""
 _FRAME_BYTES: Final = (1 << 20, 1 << 26)
-"""Bytes in which the end of a frame is searched, first the smaller number."""
+"""Bytes in which the end of a frame is searched; the smaller number is tried first."""
 _LAST: Final = 0x0F
 _PRIVATE: Final = 0x80
 """Opcodes from here on are private; readers skip them."""
@@ -66,7 +66,7 @@ _TRIES: Final = 2
 """Records that must follow each other if none has a checksum."""
 _MESSAGES: Final = re.compile(rb"(?s)(?=\x05.{3}\x00{5})")
 _INSIDE: Final = 3
-"""Messages that stand one behind the other inside what is none."""
+"""Messages in sequence inside a record that prove that the record's length is wrong."""
 _NEAR_NS: Final = 86400 * 10**9
 
 
@@ -74,15 +74,15 @@ class Piece(msgspec.Struct):
     """A range of the file that was identified.
 
     Attributes:
-        opcode: of the record; 0 for a magic, -1 if it is not a record.
-        start: its start.
-        end: its end; a chunk's message index is included.
-        record: the parsed contents; the content of a message; None for a chunk.
-        head: of a chunk, intact or not, if it can be read.
-        walked: a chunk's messages.
-        proof: of a chunk, even of a damaged one; NONE if it was written without a checksum.
+        opcode: opcode of the record; 0 for a magic, -1 for bytes that are not a record.
+        start: offset of its first byte.
+        end: offset after its last byte; a chunk's message index is included.
+        record: parsed contents; the content of a message; None for a chunk.
+        head: head of a chunk, intact or not, if it can be read.
+        walked: messages of a chunk.
+        proof: proof of a chunk, even of a damaged one; NONE if it was written without a checksum.
         record_end: end of a chunk's own record; 0 if its head is damaged.
-        entries: the contents of a chunk's message index.
+        entries: contents of a chunk's message index.
         indexed: whether the message index matches the chunk, or there is none.
     """
 
@@ -107,7 +107,7 @@ class Scan:
         self._chunks = self._checked = self._broken = False
         """For the current file: whether it has chunks, chunks with a checksum, and a damaged place."""
         self._largest = self._idle = 0
-        """Bytes of the largest message outside of chunks; records in a row that hold no message."""
+        """Bytes of the largest message outside of chunks; number of records in a row that hold no message."""
         self._next: Piece | None = None
         """The result of the last search."""
 
@@ -137,11 +137,11 @@ class Scan:
         return next((item for item in self._sections if item.end > place), None)
 
     def _at(self, place: int, *, searched: bool) -> Piece | None:
-        """Return what begins at a position; None if nothing proves itself there.
+        """Return the piece at a position; None if nothing there proves itself.
 
         Args:
             place: the position.
-            searched: whether the position was searched; if not, a record must begin there.
+            searched: whether a search led here; if not, a record must begin here.
         """
         file = self._file
         for section in self._sections:
@@ -208,7 +208,7 @@ class Scan:
         return Piece(opcode, place, end, record)
 
     def _swallows(self, start: int, end: int) -> bool:
-        """Tell whether a message's length covers others that follow it."""
+        """Return whether a message's length is wrong, because it covers later messages."""
         time_ns = MESSAGE_HEAD.unpack(self._file.read(start, start + MESSAGE_HEAD.size))[2]
         for place in self._file.find(_MESSAGES, start + MESSAGE_HEAD.size, end):
             at = place
@@ -239,7 +239,7 @@ class Scan:
         return True
 
     def _chunk(self, place: int, start: int, end: int | None, *, searched: bool) -> Piece | None:
-        """Return a chunk and its message index; a damaged one only if a chunk must be here."""
+        """Return a chunk and its message index; a damaged one only where a chunk must begin."""
         file = self._file
         head = chunk_head(file.read(start, start + CHUNK_HEAD_BYTES)) if start >= 0 else None
         if head is None or (
@@ -318,7 +318,7 @@ class Scan:
                 break
             entries = np.frombuffer(content[6:], INDEX_ENTRY)
             if (entries["offset"] > MAX_CHUNK_BYTES).any():
-                break  # bytes are missing in it, so its length covers a part of what follows
+                break  # bytes are missing in it, so its length covers a part of the next record
             indexes[int.from_bytes(content[:2], "little")] = entries
             place = end
         return indexes, place
@@ -336,7 +336,7 @@ class Scan:
         """Return a chunk that proves itself, although the record's prefix or its head is damaged.
 
         Args:
-            place: of its compression's name, or of its zstd frame.
+            place: position of the compression's name, or of the zstd frame.
         """
         file = self._file
         data = file.read(place, place + len(_NAMES[0]))

@@ -24,9 +24,9 @@ _FOOTER_BYTES: Final = RECORD_HEAD.size + 20
 _DATA_END_BYTES: Final = RECORD_HEAD.size + 4
 _CRC_BYTES: Final = 4
 _FAR: Final = 256 << 20
-"""A summary is searched for in this many bytes before its footer."""
+"""Bytes before a footer in which its summary is searched for."""
 ChunkKey = tuple[int, int, int, int]
-"""What identifies a chunk: first and last log time, compressed and uncompressed size."""
+"""Identity of a chunk: first and last log time, compressed and uncompressed size."""
 
 
 class FoundSummary(msgspec.Struct, eq=False):
@@ -35,14 +35,14 @@ class FoundSummary(msgspec.Struct, eq=False):
     Attributes:
         base: start of its file; offsets in the summary count from there.
         start: start of the summary.
-        end: its end, with footer and magic.
+        end: end of the summary, with footer and magic.
         proven: whether a file does begin at ``base``.
         complete: whether there is a summary.
-        schemas: by id.
-        channels: by id.
-        statistics: None if there are none.
+        schemas: schemas by id.
+        channels: channels by id.
+        statistics: the Statistics record; None if there is none.
         names: names of the attachments and metadata records.
-        chunks: the chunk indexes, by what identifies a chunk.
+        chunks: chunk indexes by the identity of the chunk.
     """
 
     base: int = 0
@@ -68,10 +68,12 @@ class FoundSummary(msgspec.Struct, eq=False):
         return self.names.total() != statistics.attachment_count + statistics.metadata_count
 
     def listed(self, walked: Walked, head: tuple[int, int] | None, packed: int) -> list[ChunkIndex]:
-        """Return the index of a chunk, if it belongs to this file; several if chunks cannot be distinguished.
+        """Return the index of a chunk, if this file lists it; several if chunks have the same identity.
 
         Args:
-            head: the times in its head.
+            walked: messages of the chunk.
+            head: log times in its head; None if that cannot be read.
+            packed: compressed bytes.
         """
         sizes = packed, len(walked.data)
         indexes = self.chunks.get((*head, *sizes), []) if head else []

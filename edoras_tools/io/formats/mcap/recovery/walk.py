@@ -31,20 +31,20 @@ _HEAD: Final = np.dtype(RECORD)
 _CHANNEL_AT: Final = RECORD_HEAD.size
 """Position of the channel's id in a Message record, u16."""
 Entries = dict[int, "NDArray[np.void]"]
-"""The contents of a message index: log times and offsets of each channel, ``INDEX_ENTRY``."""
+"""Contents of a message index: log times and offsets of each channel's messages, ``INDEX_ENTRY``."""
 
 
 class Walked(msgspec.Struct, frozen=True):
-    """Consecutive records.
+    """Consecutive records of a chunk.
 
     Attributes:
-        data: the chunk.
-        channel: u16, of each message.
-        log_time: u64, of each message.
-        start: i64, start of its record.
-        end: i64, end of its record.
-        others: the other records, parsed: schemas and channels.
-        places: where each of these begins.
+        data: bytes of the chunk, u8.
+        channel: channel of each message, u16.
+        log_time: log time of each message, u64.
+        start: start of each message's record, i64.
+        end: end of each message's record, i64.
+        others: schemas and channels, parsed.
+        places: start of each of these.
         used: bytes that contain complete records; the rest, if any, is not a record.
     """
 
@@ -66,12 +66,12 @@ class Walked(msgspec.Struct, frozen=True):
         return self.used == len(self.data)
 
     def take(self, rows: NDArray[np.bool_]) -> Walked:
-        """Return only some of its messages, without the other records."""
+        """Return some of the messages, without the other records."""
         fields = (self.channel[rows], self.log_time[rows], self.start[rows], self.end[rows])
         return Walked(self.data, *fields, [], [], self.used)
 
     def first(self, channel: int) -> int:
-        """Return where the first message of one of its channels begins."""
+        """Return the start of the first message of a channel, which must have one."""
         return int(self.start[np.argmax(self.channel == channel)])
 
     def agree(self, entries: Entries) -> NDArray[np.bool_]:
@@ -118,7 +118,7 @@ def walk(raw: bytes | memoryview, entries: Entries | None = None) -> Walked:
 
     Args:
         raw: the chunk, uncompressed.
-        entries: its message index; if that is correct, messages are not handled one by one in Python.
+        entries: its message index; if it is correct, Python does not handle messages one by one.
     """
     data = np.frombuffer(raw, np.uint8)
     if entries:
@@ -161,7 +161,7 @@ def _at(data: NDArray[np.uint8], starts: NDArray[np.int64]) -> Walked | None:
 
 def _one_by_one(data: NDArray[np.uint8]) -> Walked:
     view = data.data
-    rows = array("Q")  # four numbers a message: as objects, those of a chunk may take a gigabyte
+    rows = array("Q")  # four numbers a message: as objects, they could take a gigabyte for one chunk
     others: list[Any] = []
     places: list[int] = []
     place = 0
@@ -177,7 +177,7 @@ def _one_by_one(data: NDArray[np.uint8]) -> Walked:
             record = parse(opcode, bytes(view[start:end]))
             if record is None:
                 break
-            if isinstance(record, (Schema, Channel)):  # a damaged chunk may hold any
+            if isinstance(record, (Schema, Channel)):  # a damaged chunk may hold any record
                 others.append(record)
                 places.append(place)
         place = end
