@@ -1,14 +1,14 @@
-"""Which headers each packet has, where one source holds conversations of several builds of cFE.
+"""The headers of each packet, if one source holds conversations of several builds of cFE.
 
-1. A conversation is all datagrams from one address and port to another. It is read with the headers that its
-   packets were found to have (:mod:`edoras_tools.decode.variants`), and as the whole source where none were.
-2. Where a conversation holds packets of several builds, as when a host ran one after the other, each packet
-   has the first of these headers that explains it: what it carries is known to start behind them. Where none
-   does it has the first with which an app may accept it.
+1. A conversation is all datagrams from one address and port to another. It is read with the headers detected
+   for its packets (:mod:`edoras_tools.decode.variants`), or, if none were detected, with those of the whole
+   source.
+2. A conversation may hold packets of several builds, for example if a host ran one after the other. Then each
+   packet has the first of these headers that explains it: known content starts behind them. If none does, it
+   has the first headers with which an app may accept it.
+3. Where anything is detected, MsgIds are of version 1: version 2 is never detected from the bytes.
 
-3. MsgIds are of version 1 where anything is detected: version 2 is never told from the bytes.
-
-A conversation is known by 16 bits of a hash, as is everything that is asked for each datagram.
+A conversation is identified by 16 bits of a hash, like everything that is looked up for each datagram.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 
 
 class CommandTable:
-    """What apps take, as arrays: for many commands at once.
+    """The commands that apps accept, as arrays, to judge many commands at once.
 
     Args:
-        commands: function codes and their commands by MsgId.
+        commands: commands of each app by function code, by MsgId.
     """
 
     def __init__(self, commands: Mapping[int, Mapping[int, names.Command]]) -> None:
@@ -57,7 +57,7 @@ class CommandTable:
     def judge(
         self, msg_id: NDArray[np.int32], code: NDArray[np.int16], length: NDArray[np.int32]
     ) -> tuple[Mask, Mask]:
-        """Tell which commands have a function code that their app refuses, and which have a wrong length."""
+        """Return which commands have a function code that their app rejects, and which a wrong length."""
         app = self._app[msg_id]
         one, other = self._lengths[:, app, code]
         unknown: Mask = (app != 0) & ~self._taken[app, code]
@@ -65,24 +65,24 @@ class CommandTable:
         return unknown, misfit
 
     def fits(self, msg_id: NDArray[np.int32], code: NDArray[np.int16], length: NDArray[np.int32]) -> Mask:
-        """Tell which commands an app accepts with exactly this length."""
+        """Return which commands an app accepts with exactly this length."""
         app = self._app[msg_id]
         one, other = self._lengths[:, app, code]
         return self._taken[app, code] & (one != 0) & ((length == one) | (length == other))
 
 
 LOOKED_AT: Final = 48
-"""Bytes of a packet that are looked at: the largest header, the largest envelope, an encapsulation."""
+"""Bytes of a packet that are examined: the largest header, the largest envelope, an encapsulation."""
 PLACES: Final = 1 << 16
 _MIX: Final = 0x9E3779B1, 0x85EBCA77, 0xC2B2AE3D
 
 
 class Fitting:
-    """Which packets the headers of one build explain: known content starts behind them.
+    """Tests which packets the headers of one build explain: known content starts behind these headers.
 
     Args:
-        head: u8 (n, 48), first bytes of each space packet, whose length field is right.
-        length: i64 (n,), bytes of each.
+        head: first bytes of each space packet with a correct length field, u8 (n, 48).
+        length: bytes of each packet, i64 (n,).
     """
 
     def __init__(
@@ -96,14 +96,15 @@ class Fitting:
         self._starts: dict[int, Mask] = {}
 
     def by(self, headers: cfe.Headers) -> Mask:
-        """Return which of them some headers explain."""
+        """Return which packets some headers explain."""
         command = VERSION_1.is_command(self._msg_id)
         out = np.zeros(len(command), bool)
         rows = np.flatnonzero(command & (self._length >= headers.command_bytes))
-        # What its app refuses is no message, though its bytes may look like an envelope: a name, for one.
+        # A command that its app rejects is no message, even if its bytes (of a name, say) look like an
+        # envelope.
         allowed = self.allowed(headers) & self._payload_fits(headers.command_bytes)
         alone = self._commands.fits(*self._command(rows, headers))  # by its length
-        if headers.extended:  # whose spare bytes are 0, as no-ops that only seem to be ones rarely have them
+        if headers.extended:  # spare bytes must be 0: no-ops that only seem extended rarely have zeros there
             alone &= (self._head[rows, headers.start + cfe.COMMAND.size : headers.command_bytes] == 0).all(
                 axis=1
             )
@@ -113,7 +114,7 @@ class Fitting:
         return out
 
     def allowed(self, headers: cfe.Headers) -> Mask:
-        """Return which of them are commands that an app may accept, if they have these headers."""
+        """Return which packets are commands that an app may accept, if they have these headers."""
         rows = np.flatnonzero(VERSION_1.is_command(self._msg_id) & (self._length >= headers.command_bytes))
         unknown, misfit = self._commands.judge(*self._command(rows, headers))
         out = np.zeros(len(self._msg_id), bool)
@@ -123,7 +124,7 @@ class Fitting:
     def _command(
         self, rows: Places, headers: cfe.Headers
     ) -> tuple[NDArray[np.int32], NDArray[np.int16], NDArray[np.int32]]:
-        """Return MsgId, function code, and length with the usual header."""
+        """Return MsgId, function code, and the length that each command has with the usual header."""
         code = headers.command.column("function_code", self._head[rows], headers.start).astype(np.int16)
         as_usual = self._length[rows] - headers.command_bytes + cfe.COMMAND_HEADER_BYTES
         return self._msg_id[rows], code, as_usual.astype(np.int32)
@@ -139,7 +140,7 @@ class Fitting:
         return np.asarray(early if headers is cfe.SHORT else ~blank & ~early)
 
     def _payload_fits(self, at: int) -> Mask:
-        """Tell in which packets something known starts at a place; each place is looked at once."""
+        """Return which packets have known content at an offset; each offset is tested once."""
         if at in self._starts:
             return self._starts[at]
         body, length, structs = self._head[:, at : at + DEFAULT.size + 4], self._length - at, self._structs
@@ -162,11 +163,11 @@ class Builds:
     """The headers of each conversation.
 
     Args:
-        usual: the headers of the source as a whole.
+        usual: headers of the source as a whole.
 
     Attributes:
-        usual: place in ``cfe.HEADERS`` of those of the source as a whole.
-        several: whether some conversation has others.
+        usual: index in ``cfe.HEADERS`` of the headers of the source as a whole.
+        several: whether some conversation has other headers.
     """
 
     def __init__(self, structs: Structs, commands: CommandTable, usual: cfe.Headers) -> None:
@@ -176,12 +177,12 @@ class Builds:
         self.several = False
 
     def settle(self, usual: cfe.Headers, places: Places, headers: NDArray[np.uint8]) -> None:
-        """Take what was found.
+        """Set the detected headers.
 
         Args:
-            usual: the headers of the source as a whole.
-            places: of conversations, see ``conversations``.
-            headers: u8, the headers of each, a bit for each of ``cfe.TOLD``; 0 where none was found.
+            usual: headers of the source as a whole.
+            places: places of conversations, see ``conversations``.
+            headers: headers of each, u8: one bit for each of ``cfe.TOLD``; 0 if none was detected.
         """
         self.usual = cfe.HEADERS.index(usual)
         self._headers[places] = headers
@@ -189,22 +190,22 @@ class Builds:
 
     @property
     def state(self) -> tuple[int, bytes]:
-        """What was found, for ``take_over``."""
+        """The detected headers, for ``take_over``."""
         return self.usual, self._headers.tobytes() if self.several else b""
 
     def take_over(self, state: tuple[int, bytes]) -> None:
-        """Take what another value of this kind was told."""
+        """Take the detected headers from another object of this class."""
         self.usual, headers = state
         self.several = bool(headers)
         if headers:
             self._headers = np.frombuffer(headers, np.uint8).copy()
 
     def of_batch(self, batch: PacketBatch, offset: Integers, length: NDArray[np.int32]) -> Any:
-        """Return the headers of each space packet of a batch, u8; one number where all have the same.
+        """Return the headers of each space packet of a batch, u8; one number if all have the same.
 
         Args:
-            offset: where in their data each packet starts.
-            length: the bytes of each.
+            offset: start of each packet in the batch's data.
+            length: bytes of each packet.
         """
         if not self.several:
             return np.uint8(self.usual)
@@ -231,7 +232,7 @@ class Builds:
     def _each(
         self, head: NDArray[np.uint8], length: Integers, allowed: NDArray[np.uint8]
     ) -> NDArray[np.uint8]:
-        """Return the first of the headers of each packet's conversation that explains it, else allows it."""
+        """Return the first headers of each packet's conversation that explain it, or else that allow it."""
         out, fitting = np.full(len(allowed), self.usual, np.uint8), Fitting(*self._known, head, length)
         for fits in (fitting.allowed, fitting.by):
             for number, headers in reversed(list(enumerate(cfe.TOLD))):
@@ -240,7 +241,7 @@ class Builds:
 
 
 def conversations(batch: PacketBatch) -> Places:
-    """Return the place of each datagram's conversation, less than ``PLACES``; of IPv6 by its ports alone."""
+    """Return the place of each datagram's conversation, below ``PLACES``; IPv6 has only its ports."""
     source, target = batch.source_address, batch.destination_address
     if not (fourth := batch.ip_version == 4).all():
         source, target = (np.where(fourth, item, np.uint32(0)) for item in (source, target))

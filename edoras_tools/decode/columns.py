@@ -1,6 +1,6 @@
 """A batch of datagrams into columns, without a step of Python per datagram.
 
-Offsets and verdicts are the same as :mod:`edoras_tools.decode.stack` gives one by one.
+Offsets and findings are the same as those that :mod:`edoras_tools.decode.stack` gives one by one.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ if TYPE_CHECKING:
     from edoras_tools.links.protocol import LinkProtocol
 
 _PACKET_WINDOW: Final = 24
-"""Bytes that hold every header of a space packet."""
+"""First bytes of a space packet that contain all its headers."""
 _BYTES: Final = np.array(
     [[getattr(item, name) for item in cfe.HEADERS] for name in ("command_bytes", "telemetry_bytes", "start")],
     np.uint8,
 )
-"""Header bytes of a command and of telemetry, and where that header starts, by ``Columns.headers``."""
+"""Header bytes of a command, of telemetry, and the start of that header, by ``Columns.headers``."""
 _BLANK: Final = {
     "spacecraft": FIRST_SPACECRAFT,
     "sbn_msg_type": -1,
@@ -89,13 +89,13 @@ _TYPES: Final = {
 
 
 class Begun(NamedTuple):
-    """A batch of which only that is read that depends on the batches before.
+    """A batch that is decoded as far as its results depend on earlier batches.
 
     Attributes:
-        link: u8, the link of each datagram.
-        start: i32, of those that have a link: where the space packet starts in each, -1 where none does.
-        out: the columns of these so far.
-        part: these; None where they have to be taken again.
+        link: link of each datagram, u8.
+        start: start of the space packet in each datagram of a link, i32; -1 if there is none.
+        out: columns of the datagrams of a link so far.
+        part: batch of these datagrams; None: to be taken from the whole batch.
     """
 
     link: NDArray[np.uint8]
@@ -117,7 +117,7 @@ class ColumnDecoder:
         self._nothing = Columns(**_blank(0))
 
     def settle(self) -> None:
-        """Detect nothing: headers and envelopes are the usual ones, or what options and routes state."""
+        """Detect nothing: headers and envelopes are the usual ones, or those of options and routes."""
         self._variants.settled = True
 
     def decode(self, batch: PacketBatch) -> Columns:
@@ -131,7 +131,7 @@ class ColumnDecoder:
         return self.finish(batch, self.begin(batch))
 
     def begin(self, batch: PacketBatch) -> Begun:
-        """Read what depends on the batches before, of a batch with at least one row."""
+        """Decode the results that depend on earlier batches, of a batch with at least one row."""
         link = link_columns(batch, self.context)
         if not self._variants.settled:
             self._variants.look(batch, link)
@@ -145,7 +145,7 @@ class ColumnDecoder:
         return Begun(link, start, read.out, part)
 
     def finish(self, batch: PacketBatch, detected: Begun) -> Columns:
-        """Read the rest; a batch that another process began needs what was ``detected`` there by then."""
+        """Decode the rest; ``detected`` is the result of ``begin``, possibly from another process."""
         link, start, out, part = detected
         rows = np.flatnonzero(link)
         if len(rows) == len(batch):
@@ -159,10 +159,10 @@ class ColumnDecoder:
         return Columns(**whole)
 
     def learn(self, batch: PacketBatch, columns: Columns | None = None) -> None:
-        """Learn what a batch announces that is not decoded here.
+        """Learn the announcements in a batch that is not decoded here.
 
         Args:
-            columns: of the same rows, where another process has decoded them.
+            columns: columns of the same rows, if another process has decoded them.
         """
         for link in self.context.by_magic:
             among = np.arange(len(batch)) if columns is None else np.flatnonzero(columns.link == link)
@@ -187,16 +187,16 @@ class _Pass:
         self.batch = batch
         self.out = out
         self.present: set[int] = set()
-        """The links that there are."""
+        """The links of the batch's datagrams."""
 
     def begin(self) -> NDArray[np.int32]:
-        """Read the outer layers; return what ``locate`` does."""
+        """Read the outer layers; return the result of ``locate``."""
         link, length = self.out["link"], self.batch.length
         self.present = set(np.flatnonzero(np.bincount(link)).tolist())
         for item in self.context.links:
             if item.receive_buffer and int(item) in self.present:
                 over = np.flatnonzero((link == item) & (length > item.receive_buffer))
-                if item.to_cfs:  # cFS takes what the header says: what is cut behind that is no loss
+                if item.to_cfs:  # cFS uses the length in the header: bytes cut behind it are no loss
                     head = gather(self.batch.data, self.batch.offset[over], ccsds.PRIMARY.size)
                     size = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int32)
                     over = over[size + ccsds.LENGTH_BIAS > item.receive_buffer]
@@ -204,7 +204,7 @@ class _Pass:
         return self.locate()
 
     def finish(self, start: NDArray[np.int32]) -> Columns:
-        """Read the space packets and what is in them."""
+        """Read the space packets and their contents."""
         self.space_packet(start)
         cut = (self.batch.capture_findings & np.uint32(Finding.CAPTURE_CUT)) != 0
         if np.count_nonzero(cut):
@@ -212,7 +212,7 @@ class _Pass:
         return Columns(**self.out)
 
     def flag(self, finding: Finding, rows: Places, mask: Mask) -> None:
-        """Set a finding's bit in those of ``rows`` that are chosen."""
+        """Set a finding's bit in those of ``rows`` that a mask selects."""
         if np.count_nonzero(mask):  # a third of the time of ``any``
             self.out["findings"][rows[mask]] |= np.uint32(finding)
 
@@ -222,7 +222,7 @@ class _Pass:
             self.out["findings"] |= mask * np.uint32(finding)
 
     def locate(self) -> NDArray[np.int32]:
-        """Read the links' own headers; return where each space packet starts, -1 where none does."""
+        """Read the links' own headers; return the start of each space packet, -1 if there is none."""
         start = np.zeros(len(self.batch), np.int32)
         for link in self.context.with_headers:
             if int(link) not in self.present:
@@ -244,7 +244,7 @@ class _Pass:
             self.flag(Finding.CDR_INVALID, item.row, ~item.valid)
 
     def space_packet(self, start: NDArray[np.int32]) -> None:
-        """Read the primary header, and all that lies behind it.
+        """Read the primary header and everything behind it.
 
         Whole columns are read, for every row; rows without a packet are cleared afterwards.
         """
@@ -294,12 +294,12 @@ class _Pass:
     def _secondary(
         self, packet: Mask, head: NDArray[np.uint8], total: NDArray[np.int32], command: Mask, build: Any
     ) -> None:
-        """Read the cFE command and telemetry headers, those of one build, or of each packet's own."""
+        """Read the cFE command and telemetry headers, with one build, or the own build of each packet."""
         length = self.out["packet_length"]
         as_command, as_telemetry, start = (column[build] for column in _BYTES)
         at = int(start) if not np.ndim(build) else 0
         if np.ndim(build):
-            # Look behind the extended header, or behind the primary header where there is none.
+            # Take the bytes behind the extended header, or behind the primary header if there is none.
             plain, extended = cfe.STANDARD.start, cfe.WITH_EXTENDED.start
             head = np.where(
                 (start == extended)[:, None], head[:, extended:], head[:, plain : plain - extended]
@@ -333,7 +333,7 @@ class _Pass:
         self.flag(Finding.COMMAND_LENGTH, rows, misfit)
 
     def _units(self, link: LinkProtocol) -> None:
-        """Judge the units of a link in packets."""
+        """Judge the protocol units in packets, for one link."""
         rows = np.flatnonzero(link.holds_units(self.out.__getitem__, self.context))
         header = self.out["header_length"][rows]
         offset, length = self.out["packet_offset"][rows] + header, self.out["packet_length"][rows] - header
@@ -341,7 +341,7 @@ class _Pass:
             self.flag(finding, rows, wrong)
 
     def _structs(self) -> None:
-        """Judge whether packets are as long as the C structs they should hold."""
+        """Judge whether packets have the length of their C structs."""
         structs = self.context.structs
         samples = payloads(structs, self.out.__getitem__, partial(getattr, self.batch), self.batch.data)
         for _, members, fits in structs.split(samples):
@@ -354,7 +354,7 @@ class _Pass:
             self.flag(Finding.LENGTH_MISMATCH, samples.row, samples.key == structs.dictionary.odd)
 
     def _envelopes(self, packet: Mask) -> None:
-        """Read the envelopes of the routes' packets, a route at a time."""
+        """Read the envelopes of the routes' packets, one route at a time."""
         exact = self.out["route"]
         route = np.where(exact == NO_ROUTE, self.context.any_route_of[self.out["msg_id"]], exact)
         unread = np.uint32(Finding.HEADER_ONLY | Finding.TRUNCATED)
@@ -394,14 +394,14 @@ class _Pass:
         head: NDArray[np.uint8],
         envelope: EnvelopeFormat,
     ) -> None:
-        """Read envelopes of one format, and judge the CDR that they hold.
+        """Read envelopes of one format, and judge the CDR in them.
 
         Args:
-            route: gives the type of the CDR.
-            rows: (n,) rows of the batch.
-            offset: (n,) where the envelope starts in the batch's data.
-            have: (n,) bytes from there to the end of the packet.
-            head: (n, 20 or more) those bytes.
+            route: index of the route, for the type of the CDR.
+            rows: rows of the batch, (n,).
+            offset: start of each envelope in the batch's data, (n,).
+            have: bytes from there to the end of the packet, (n,).
+            head: first of these bytes, (n, 20 or more).
         """
         size = envelope.size
         whole = have >= size

@@ -1,12 +1,12 @@
-"""What is said of many packets: from their columns where these tell everything, else from their layers.
+"""Values derived from many packets: from their columns if these suffice, else from their layers.
 
 The rules that this file keeps:
 
-1. Both ways give the same, of every packet; ``tests/decode/test_agreement.py`` compares them.
-2. From columns come packets that are read to their end. A packet of another kind, one with a finding that
-   ends its decoding or without a space packet, is dissected unless columns tell what is asked all the same.
-3. What is said of a datagram without a space packet depends on its bytes alone and is kept: heartbeats and
-   subscriptions come again and again.
+1. Both ways give the same value for every packet; ``tests/decode/test_agreement.py`` compares them.
+2. Columns are used for packets that are decoded to their end. Other packets, with a finding that ends their
+   decoding or without a space packet, are dissected unless the columns suffice for the value.
+3. The value of a datagram without a space packet depends only on its bytes and is cached: heartbeats and
+   subscriptions are repeated.
 """
 
 from __future__ import annotations
@@ -41,21 +41,22 @@ _ENDING: Final = (
     | Finding.SBN_LEGACY_HEADER
     | Finding.CAPTURE_CUT
 )
-"""Findings of packets that are not read to their end, or with other layers than usual."""
+"""Findings of packets that are not decoded to their end, or have other layers than usual."""
 _MOST_KEPT: Final = 4096
 _FEW: Final = 4
-"""Fewer packets than these of each MsgId, or of four, are dissected sooner than columns are made of them."""
+"""Packets for each MsgId (at least four are counted) below which dissection is faster than columns."""
 _STRUCTS: Final = 64
-"""MsgIds besides those of routes that are counted at most: what has no C struct either costs nothing each."""
+"""Most MsgIds without a route that are counted: those without a C struct cost nothing."""
 
 
 class Contents(Generic[Content]):
-    """Says something of many packets.
+    """Derives a value from each of many packets.
 
     Args:
         context: shared with the decoder of the same stream.
-        of_packet: says it of a dissected packet; of one without a space packet by its bytes alone.
-        of_columns: says it of rows; None for a row that has to be dissected.
+        of_packet: returns the value of a dissected packet; without a space packet it depends only on the
+            bytes.
+        of_columns: returns the value of each row; None for a row that has to be dissected.
     """
 
     def __init__(
@@ -70,7 +71,7 @@ class Contents(Generic[Content]):
         self._kept: dict[tuple[int, int, int, bytes], Content] = {}
 
     def of(self, rows: ColumnRows) -> list[Content]:
-        """Return what is said of each row."""
+        """Return the value of each row."""
         ids, routes = (len(set(column.tolist())) for column in (rows.column("msg_id"), rows.routes()))
         few = len(rows) < _FEW * max(4, min(ids, routes + _STRUCTS))
         contents: list[Content | None] = [None] * len(rows)
@@ -84,10 +85,10 @@ class Contents(Generic[Content]):
         ]
 
     def _dissected(self, rows: ColumnRows, place: int, bound: int) -> Content:
-        """Dissect one packet; where it has no space packet, the same bytes are dissected once.
+        """Dissect one packet; if it has no space packet, equal bytes are dissected once.
 
         Args:
-            bound: ``Structs.of_port`` of its destination.
+            bound: result of ``Structs.of_port`` for its destination port.
         """
         batch, columns = rows.batch, rows.columns
         if columns.packet_offset[place] >= 0 or batch.recorded is not None:
@@ -108,12 +109,12 @@ class MessageRows(NamedTuple):
     """The messages of some rows, all of one type.
 
     Attributes:
-        owner: i64 (n,), the rows.
+        owner: row of each message, i64 (n,).
         topic: their topic.
         type: their type, as the mission or the struct names it.
         columns: the messages.
-        plan: of their type.
-        bound: the C struct that they are; None for messages of a route.
+        plan: CDR plan of the type.
+        bound: C struct of the messages; None for messages of a route.
     """
 
     owner: Integers
@@ -125,7 +126,7 @@ class MessageRows(NamedTuple):
 
 
 def read_whole(rows: ColumnRows) -> Mask:
-    """Tell which rows hold a packet, or a message of a recording, that is read to its end."""
+    """Return which rows hold a packet, or a recorded message, that is decoded to its end."""
     if rows.batch.recorded is not None:
         read: Mask = rows.column("cdr_length") > 0
         read &= (rows.column("findings") & np.uint32(_ENDING)) == 0
@@ -136,10 +137,10 @@ def read_whole(rows: ColumnRows) -> Mask:
 
 
 def message_rows(rows: ColumnRows, whole: Mask, *, commands: bool = True) -> Iterator[MessageRows]:
-    """Yield the messages of each topic and of each C struct; of topics those in ``whole`` rows alone.
+    """Yield the messages of each topic and of each C struct; topics only for ``whole`` rows.
 
     Args:
-        commands: whether those of the built-in commands are among them.
+        commands: whether to include those of the built-in commands.
     """
     context, routes = rows.context, rows.routes()
     offset, length = rows.column("cdr_offset"), rows.column("cdr_length")
@@ -164,7 +165,7 @@ def links_of(rows: ColumnRows) -> dict[int, Link]:
 
 
 def endpoints(rows: ColumnRows) -> tuple[list[tuple[Endpoint, Endpoint]], Places]:
-    """Return all pairs of where rows come from and go to, and which pair each row has."""
+    """Return all pairs of source and destination of some rows, and the index of each row's pair."""
     names = ("source_address", "destination_address", "source_port", "destination_port", "ip_version")
     first, which = numbered(*(rows.datagram(name) for name in names))
     places = rows.indices()[first].tolist()

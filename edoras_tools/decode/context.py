@@ -1,4 +1,4 @@
-"""What a decoder needs besides the bytes: the mission, the options and the peers seen so far."""
+"""Everything that a decoder needs besides the bytes: the mission, the options and the peers so far."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ if TYPE_CHECKING:
 
 
 _KEPT: Final = ("envelope", "time")
-"""Options whose words a recording keeps as they are."""
+"""Options that a recording stores in their original words."""
 
 
 class Options(msgspec.Struct, frozen=True):
-    """How to read what the bytes do not say themselves.
+    """Options for reading bytes that do not describe themselves.
 
     Attributes:
         extended_header: packets have cFE's extended header; None to detect it.
         telemetry_header: bytes of the telemetry header, primary header included: 16, or 12 in older builds;
             None to detect it.
-        msg_id_version: how MsgIds are built: 1, or 2, which needs the extended header; None is 1.
-        envelope: format of every route that names none: ``8/8`` and the like, ``auto`` where each packet may
+        msg_id_version: version of the MsgIds: 1, or 2, which needs the extended header; None is 1.
+        envelope: format of every route that names none: ``8/8`` and the like, ``auto`` if each packet may
             have its own; None to detect it from the first packets of each route.
-        time: how headers have mission time, as ``MissionTime.of_text`` reads it; what it does not say
-            is detected.
-        ports: further UDP ports by link; 0: of a link that is told by how its datagrams begin, any.
-        listened: UDP ports that a recorder was told to receive on: what came there was asked for.
+        time: format of mission time in headers, as ``MissionTime.of_text`` reads it; unstated parts are
+            detected.
+        ports: further UDP ports by link; 0: any port, for a link whose datagrams begin with a magic number.
+        listened: UDP ports on which a recorder was set to listen: traffic there was requested.
     """
 
     extended_header: bool | None = None
@@ -66,7 +66,7 @@ class Options(msgspec.Struct, frozen=True):
         """Check once.
 
         Raises:
-            ConfigError: the envelope, the header length or the version of MsgIds is not known.
+            ConfigError: the envelope, the header length or the version of MsgIds is unknown.
         """
         if self.msg_id_version not in {None, 1, 2}:
             raise ConfigError(f"MsgIds of version {self.msg_id_version} are not known; there are 1 and 2")
@@ -93,11 +93,11 @@ class Options(msgspec.Struct, frozen=True):
 
     @property
     def msg_ids(self) -> MsgIds:
-        """How MsgIds are built; never detected."""
+        """The rule that builds MsgIds; it is never detected."""
         return (self.headers or cfe.STANDARD).msg_ids
 
     def described(self) -> dict[str, str]:
-        """Return what was named, in the words of a recording; :meth:`over` reads them."""
+        """Return the stated options, in the words of a recording; :meth:`over` reads them."""
         words = {} if self.headers is None else {"headers": self.headers.name}
         words |= {name: text for name in _KEPT if (text := getattr(self, name)) is not None}
         if self.ports:
@@ -116,16 +116,16 @@ class Options(msgspec.Struct, frozen=True):
         )
 
     def saying(self, headers: Mapping[str, Any]) -> Options:
-        """Return these options, and where they name nothing what a mission file says, by their names.
+        """Return these options, with those of a mission file, by name, where these state nothing.
 
         Raises:
-            ConfigError: it cannot be so.
+            ConfigError: the options contradict each other.
         """
         own = {name: value for name, value in headers.items() if getattr(self, name, 0) is None}
         return replace(self, **own).over({"ports": headers.get("ports", "")})
 
     def over(self, recorded: Mapping[str, str]) -> Options:
-        """Return these options, and where they name nothing those that a recording was made with."""
+        """Return these options, with those of a recording where these state nothing."""
         kinds = {item.name: item for item in cfe.HEADERS}
         headers = kinds.get(recorded.get("headers", "")) if self.headers is None else None
         options = self
@@ -150,47 +150,47 @@ class Context:
     """The lookups that both decoders share, compiled once from the mission and the options.
 
     Attributes:
-        mission: its routes give ``Columns.route`` its meaning.
-        types: the ROS types, or None to leave CDR bodies alone.
-        options: as given.
-        structs: the C structs that packets without a route hold.
-        peers: grows as datagrams are decoded, in order.
-        endpoints: as they announce themselves; grows as well.
-        look_ahead: reads the whole input for what is announced in it; None where that cannot be done.
-        spacecraft: those that datagrams are of; grows as well.
-        by_magic: the links that are recognised on any port.
-        links: every link there is.
-        frames: the CCSDS transfer frames that come to a port, by port.
-        ports: the UDP ports of each link, bool (65536,).
-        claimants: the sets of links that claim a port.
-        claim: u8 (65536,), index into ``claimants`` by port.
-        decided: u8, the link of a set of ``claimants`` that the port alone decides; 0 for the others.
-        by_sender: u8, the link of a set that the source port alone decides; 0 for the others.
-        stream_links: u8 (65536,), the link whose TCP streams have a port at one end; 0 for none.
-        framings: how TCP streams are cut, by port.
-        framed_links: u8 (65536,), the link of packets out of frames in streams, by the port of either end.
-        with_headers: the links whose datagrams do not begin with a space packet.
-        header_bytes: i64 (256,), bytes in front of the space packet, by link.
-        against: bool (2, 256), whether a packet goes the wrong way: by type bit and link.
+        mission: mission whose routes are the indices in ``Columns.route``.
+        types: ROS types, or None to leave CDR bodies undecoded.
+        options: options of the decoder.
+        structs: C structs in packets without a route.
+        peers: SBN peers, which grow as datagrams are decoded, in order.
+        endpoints: DDS endpoints, which grow as they announce themselves.
+        look_ahead: reads the whole input for announcements in it; None if it cannot be read twice.
+        spacecraft: spacecraft of the datagrams, which grow as well.
+        by_magic: links that are recognised on any port.
+        links: all links.
+        frames: formats of CCSDS transfer frames, by the port that receives them.
+        ports: UDP ports of each link, bool (65536,).
+        claimants: sets of links that claim a port.
+        claim: index into ``claimants`` by port, u8 (65536,).
+        decided: link of each set of ``claimants`` if the port alone decides it, u8; else 0.
+        by_sender: link of each set if the source port alone decides it, u8; else 0.
+        stream_links: link whose TCP streams have a port at one end, u8 (65536,); 0 for none.
+        framings: framing of TCP streams, by port.
+        framed_links: link of packets from frames in streams, by the port of either end, u8 (65536,).
+        with_headers: links whose datagrams do not begin with a space packet.
+        header_bytes: bytes before the space packet, by link, i64 (256,).
+        against: whether a packet goes in the wrong direction, by type bit and link, bool (2, 256).
         cfs_addresses: IPv4 addresses of the cFS of ground missions, as numbers.
-        bridge_ports: bool (65536,), ports of flight bridges.
-        identities: (SpacecraftID, ProcessorID) that missions name.
-        route_of: i16 (rows, 65536), route by ``route_row[link]`` and MsgId.
-        route_row: u8 (256,), row of ``route_of`` by link; 0, which is empty, for those without routes.
-        any_route_of: i16 (65536,), a route of any link by MsgId: what a packet seen on another link carries.
-        known: bool (65536,), MsgIds that cFE or the mission names.
-        in_packets: the links whose units packets of other links may hold.
-        pdu_msg_ids: i32, MsgIds of packets that hold such a unit each.
-        headers: those behind the primary header; :mod:`edoras_tools.decode.variants` may change them.
-        msg_ids: how MsgIds are built; never detected.
-        time: how headers have mission time; :mod:`edoras_tools.decode.variants` adds what it detects.
-        builds: the headers of conversations that have others.
-        envelopes: the envelope format of each route, None where each packet has its own.
-        unrouted: the envelope format of telemetry and of commands that no route claims.
-        notes: what was detected from the bytes, a line each, for users.
-        unnamed: datagrams that look like a link's and were left out, because no option names their port.
-        described: how packets are read, as text for the metadata of a recording.
-        command_table: the commands of the apps, for columns.
+        bridge_ports: ports of flight bridges, bool (65536,).
+        identities: pairs (SpacecraftID, ProcessorID) in the mission.
+        route_of: route by ``route_row[link]`` and MsgId, i16 (rows, 65536).
+        route_row: row of ``route_of`` by link, u8 (256,); 0, an empty row, for links without routes.
+        any_route_of: a route of any link by MsgId, i16 (65536,), for a packet seen on another link.
+        known: MsgIds that cFE or the mission names, bool (65536,).
+        in_packets: links whose units are carried in packets of other links.
+        pdu_msg_ids: MsgIds of packets that each carry such a unit, i32.
+        headers: headers behind the primary header; :mod:`edoras_tools.decode.variants` may change them.
+        msg_ids: rule that builds MsgIds; never detected.
+        time: format of mission time in headers; :mod:`edoras_tools.decode.variants` may change it.
+        builds: headers of conversations that have others than ``headers``.
+        envelopes: envelope format of each route, None if each packet has its own.
+        unrouted: envelope format of telemetry and of commands without a route.
+        notes: detections from the bytes, one line each, for users.
+        unnamed: number of datagrams left out that look like a link's, because no option names their port.
+        described: words for the metadata of a recording that say how packets are read.
+        command_table: commands of the apps, for columns.
     """
 
     def __init__(
@@ -244,7 +244,7 @@ class Context:
         """Find the addresses, ports and identities of the mission's bridges and their cFS."""
         links = (link for link in self.mission.links if isinstance(link, GroundLink))
         addresses = (ipaddress.IPv4Address(link.fsw_ip) for link in links)
-        # On one host, an address of which is any in 127.0.0.0/8, none tells who is cFS.
+        # On one host, any of 127.0.0.0/8 may be anybody's, so such an address does not identify cFS.
         self.cfs_addresses = frozenset(int(item) for item in addresses if not item.is_loopback) - {0}
         self.bridge_ports = np.zeros(65536, bool)
         flights = [link for link in self.mission.links if isinstance(link, FlightLink)]
@@ -259,7 +259,7 @@ class Context:
         )
 
     def _settle_routes(self) -> None:
-        """Find the route of each MsgId, by link, the MsgIds that are known, and the envelopes."""
+        """Find the route of each MsgId by link, the known MsgIds, and the envelopes."""
         routed = sorted({int(route.link) for route in self.mission.routes})
         self.route_row = np.zeros(256, np.uint8)
         self.route_row[routed] = range(1, len(routed) + 1)
@@ -281,7 +281,7 @@ class Context:
         self.envelopes = [None if text == "auto" else EnvelopeFormat.of_name(text) for text in envelopes]
 
     def of(self, spacecraft: int) -> Context:
-        """Return this as it is for a spacecraft: topics have its name in front."""
+        """Return this context for a spacecraft: its topics have the spacecraft's prefix."""
         if self.mission.prefix(spacecraft) == self.mission.prefix(FIRST_SPACECRAFT):
             return self
         if spacecraft not in self._views:
@@ -289,63 +289,63 @@ class Context:
         return self._views[spacecraft]
 
     def in_order(self, layout: Layout) -> Layout:
-        """Return the table of a payload, or of telemetry's header, as the flight computer writes it."""
+        """Return the layout of a payload, or of telemetry's header, in the flight computer's byte order."""
         if layout.name == cfe.TELEMETRY.name:
             return self.time.layout(layout)
         return layout.big if self.structs.big_endian else layout
 
     def routes_on(self, link: Link) -> NDArray[np.int16]:
-        """Return the route of each MsgId on a link, i16 (65536,); ``NO_ROUTE`` where there is none."""
+        """Return the route of each MsgId on a link, i16 (65536,); ``NO_ROUTE`` if there is none."""
         return self.route_of[self.route_row[link]]
 
     @property
     def detected(self) -> tuple[Any, ...]:
-        """What was detected from the bytes and decides how packets are read, for ``take_over``."""
+        """The detections from the bytes that decide how packets are read, for ``take_over``."""
         place = cfe.HEADERS.index(self.headers)
         return place, tuple(self.envelopes), tuple(self.unrouted), self.builds.state, self.time
 
     def announced_topics(self) -> dict[str, str]:
-        """Return the type of each topic that the input announces anywhere, if it can be read twice."""
+        """Return the type of each topic that the whole input announces, if it can be read twice."""
         if self.look_ahead is not None:
             self._announced, self.look_ahead = self.look_ahead(), None
         return (self._announced or self.endpoints).topics()
 
     @property
     def awaits_samples(self) -> bool:
-        """Whether topics may be announced while the input is read, and cannot be known before."""
+        """Whether topics may be announced while the input is read, and cannot be looked up before."""
         has_port = any(link in self.by_magic for link, _ in self.options.ports)
         return has_port and self.look_ahead is None and self._announced is None
 
     def take_over(self, detected: tuple[Any, ...]) -> None:
-        """Read packets as another context does, in another process."""
+        """Read packets like another context, of another process; ``detected`` is that context's."""
         place, envelopes, unrouted, builds, self.time = detected
         self.headers = cfe.HEADERS[place]
         self.envelopes, self.unrouted = [*envelopes], [*unrouted]
         self.builds.take_over(builds)
 
     def capture_ports(self) -> tuple[int, ...]:
-        """Return every UDP port that belongs to a link, for a filter in the kernel; not 0, that of files."""
+        """Return every UDP port of a link, for a filter in the kernel, except 0, the port of files."""
         return tuple(int(port) for port in np.flatnonzero(self.claim) if port)
 
     def capture_begins(self) -> tuple[bytes, ...]:
-        """Return how the datagrams begin that are captured on any port."""
+        """Return the first bytes of datagrams that are captured on any port."""
         return tuple(link.magic for link in self.by_magic if (link, 0) in self.options.ports)
 
     def is_cfs(self, endpoint: Endpoint) -> bool:
-        """Tell whether an endpoint's address is that of a cFS that a ground mission names."""
+        """Return whether an endpoint's address is that of a cFS in a ground mission."""
         return (
             ":" not in endpoint.address and int(ipaddress.IPv4Address(endpoint.address)) in self.cfs_addresses
         )
 
     def name(self, msg_id: int) -> str:
-        """Return how packets of a MsgId are called: cFE's name, else a route's topic or a struct's name."""
+        """Return the name of packets of a MsgId: cFE's name, else a route's topic or a struct's name."""
         route = int(self.any_route_of[msg_id])
         topic = self.mission.routes[route].topic if route != NO_ROUTE else ""
         pdu = f"{self.in_packets[0].name}_PDU" if msg_id in self.pdu_msg_ids else ""
         return names.message_name(self.msg_ids.standard(msg_id)) or topic or pdu or self.structs.name(msg_id)
 
     def commands(self, msg_id: int) -> Mapping[int, names.Command] | None:
-        """Return the function codes a command MsgId's app takes, or None where that is not known."""
+        """Return the function codes that a command MsgId's app accepts, or None if they are unknown."""
         plain = self.msg_ids.standard(msg_id)
         if plain in names.COMMANDS:
             return names.COMMANDS[plain]
@@ -367,7 +367,7 @@ class Context:
         listed = np.any(list(ports.values()), axis=0)
         for link in self.links:
             if link.transport.udp:
-                # A link that is told by its content leaves its usual ports to one that they were named for.
+                # A link that is recognised by content leaves its usual ports to a link named for them.
                 usual = [port for port in link.transport.ports if link.port_decides or not listed[port]]
                 ports[link][usual] = True
         for framed in self.mission.frames:  # no other link's packets are in the frames
@@ -376,7 +376,7 @@ class Context:
         return ports
 
     def _settle_streams(self) -> None:
-        """Find which link has the TCP streams of each port; ports that an option names come first."""
+        """Find the link of the TCP streams of each port; ports named by options come first."""
         usual = [(link, port) for link in self.links for port in link.transport.ports]
         self.stream_links: NDArray[np.uint8] = np.zeros(65536, np.uint8)
         for link, port in reversed([*self.options.ports, *usual]):
@@ -395,7 +395,7 @@ class Context:
                 self.framed_links[framed.port] = framed.link
 
     def _settle_ports(self) -> None:
-        """Find the sets of links that claim a port, and what is decided for each of them."""
+        """Find the sets of links that claim a port, and the link that the port alone decides for each set."""
         sets: dict[tuple[LinkProtocol, ...], int] = {(): 0}
         self.claim: NDArray[np.uint8] = np.zeros(65536, np.uint8)
         for port in np.flatnonzero(np.any(list(self.ports.values()), axis=0)).tolist():
@@ -411,7 +411,7 @@ class Context:
 
 
 class _View(Context):
-    """A context for a spacecraft behind the first: all but the names of topics is that of the whole."""
+    """A context for another spacecraft than the first: only the names of topics differ."""
 
     def __init__(self, whole: Context, number: int) -> None:
         self._whole = whole
@@ -419,6 +419,6 @@ class _View(Context):
         self.structs = whole.structs.under(whole.mission.prefix(number))
 
     def __getattr__(self, name: str) -> Any:
-        if name[:2] == "__" or name == "_whole":  # asked before there is one, as by ``copy``
+        if name[:2] == "__" or name == "_whole":  # requested before it is set, for example by ``copy``
             raise AttributeError(name)
         return getattr(self._whole, name)

@@ -1,19 +1,19 @@
-"""Decides from its datagrams whether a conversation is cFS traffic.
+"""Decides from the datagrams of a conversation whether it is cFS traffic.
 
 A conversation is all datagrams from one address and port to another. Ports alone are not enough: other
 programs use 1234 too, and a CI may use another port. The rules, in this order:
 
-1. A datagram is *sound* for CI and TO where a space packet of version 0 with a secondary header begins it,
-   and its length agrees or its MsgId is known; for SBN where the message type is known and the size
-   agrees. Of random datagrams, fewer than one in 10,000 is sound.
-2. A conversation on a link's port is cFS traffic if at least 1 in 20 of its datagrams is sound, however
-   few they are.
-3. Any other that goes to a cFS (sound ones go there too, or telemetry comes from that address) did reach
-   it. It is the ground's if its address also sends sound ones and most of its datagrams begin like space
-   packets; else it is ``STRANGER``.
-4. Anything else on a link's port is not cFS traffic: ``FOREIGN``, left out and counted.
+1. A datagram is *sound* for CI and TO if it begins with a space packet of version 0 with a secondary header,
+   and its length agrees or its MsgId is known; for SBN if the message type is known and the size agrees. Of
+   random datagrams, fewer than one in 10,000 is sound.
+2. A conversation on a link's port is cFS traffic if at least 1 in 20 of its datagrams is sound, even if there
+   are few.
+3. Any other conversation whose destination is a cFS (sound datagrams go there too, or telemetry comes from
+   that address) did reach it. It is the ground's if its source address also sends sound datagrams and most
+   of its own begin like space packets; else it is ``STRANGER``.
+4. Any other conversation on a link's port is not cFS traffic: ``FOREIGN``, left out and counted.
 5. On a port of no link, a conversation looks like a link's if nearly all its datagrams are sound and have a
-   correct length: ``UNNAMED``, and a note asks to name its port.
+   correct length: ``UNNAMED``, and a note asks the user to name its port.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
 
 _SHARE: Final = 20
-"""One sound datagram in so many makes a conversation cFS's."""
+"""Datagrams of which one must be sound to make a conversation cFS's."""
 _FEW: Final = 8
-"""Pairs of ports that are looked at one by one."""
+"""Most pairs of ports that are tested one by one."""
 _MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 _KNOWN_TYPES: Final = np.isin(np.arange(256), list(sbn.MsgType))
 _BEGINNING: Final = 0xE800, 0x0800
-"""Bits of the first word of a cFE packet, and what they are: version 0, with a secondary header."""
+"""Mask of the first word of a cFE packet, and its value: version 0, with a secondary header."""
 _NO_MESSAGE: Final = Finding.SBN_SIZE_MISMATCH | Finding.SBN_UNKNOWN_TYPE | Finding.TRUNCATED
 
 
 class ConversationKind(Enum):
-    """What a conversation is."""
+    """The kind of traffic of a conversation."""
 
     CFS = "cFS"
     STRANGER = "stranger"
@@ -58,26 +58,26 @@ class ConversationKind(Enum):
 
 
 LEFT_OUT: Final = frozenset({ConversationKind.FOREIGN, ConversationKind.STRANGER})
-"""What is not cFS's, though the ports say so."""
+"""Kinds of conversations on a link's port that are not cFS traffic."""
 
 
 class Flow(msgspec.Struct, eq=False):
     """All datagrams from one endpoint to another.
 
     Attributes:
-        source: from where.
-        destination: to where.
-        link: the link of its ports.
-        datagrams: how many.
+        source: endpoint that sends.
+        destination: endpoint that receives.
+        link: link of the ports.
+        datagrams: number of datagrams.
         first_ns: capture time of the first.
         last_ns: capture time of the last.
-        begins: how many begin as the link's datagrams do.
-        sound: how many are sound.
+        begins: number that begin like the link's datagrams.
+        sound: number that are sound.
         always_sound: whether it looked like its link's traffic after each datagram.
-        commands: of no link, that are commands by their lengths.
-        telemetry: of no link, that are telemetry by their lengths.
-        network: of no link, that are SBN messages by their sizes.
-        kind: what it is, as far as is known.
+        commands: number with the length of a command, if it has no link.
+        telemetry: number with the length of telemetry, if it has no link.
+        network: number with the size of an SBN message, if it has no link.
+        kind: kind of the traffic, by the datagrams so far.
     """
 
     source: Endpoint
@@ -101,7 +101,7 @@ class Flow(msgspec.Struct, eq=False):
 
     @property
     def looks_like(self) -> Link:
-        """Which link's traffic it looks like, where nearly all of it does; ``OTHER`` for none."""
+        """The link whose traffic it looks like, if nearly all of it does; else ``OTHER``."""
         counts = self.commands, self.telemetry, self.network
         best = max(range(len(counts)), key=counts.__getitem__)
         links = (
@@ -119,8 +119,8 @@ class Conversations(msgspec.Struct, eq=False):
     """All conversations of a source.
 
     Attributes:
-        context: MsgIds that are known.
-        flows: by source and destination.
+        context: decoder context, with the known MsgIds.
+        flows: flows by source and destination.
     """
 
     context: Context
@@ -130,7 +130,7 @@ class Conversations(msgspec.Struct, eq=False):
     )
 
     def add(self, batch: PacketBatch, columns: Columns, mask: Mask | None = None) -> None:
-        """Count those datagrams of a batch that a mask chooses; all without one."""
+        """Count the datagrams of a batch that a mask selects; None: all."""
         rows = np.flatnonzero(batch.length > 0 if mask is None else (batch.length > 0) & mask)
         link = columns.link
         marks = _marks(batch, columns, rows, self.context.known)
@@ -157,7 +157,7 @@ class Conversations(msgspec.Struct, eq=False):
             if flow is not None:
                 flow.first_ns = min(flow.first_ns or begin, begin)
                 flow.last_ns = max(flow.last_ns, end)
-                # Those that are not may come before all others of the batch.
+                # The unsound datagrams may come before all others of the batch.
                 unsound = flow.datagrams - flow.sound + odd
                 flow.always_sound &= (flow.sound + sound_first) * (_SHARE - 1) >= unsound
                 for name, count in zip(sums, counts, strict=True):
@@ -165,10 +165,10 @@ class Conversations(msgspec.Struct, eq=False):
         self._last = rows, which, flows
 
     def left_out(self) -> Places:
-        """Return the rows of the last batch whose conversation is, by all that came so far, left out."""
+        """Return the rows of the last batch whose conversation is left out, by all its datagrams so far."""
         rows, which, flows = self._last
         if all(flow is None or flow.is_sound or not flow.link.packets for flow in flows):
-            return rows[:0]  # the time of a batch; to judge them takes that of all flows
+            return rows[:0]  # takes the time of one batch; judging takes the time of all flows
         self.judge()
         out = [flow is not None and flow.kind in LEFT_OUT for flow in flows]
         return rows[np.array(out, bool)[which]]
@@ -194,18 +194,18 @@ class Conversations(msgspec.Struct, eq=False):
         return flows
 
     def notes(self, *, keep_all: bool = False) -> list[str]:
-        """Return what is to be said of them, a line each; ``keep_all``: of a link too."""
+        """Return notes for the user, a line each; ``keep_all``: foreign traffic is kept, not left out."""
         lines = foreign(self.judge())
         notes = [line.removesuffix(", left out") for line in lines] if keep_all else lines
         return [*map(str, unnamed(self.judge())), *notes]
 
     def recorded(self) -> list[str]:
-        """Return a line for each port that looks like a link's, of which no messages were recorded."""
+        """Return a line for each port that looks like a link's but was recorded without messages."""
         return [f"{item.looks}, recorded without messages: {item.remedy}" for item in unnamed(self.judge())]
 
     @property
     def unnamed(self) -> int:
-        """Datagrams that look like a link's, on ports that no option names and no recorder listened on."""
+        """The number of datagrams that look like a link's, on ports that no option or recorder named."""
         listened = self.context.options.listened
         return sum(item.datagrams for item in unnamed(self.judge()) if item.port not in listened)
 
@@ -217,7 +217,7 @@ class Conversations(msgspec.Struct, eq=False):
 
 
 def conversation_of(batch: PacketBatch) -> Integers:
-    """Return a number for each datagram by its endpoints: i64 (n,)."""
+    """Return a number that identifies each datagram's conversation: i64 (n,)."""
     ends = batch.source_address.astype(np.uint64) << np.uint64(32) | batch.destination_address
     ports = batch.source_port.astype(np.uint64) << np.uint64(16) | batch.destination_port
     # Mixed once more: ports that differ in their last bit differ in what is kept.
@@ -225,10 +225,10 @@ def conversation_of(batch: PacketBatch) -> Integers:
 
 
 def in_doubt(batch: PacketBatch, columns: Columns, context: Context) -> Mask:
-    """Return the datagrams, bool, of conversations that a batch leaves in doubt: some in them are not sound.
+    """Return the datagrams of conversations that a batch leaves in doubt, bool: some in them are not sound.
 
-    Where fewer than one in 20 of a conversation is sound, all datagrams of its link are returned: what it is
-    depends on the others there.
+    If fewer than one in 20 of a conversation is sound, all datagrams of its link are returned, because its
+    kind depends on the link's other conversations.
     """
     link, packets = columns.link, table.accepted(lambda link: link.packets)
     _, sound = _soundness(columns, slice(None), context.known)
@@ -254,7 +254,7 @@ def foreign(flows: Iterable[Flow]) -> list[str]:
 
 
 class Unnamed(msgspec.Struct, frozen=True):
-    """Traffic of a port that looks like a link's, and that no option names."""
+    """Traffic on a port that looks like a link's traffic, and that no option names."""
 
     port: int
     datagrams: int
@@ -263,11 +263,11 @@ class Unnamed(msgspec.Struct, frozen=True):
 
     @property
     def advice(self) -> str:
-        """What it is, and that it was not examined."""
+        """A text that names the traffic and says that it was not examined."""
         return f"{self.looks} and were left out"
 
     def __str__(self) -> str:
-        """Return it in one line."""
+        """Return the text with its remedy, in one line."""
         return f"{self.advice}: {self.remedy}"
 
 
@@ -290,7 +290,7 @@ def unnamed(flows: Iterable[Flow]) -> list[Unnamed]:
 
 
 def _count(which: Places, marked: Mask, total: Places) -> Places:
-    """Return how many of each group are marked, of so many in all: mostly all, or none."""
+    """Return how many rows of each group are marked, given the groups' sizes; mostly all, or none."""
     return total if marked.all() else np.bincount(which[marked], minlength=len(total))
 
 
@@ -298,7 +298,7 @@ def _spans(time_ns: Integers, first: Places, which: Places) -> tuple[Integers, I
     """Return the smallest time of each group, and the largest, at least 0; see ``numbered``."""
     if (time_ns[1:] >= time_ns[:-1]).all():  # nearly always
         last = np.zeros(len(first), np.intp)
-        last[which] = np.arange(len(which))  # of several for one place the last stays
+        last[which] = np.arange(len(which))  # numpy keeps the last of several values for one place
         return time_ns[first], np.maximum(time_ns[last], 0)
     first_ns, last_ns = time_ns[first], np.zeros(len(first), np.int64)
     np.minimum.at(first_ns, which, time_ns)
@@ -307,7 +307,7 @@ def _spans(time_ns: Integers, first: Places, which: Places) -> tuple[Integers, I
 
 
 def _marks(batch: PacketBatch, columns: Columns, rows: Places, described: Mask) -> dict[str, Mask]:
-    """Return what each of some datagrams looks like, by the names of ``Flow``."""
+    """Return the marks of each of some datagrams, by the names of the counts in ``Flow``."""
     begins, sound = _soundness(columns, rows, described)
     marks = {"begins": begins, "sound": sound}
     other = np.flatnonzero(columns.link[rows] == OTHER)
@@ -318,7 +318,7 @@ def _marks(batch: PacketBatch, columns: Columns, rows: Places, described: Mask) 
 
 
 def _soundness(columns: Columns, rows: Places | slice, described: Mask) -> tuple[Mask, Mask]:
-    """Return which of some datagrams begin as their link's do, and which are sound."""
+    """Return which of some datagrams begin like their link's, and which are sound."""
     msg_id, findings = columns.msg_id[rows], columns.findings[rows]
     first = cfe.known_ids(msg_id, columns.headers[rows])
     begins = (msg_id >= 0) & ((first & _BEGINNING[0]) == _BEGINNING[1])
@@ -331,10 +331,10 @@ def _soundness(columns: Columns, rows: Places | slice, described: Mask) -> tuple
 
 
 def _alike(batch: PacketBatch, rows: Places) -> dict[str, Mask]:
-    """Tell which datagrams of no link would be one's by their lengths."""
+    """Return which datagrams of no link have the length of a link's datagrams, by link kind."""
     head = gather(batch.data, batch.offset[rows], sbn.HEADER.size)
     have = batch.length[rows].astype(np.int64)
-    # Bytes that the capture cut off count: a frame has its original length.
+    # Bytes that the capture cut off count as well: a frame has its original length.
     length = have + np.maximum(batch.original_length[rows] - batch.frame_length[rows], 0)
     word = head[:, 0].astype(np.int32) << 8 | head[:, 1]
     total = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int64) + ccsds.LENGTH_BIAS

@@ -1,8 +1,8 @@
-"""What a line shows of a packet: from its layers, or of many packets from their columns.
+"""The line of a packet in lists: from its layers, or for many packets from their columns.
 
-From columns come packets whose message has single values and lists of them, and whose layers have no text of
-their own, and packets that end before their message; :mod:`edoras_tools.decode.contents` says which of them
-are dissected, too.
+Columns are used for packets whose message has single values and lists of them, and whose layers have no text
+of their own, and for packets that end before their message; :mod:`edoras_tools.decode.contents` decides which
+of them are dissected, too.
 """
 
 from __future__ import annotations
@@ -43,25 +43,25 @@ _LAYERS: Final = {
 _ENDED: Final = Finding.TRUNCATED | Finding.ENVELOPE_OVERRUN | Finding.CDR_INVALID | Finding.HEADER_ONLY
 """Findings of packets that may end before their message."""
 _OTHERWISE: Final = Finding.CAPTURE_CUT | Finding.SBN_LEGACY_HEADER
-"""Findings of packets whose columns do not tell what is there."""
+"""Findings of packets whose columns do not show their content."""
 
 
 class PacketLine(msgspec.Struct, frozen=True):
-    """What a line shows of a packet.
+    """The contents of a packet's line.
 
     Attributes:
         number: place of its frame in the source, from 1.
         time_ns: capture time, ns since 1970.
-        link: which link.
-        source: from where.
-        destination: to where.
-        kind: ``cmd``, ``tlm``, an SBN message type as ``SUB`` or ``APP``, or nothing.
-        msg_id: the space packet's MsgId; ``NO_MSG_ID`` where there is none.
-        name: the topic, else what the MsgId is called, else nothing.
-        length: bytes of the UDP payload that were captured.
-        findings: what is remarkable.
-        text: the summary, or why decoding ended.
-        type: of a message without a datagram; nothing of packets.
+        link: link of the packet.
+        source: endpoint that sent it.
+        destination: endpoint that it was sent to.
+        kind: ``cmd``, ``tlm``, an SBN message type such as ``SUB`` or ``APP``, or empty.
+        msg_id: MsgId of the space packet; ``NO_MSG_ID`` if there is none.
+        name: topic, else the name of the MsgId, else empty.
+        length: captured bytes of the UDP payload.
+        findings: findings of the decoder.
+        text: summary, or the reason why decoding ended.
+        type: type of a message without a datagram; empty for packets.
     """
 
     number: int
@@ -79,7 +79,7 @@ class PacketLine(msgspec.Struct, frozen=True):
 
 
 class _Content(msgspec.Struct, frozen=True):
-    """What a line says of a packet's content; see ``PacketLine``."""
+    """The part of a line that describes a packet's content; see ``PacketLine``."""
 
     kind: str
     msg_id: int
@@ -163,7 +163,7 @@ def _content(decoded: Decoded) -> _Content:
     elif decoded.message and (
         not name or decoded.layer("edoras") or (kind == "cmd" and not decoded.message.shipped)
     ):
-        name = decoded.message.topic  # of a C struct the packet's name says as much, and is shorter
+        name = decoded.message.topic  # for a C struct the packet's own name is as clear, and shorter
     text = decoded.summary or (str(decoded.stop) if decoded.stop else "")
     return _Content(kind, msg_id, name, text, type_)
 
@@ -173,7 +173,7 @@ def _peer_kind(msg_type: int) -> str:
 
 
 def _contents(rows: ColumnRows) -> list[_Content | None]:
-    """Return what is said of the packets that columns tell everything of; None for the others."""
+    """Return the contents of packets whose columns are enough; None for the others."""
     out: list[_Content | None] = [None] * len(rows)
     msg_id, context = rows.column("msg_id"), rows.context
     easy = read_whole(rows)
@@ -210,7 +210,7 @@ def _contents(rows: ColumnRows) -> list[_Content | None]:
         headless = header[row] == ccsds.PRIMARY.size
         text = packet_text(context.msg_ids.standard(value), codes[row] if command and not headless else None)
         text = text or (_cut_header(rows, row, command=command) if headless else "")
-        if text:  # else it is what ended the decoding
+        if text:  # else the text is the reason why decoding ended
             out[row] = _Content(kinds[row], value, context.name(value), text)
     for row in np.flatnonzero(rows.column("link") == OTHER).tolist():
         out[row] = _Content("", NO_MSG_ID, "", f"{lengths[row]} bytes")
@@ -218,7 +218,7 @@ def _contents(rows: ColumnRows) -> list[_Content | None]:
 
 
 def _cut_header(rows: ColumnRows, row: int, *, command: bool) -> str:
-    """Return how the dissection of a packet ends whose cFE header is not whole."""
+    """Return the error that ends the dissection of a packet with an incomplete cFE header."""
     headers = cfe.HEADERS[int(rows.column("headers")[row])]
     whole = headers.command_bytes if command else headers.telemetry_bytes
     at = int(rows.column("packet_offset")[row] - rows.datagram("offset")[row]) + ccsds.PRIMARY.size
@@ -228,7 +228,7 @@ def _cut_header(rows: ColumnRows, row: int, *, command: bool) -> str:
 
 
 def _without_message(rows: ColumnRows) -> Mask:
-    """Tell which rows hold a packet that ends, or is wrong, before its message: the header alone is shown."""
+    """Return which rows hold a packet that ends, or is wrong, before its message: only a header is shown."""
     findings, context = rows.column("findings"), rows.context
     headless = rows.column("header_length") == ccsds.PRIMARY.size
     invalid = (findings & np.uint32(Finding.CDR_INVALID)) != 0
@@ -264,7 +264,7 @@ def _commands(rows: ColumnRows, easy: Mask) -> Iterator[tuple[int, str]]:
 
 
 def _worded(values: list[Any] | NDArray[Any], word: Callable[[Any], str]) -> list[str]:
-    """Return each value in words; what comes again is made once."""
+    """Return each value in words; equal values are converted once."""
     every = values if isinstance(values, list) else values.tolist()
     unlike = {value: word(value) for value in set(every)}
     return [unlike[value] for value in every]
@@ -283,9 +283,9 @@ def _kinds(rows: ColumnRows) -> list[str]:
 
 
 def _messages(rows: ColumnRows, easy: Mask) -> Iterator[tuple[Integers, str, str, list[str]]]:
-    """Yield the rows of each topic that hold messages, the topic, its type, and the text of each.
+    """Yield the rows of each topic with messages, the topic, its type, and the text of each message.
 
-    ``easy`` is cleared where a message has to be dissected.
+    ``easy`` is cleared for messages that have to be dissected.
     """
     routes = rows.routes()
     for owner, topic, kind, messages, plan, bound in message_rows(rows, easy.copy(), commands=False):

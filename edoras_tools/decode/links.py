@@ -1,4 +1,4 @@
-"""Which link a datagram belongs to: of the links that claim its port, the one that is surest.
+"""Decides the link of a datagram: among the links that claim its port, the one with the best evidence.
 
 On the demos' single host cpu2's CI port equals TO's destination port (both 1235): the port is not enough.
 """
@@ -40,13 +40,13 @@ class _Datagram:
         return self._context.structs.on_ports(self.destination_port, self.length)
 
     def field(self, layout: Layout, name: str, at: int = 0) -> Any:
-        """Return a number of a header at byte ``at``; -1 where it is not there."""
+        """Return a number of a header at byte ``at``; -1 if the payload ends before it."""
         slot = layout.by_name[name]
         return layout.read(slot, self._payload, at) if at + slot.end <= self._have else -1
 
 
 class _Rows:
-    """Some datagrams of a batch as a :class:`~edoras_tools.links.protocol.Seen`: an array of each number."""
+    """Some datagrams of a batch as a :class:`~edoras_tools.links.protocol.Seen`; each number is an array."""
 
     def __init__(self, batch: PacketBatch, rows: Places, context: Context) -> None:
         self._batch, self._rows, self._context = batch, rows, context
@@ -75,7 +75,7 @@ class _Rows:
         return matches
 
     def field(self, layout: Layout, name: str, at: int = 0) -> Any:
-        """Return a number of a header at byte ``at`` of each payload; -1 where it is not there."""
+        """Return a number of a header at byte ``at`` of each payload; -1 if the payload ends before it."""
         key = layout.name, name, at
         if key not in self._fields:
             self._fields[key] = self._read(layout, name, at)
@@ -93,7 +93,7 @@ class _Rows:
 
 
 def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
-    """Return the link of every datagram of a batch, u8 (n,). Fragments without a payload belong to none."""
+    """Return the link of every datagram of a batch, u8 (n,); fragments without a payload have none."""
     claim = context.claim.take(batch.destination_port)
     link = context.decided.take(claim)
     undecided = np.flatnonzero(link == 0)
@@ -124,7 +124,7 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
 
 
 def beginning(batch: PacketBatch, rows: Places, magic: bytes) -> Places:
-    """Return those of some rows of a batch that begin with some bytes."""
+    """Return those of some rows of a batch whose payloads begin with a magic number."""
     rows = rows[batch.length[rows] >= len(magic)]
     rows = rows[batch.data[batch.offset[rows]] == magic[0]]
     if len(rows):
@@ -134,7 +134,7 @@ def beginning(batch: PacketBatch, rows: Places, magic: bytes) -> Places:
 
 
 def _stream_links(batch: PacketBatch, context: Context, link: NDArray[np.uint8]) -> None:
-    """Set the link of messages of TCP streams: by the port of either end, then by content if that matters."""
+    """Set the link of TCP messages: by the port of either end, then by content if the link needs that."""
     assert batch.streams is not None
     streams = np.flatnonzero(batch.streams)
     claimed = context.stream_links[batch.destination_port[streams]]

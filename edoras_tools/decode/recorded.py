@@ -1,7 +1,7 @@
 """Messages of a recording without datagrams, as rows of a batch: no link, no MsgId, one topic each.
 
-A message is a row whose route is its topic (``PacketBatch.recorded``). Nothing else is known of it but its
-time, its bytes and its values.
+A message is a row whose route is its topic (``PacketBatch.recorded``). It has only a time, bytes and
+values.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 JSON_ENCODING: Final = "json"
 RECORDED_LAYER: Final = "recorded"
-"""The layer that says what the recording says of a message."""
+"""Name of the layer with the recording's fields of a message."""
 
 
 def recorded_columns(batch: PacketBatch, columns: dict[str, NDArray[Any]], context: Context) -> Columns:
     """Return the columns of messages.
 
     Args:
-        columns: columns of which each holds its "none".
+        columns: columns that hold their values for "none".
     """
     assert batch.recorded is not None, "they are messages"
     columns["route"] = batch.recorded["topic"].astype(np.int16)
@@ -50,7 +50,7 @@ def recorded_columns(batch: PacketBatch, columns: dict[str, NDArray[Any]], conte
 
 
 def dissect_recorded(datagram: Datagram, context: Context, *, detail: bool) -> Decoded:
-    """Return everything that is read from one message; see ``Dissector``."""
+    """Return the complete decoding of one message; see ``Dissector``."""
     topic, route = context.mission.recorded[datagram.topic], context.mission.routes[datagram.topic]
     data, findings = datagram.payload, NO_FINDINGS
     about = {"topic": route.topic, "type": topic.type, "encoding": topic.encoding}

@@ -1,10 +1,11 @@
-"""Which spacecraft each datagram is of: one is the cFS at an address, which is one end of its links.
+"""The spacecraft of each datagram: one is the cFS at an address, which is one end of its links.
 
-1. On a link towards cFS that end is the receiver, away from it the sender; of SBN the one that is no bridge.
-   What has no such end, or two, is of the spacecraft that sends it, else of the one that gets it.
-2. Another address is another spacecraft where it sends packets of the same MsgIds that are no copies.
+1. On a link towards cFS that end is the receiver, away from it the sender; of SBN it is the end that is no
+   bridge. A datagram with no such end, or two, belongs to the spacecraft that sends it, else to the receiver.
+2. Another address is another spacecraft if it sends packets of the same MsgIds that are no copies.
 3. One cFS seen at two addresses (the same packets) is one; so are processors of one spacecraft on SBN.
-4. Of a file all of it decides, read once more when a second address comes; of a stream what came before.
+4. For a file, all its packets decide: it is read once more when a second address comes. For a stream, the
+   packets so far decide.
 5. Numbers are in order of first sight, after those that a mission file names.
 """
 
@@ -35,13 +36,13 @@ if TYPE_CHECKING:
 
 FIRST_SPACECRAFT: Final = 1
 _MOST: Final = 64
-"""So many addresses of a file are compared: those that sent most. All others are as the last of them."""
+"""Most addresses of a file that are compared, those that sent most; all others count as the last of them."""
 _RECEIVER, _SENDER, _PEER = 1, 2, 3
-"""Which end of a link cFS is; of peers the ports decide."""
+"""The end of a link that cFS is; for peers the ports decide."""
 _HEAD: Final = 24
-"""First bytes of a packet, count and time among them: copies have the same."""
+"""First bytes of a packet, with count and time: copies have the same."""
 _COPIED_NS: Final = SECOND
-"""A copy comes after its packet at the latest by then."""
+"""Longest time from a packet to its copy."""
 _IDENTITY: Final = "spacecraft_id", "processor_id"
 
 
@@ -49,14 +50,14 @@ class Spacecraft:
     """The spacecraft of a source, by number; they are found as its batches come.
 
     Args:
-        mission: names some of them.
-        bridge_ports: bool (65536,), ports of flight bridges.
+        mission: mission that names some of them.
+        bridge_ports: ports of flight bridges, bool (65536,).
 
     Attributes:
-        survey: reads the whole input once more, for the number of each address; None where it cannot be.
+        survey: reads the whole input once more for the number of each address; None if that is impossible.
         several: whether there is more than one.
-        settled: whether no further one is looked for.
-        numbers: the number of each address so far, as ``PacketBatch.fixed`` has it.
+        settled: whether the search for further ones has ended.
+        numbers: number of each address so far, in the form of ``PacketBatch.fixed``.
     """
 
     def __init__(self, mission: Mission, links: Iterable[LinkProtocol], bridge_ports: Mask) -> None:
@@ -76,14 +77,14 @@ class Spacecraft:
         self.numbers = dict(self._by_mission)
         self.settled = False
         self._roles: dict[int, set[int]] = {}
-        """Of a stream: the roles of cFS at each address where it was seen; see ``_follow``."""
+        """Roles of cFS at each address of a stream; see ``_follow``."""
         self._rivals: defaultdict[int, Counter[int]] = defaultdict(Counter)
-        """Of a stream: for each role how many addresses have which number."""
+        """Number of addresses with each spacecraft number, by role, of a stream."""
         self._recent: list[tuple[int, Prints, Prints]] = []
-        """Of a stream: the last times, prints and addresses of its batches."""
+        """Last time, packet prints and addresses of recent batches of a stream."""
 
     def ends(self, batch: PacketBatch, link: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Prints]:
-        """Return which end of each datagram cFS is, u8, 0 for neither, and its address."""
+        """Return the end of each datagram that cFS is, u8, 0 for neither, and its address."""
         side = self._side.take(link)
         peers = np.flatnonzero(side == _PEER)
         if len(peers):
@@ -102,8 +103,8 @@ class Spacecraft:
         """Return the spacecraft of each datagram, u8.
 
         Args:
-            link: of each datagram.
-            start: where in each the space packet starts, -1 where none does.
+            link: link of each datagram.
+            start: start of the space packet in each, -1 if there is none.
         """
         first = np.full(len(batch), FIRST_SPACECRAFT, np.uint8)
         if self.settled and not self.several:
@@ -133,7 +134,7 @@ class Spacecraft:
         return out
 
     def of(self, datagram: Datagram, link: Link) -> int:
-        """Return the spacecraft of one datagram, by what is known by then."""
+        """Return the spacecraft of one datagram, by the datagrams so far."""
         if not self.several:
             return FIRST_SPACECRAFT
         source, destination = (_fixed(end.address) for end in (datagram.source, datagram.destination))
@@ -163,19 +164,19 @@ class Spacecraft:
     def _follow(
         self, batch: PacketBatch, rows: Places, roles: Prints, address: Prints, prints: Prints
     ) -> list[tuple[int, int, int]]:
-        """Take what a stream has of cFS.
+        """Add the packets of cFS in a batch of a stream.
 
         Args:
-            roles: of each row: which end cFS is, above the link. A relay of SBN is no rival of what is
-                behind it, which sends telemetry over TO.
+            roles: role of each row: the end that cFS is, above the link. A relay of SBN is no rival of a cFS
+                behind it that sends telemetry over TO.
 
         Returns:
-            each address that got another number: the first row that has it, address, and number before.
+            Each address whose number changed: the first row that has it, the address, and the number before.
         """
         self._recent = [item for item in self._recent if item[0] >= int(batch.time_ns[0]) - _COPIED_NS]
         self._recent.append((int(batch.time_ns[-1]), prints, address))
         moves, highest = [], max(self.numbers.values(), default=0)
-        # Without a packet nothing tells whether it is a copy.
+        # Without a packet, nothing shows whether a datagram is a copy.
         roles = roles << np.uint64(1) | (prints != 0)
         for at in np.sort(np.unique(address << np.uint64(11) | roles, return_index=True)[1]).tolist():
             end, role = int(address[at]), int(roles[at])
@@ -202,7 +203,7 @@ class Spacecraft:
         return moves
 
     def _sender_of(self, own_print: int, address: int, place: int) -> int | None:
-        """Return the other address that had a packet shortly before, up to a place of the newest batch."""
+        """Return another address that had this packet shortly before, up to a row of the newest batch."""
         for age, (_, prints, addresses) in enumerate(reversed(self._recent)):
             alike = (prints == np.uint64(own_print)) & (addresses != np.uint64(address))
             if own_print and alike[: len(alike) if age else place].any():
@@ -217,16 +218,16 @@ class Spacecraft:
 
 
 class Survey:
-    """What all of an input shows of its spacecraft.
+    """The evidence about spacecraft in the whole input.
 
     Args:
-        spacecraft: of a context of the same mission: says which end is cFS, and who has a name.
+        spacecraft: spacecraft of a context of the same mission, which know the end that is cFS, and names.
     """
 
     def __init__(self, spacecraft: Spacecraft) -> None:
         self._spacecraft = spacecraft
         self._met: dict[int, set[tuple[int, int]]] = {item: set() for item in spacecraft.numbers}
-        """The addresses in order of first sight, each with what its SBN says that it is."""
+        """Identities of SBN at each address; the addresses are in order of first sight."""
         self._parts: list[_Packets] = []
 
     def add(
@@ -236,11 +237,11 @@ class Survey:
         start: NDArray[np.int32],
         msg_ids: MsgIds,
     ) -> None:
-        """Take a batch.
+        """Add a batch.
 
         Args:
-            columns: what the links say of its datagrams.
-            start: where in each the space packet starts, -1 where none does.
+            columns: columns from the links' own headers.
+            start: start of the space packet in each datagram, -1 if there is none.
         """
         side, address = self._spacecraft.ends(batch, columns["link"])
         rows = np.flatnonzero(side)
@@ -271,7 +272,7 @@ class Survey:
         packets = {end: np.flatnonzero(telemetry & (address == end)) for end in compared}
 
         def same(end: int, other: int) -> bool | None:
-            """Tell whether two addresses are of one cFS; None where nothing decides it."""
+            """Return whether two addresses belong to one cFS; None if nothing decides it."""
             mine, theirs = packets[end], packets[other]
             shared = mine[np.isin(msg_id[mine], msg_id[theirs])]
             if not len(shared):
@@ -284,7 +285,7 @@ class Survey:
         for end in compared:
             if end in numbers:
                 continue
-            # Of several addresses with one number the last one answers.
+            # If several addresses have one number, the last one is compared.
             rivals = {numbers[other]: other for other in compared if other in numbers}
             answers = {number: same(end, other) for number, other in rivals.items()}
             one = [number for number, answer in answers.items() if answer]
@@ -294,19 +295,19 @@ class Survey:
 
 
 def split_topic(topic: str) -> tuple[str, str]:
-    """Return what follows ``/sc_`` at the beginning of a topic, if it has that, and the topic without it."""
+    """Return the text after ``/sc_`` at the beginning of a topic (else empty), and the rest of the topic."""
     match = re.match(r"/?sc_([^/*?\[]+)(?=/)", topic)
     return (match[1], topic[match.end() :]) if match else ("", topic)
 
 
 def _fixed(address: str) -> int:
-    """Return an address as ``PacketBatch.fixed`` does."""
+    """Return an address in the form of ``PacketBatch.fixed``."""
     value = ipaddress.ip_address(address)
     return int(value) if value.version == 4 else crc32(value.packed) | 1 << 32
 
 
 class _Packets(NamedTuple):
-    """Packets that go the way of their kind: whether cFS sent each, address of cFS, MsgId, print."""
+    """Packets in the direction of their kind: whether cFS sent each, address of cFS, MsgId, print."""
 
     sent: Mask
     address: Prints
@@ -315,6 +316,6 @@ class _Packets(NamedTuple):
 
 
 def packet_prints(batch: PacketBatch, rows: Places, start: NDArray[np.int32]) -> Prints:
-    """Return what tells packets apart by their first bytes, u64; 0 where none starts."""
+    """Return a fingerprint of each packet's first bytes, u64; 0 if no packet starts."""
     length = np.where(start < 0, 0, np.clip(batch.length[rows] - start, 0, _HEAD))
     return fingerprint.of_bytes(batch.data, batch.offset[rows] + start, length)

@@ -1,7 +1,7 @@
 """One datagram through every layer, for people: named fields with their bytes, findings, and the ROS message.
 
-Decoding is lenient: only an impossible length stops it, and what was read before stays. Offsets and findings
-are the same as :mod:`edoras_tools.decode.columns` gives for a batch.
+Decoding is lenient: only an impossible length stops it, and all that was read before is kept. Offsets and
+findings are the same as those of :mod:`edoras_tools.decode.columns` for a batch.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Dissector:
 
     Args:
         context: shared with the :class:`~edoras_tools.decode.columns.ColumnDecoder` of the same stream.
-        detail: give every ROS field its own bytes, for the tree and the hex view.
+        detail: whether every ROS field gets its own bytes, for the tree and the hex view.
     """
 
     def __init__(self, context: Context, *, detail: bool = True) -> None:
@@ -76,10 +76,10 @@ class Dissector:
         return replace(decoded, summary=self._with_quote(decoded)) if link.quotes else decoded
 
     def _with_quote(self, decoded: Decoded) -> str:
-        """Return the summary of a message, and what the datagram is that it quotes."""
+        """Return the summary of a message, with a description of the datagram that it quotes."""
         quoted = protocol(decoded.link).quoted(decoded.datagram)
         context = copy(self.context)
-        # Who sends is learnt from datagrams themselves.
+        # Peers and endpoints are learnt only from datagrams that were captured themselves.
         context.peers, context.endpoints = Peers(), Endpoints()
         inside = Dissector(context, detail=False).dissect(quoted)
         if packet := inside.layer(ccsds.PRIMARY.name):
@@ -91,7 +91,7 @@ class Dissector:
 
 
 class _Dissection(Reading):
-    """The state of one dissection: what was read so far."""
+    """The state of one dissection: the layers so far."""
 
     def __init__(self, context: Context, datagram: Datagram, link: Link, *, detail: bool) -> None:
         super().__init__(datagram)
@@ -105,7 +105,7 @@ class _Dissection(Reading):
     def run(self) -> None:
         """Go through the layers, outermost first."""
         room = self.link.receive_buffer
-        # cFS takes what the header says: what is cut behind that is no loss.
+        # cFS uses the length in the header: bytes cut behind it are no loss.
         if room and len(self.data) > room and not (self.link.to_cfs and cfe.length_of(self.data) <= room):
             self.findings |= self.link.over_receive_buffer
         start = protocol(self.link).dissect(self, self.context)
@@ -195,7 +195,7 @@ class _Dissection(Reading):
             self.findings |= Finding.COMMAND_LENGTH
 
     def _as_standard(self, length: int) -> int:
-        """Return how long a command would be with the usual header."""
+        """Return the length that a command has with the usual header."""
         return length - self.headers.command_bytes + cfe.COMMAND_HEADER_BYTES
 
     def _payload(self, msg_id: int, start: int, header: int, code: int | None) -> None:
@@ -225,7 +225,7 @@ class _Dissection(Reading):
         self._envelope(route, at)
 
     def _packet_struct(self, msg_id: int, start: int, header: int, code: int | None) -> None:
-        """Read the C struct that a packet without a route holds."""
+        """Read the C struct in a packet without a route."""
         peer = self.layers[0].values() if self.link.peers else {}
         sequence = ccsds.PRIMARY.parse(self.data, start)["packet_sequence_count"]
         origin = (peer.get("processor_id", 0), msg_id, sequence, code or 0, self.link)
@@ -238,7 +238,7 @@ class _Dissection(Reading):
         if bound is None:
             return
         if not bound.fits(length):
-            if Finding.COMMAND_LENGTH not in self.findings:  # which says it already
+            if Finding.COMMAND_LENGTH not in self.findings:  # that finding is enough
                 self.findings |= Finding.STRUCT_LENGTH
             return
         cdr = bound.encode_one(self.data[at:], origin)
@@ -254,7 +254,7 @@ class _Dissection(Reading):
             self.layers.append(Layer("cfs", title, at, len(self.data), fields))
 
     def described(self, kind: int, at: int, end: int) -> bool:
-        """Read what a packet holds by a dictionary; see :meth:`Reading.described`."""
+        """Read the content of a packet by a dictionary; see :meth:`Reading.described`."""
         table = self.context.structs.dictionary
         return table is not None and table.read(self, kind, at, end)
 
@@ -275,14 +275,14 @@ class _Dissection(Reading):
         self._detail(types, type_name, cdr, at, end)
 
     def _detail(self, types: TypeStore, name: str, cdr: bytes, at: int, end: int) -> None:
-        """Add a layer of the fields of a message that begins at a byte, if they are asked for."""
+        """Add a layer with the fields of a message that begins at a byte, if details are requested."""
         if self.detail:
             spans = types.spans(name, cdr)
             fields = tuple(LayerField(path, value, at + low, at + high) for path, value, low, high in spans)
             self.layers.append(Layer("ros", name, at + ENCAPSULATION.size, end, fields))
 
     def add(self, message: RosMessage, *layers: Layer) -> None:
-        """Add a message behind those that were read before; see :meth:`Reading.add`."""
+        """Add a message after those read before; see :meth:`Reading.add`."""
         self.layers += layers
         if self.message is None:
             self.message = message

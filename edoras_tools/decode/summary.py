@@ -1,4 +1,4 @@
-"""One short line for each packet: what a person would say of it."""
+"""One short line of text for each packet, as a person would put it."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ LAYER_TEXTS: Final = {
         "pipe overflow {}, message limit {}, no subscribers {}",
     ),
 }
-"""Layers with a text of their own: fields, and how they are shown."""
+"""Layers with a text of their own: the fields, and the format."""
 _MOST_FIELDS: Final = 8
 _MOST_ITEMS: Final = 3
 
 
 def summarise(decoded: Decoded, msg_ids: MsgIds = VERSION_1) -> Decoded:
-    """Return the value with its summary; MsgIds are of a version."""
+    """Return the packet with its summary; ``msg_ids`` is the version of its MsgIds."""
     return replace(decoded, summary=_text(decoded, msg_ids))
 
 
@@ -77,12 +77,12 @@ def _message_text(decoded: Decoded, values: Mapping[str, Any], msg_ids: MsgIds) 
     """Return a message in a few words; a command of the built-in table with the names of its arguments."""
     if decoded.layer("edoras") is not None:
         return short_values(values)
-    own = {name: value for name, value in values.items() if name != "header"}  # which is in the line
+    own = {name: value for name, value in values.items() if name != "header"}  # it is in the line already
     return _command_text(decoded, msg_ids) or short_values(own)
 
 
 def _command_text(decoded: Decoded, msg_ids: MsgIds) -> str:
-    """Return a command of the built-in table with its arguments; nothing for another message."""
+    """Return a command of the built-in table with its arguments; empty for another message."""
     packet, command, message = decoded.layer("ccsds"), decoded.layer("cfe_command"), decoded.message
     if packet is None or command is None or message is None or not message.shipped:
         return ""
@@ -91,18 +91,18 @@ def _command_text(decoded: Decoded, msg_ids: MsgIds) -> str:
 
 
 def _unit_of(decoded: Decoded) -> LinkProtocol | None:
-    """Return the link of which a packet holds a unit; None where it holds none."""
+    """Return the link whose unit a packet holds; None if it holds none."""
     own = (link for link in links() if link.in_packets and decoded.layer(link.layouts[0].name))
     return next(own, None)
 
 
 @lru_cache(maxsize=4096)
 def packet_text(msg_id: int, function_code: int | None) -> str:
-    """Return what is said of a packet without a message.
+    """Return the text of a packet without a message.
 
     Args:
-        msg_id: of version 1.
-        function_code: None for telemetry.
+        msg_id: MsgId of version 1.
+        function_code: function code of a command; None for telemetry.
     """
     if function_code is None:
         return names.message_name(msg_id)
@@ -111,10 +111,10 @@ def packet_text(msg_id: int, function_code: int | None) -> str:
 
 
 def message_texts(messages: MessageColumns, plan: CdrPlan, *, leave_out: str = " ") -> list[str]:
-    """Return ``short_values`` of many messages; nothing where a type has lists of messages with lists.
+    """Return ``short_values`` of many messages; empty if a type has lists of messages with lists.
 
     Args:
-        leave_out: how the fields begin that are not shown.
+        leave_out: prefix of the fields to leave out.
     """
     columns = grouped_columns(messages, plan)
     if columns is None:
@@ -128,11 +128,11 @@ def message_texts(messages: MessageColumns, plan: CdrPlan, *, leave_out: str = "
 
 
 class Group(msgspec.Struct, frozen=True):
-    """A list of messages: the columns of all elements, and where those of each row are.
+    """A list of messages: the columns of all elements, and the range of each row's elements.
 
     Attributes:
-        offsets: i64, one more than rows, as those of ``Ragged``.
-        columns: the fields of all elements by their dotted name.
+        offsets: start of each row's elements, and the end of the last ones, i64, as in ``Ragged``.
+        columns: fields of all elements by dotted name.
     """
 
     offsets: Integers
@@ -140,7 +140,7 @@ class Group(msgspec.Struct, frozen=True):
 
 
 def grouped_columns(messages: MessageColumns, plan: CdrPlan) -> dict[str, Column] | None:
-    """Return the columns of messages, those of a list of messages as one; None for lists inside lists."""
+    """Return the columns of messages, with one for each list of messages; None for lists inside lists."""
     columns: dict[str, Column] = {}
     lists = [step for step in plan.steps if isinstance(step, Repeat) and not step.plan.single]
     if any(step.plan.lists for step in lists):
@@ -157,7 +157,7 @@ def grouped_columns(messages: MessageColumns, plan: CdrPlan) -> dict[str, Column
 
 
 def _words(columns: Mapping[str, Column], count: int) -> list[str]:
-    """Return ``short_values`` of so many rows."""
+    """Return ``short_values`` of ``count`` rows."""
     words: list[list[str]] = [[] for _ in range(count)]
     number = np.zeros(count, np.int64)
     for name in sorted(columns, key=lambda name: name.startswith("header.")):
@@ -172,7 +172,7 @@ def _words(columns: Mapping[str, Column], count: int) -> list[str]:
 
 
 def _say_something(column: Column) -> Mask:
-    """Tell which values of a column are shown; an array is shown even if it is all zero, an empty one not."""
+    """Return which values of a column are listed: non-zero values, and arrays that are not empty."""
     if isinstance(column, (Ragged, Group)):
         return np.diff(column.offsets) > 0
     if column.ndim > 1:
@@ -212,7 +212,7 @@ def short_values(values: Mapping[str, Any]) -> str:
 
 
 def leaves_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the dotted path and the value of every field that is no message itself."""
+    """Yield the dotted path and the value of every field that is not a message itself."""
     for name, value in values.items():
         if isinstance(value, dict):
             yield from leaves_of(value, f"{prefix}{name}.")

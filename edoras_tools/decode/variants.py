@@ -3,19 +3,20 @@
 Three kinds of build are in use (:data:`edoras_tools.wire.cfe.TOLD`), and five formats of the envelope.
 Nothing in a packet names them, so each sound packet is a vote for every kind that fits it:
 
-1. Telemetry with a 16-byte header has four spare bytes of 0 at its end. Where they are not 0, the bytes are
-   the low half of an extended header's time, which goes on as the capture's clock does, or the payload behind
-   a 12-byte header.
+1. Telemetry with a 16-byte header has four spare bytes of 0 at its end. If they are not 0, the bytes are
+   either the low half of an extended header's time, which runs with the capture's clock, or the payload
+   behind a 12-byte header.
 2. A payload starts where known content fits: an event with a printable name, a C struct of that length, a
    command that its app accepts with that length, or an envelope in front of CDR.
 3. Another kind replaces the usual one only if it fits more packets, and at least two.
-4. A conversation is read with the kinds that are the first to fit two of its packets; where they are
-   several, each packet with the first that fits it (:mod:`edoras_tools.decode.builds`). The first packets of
-   each conversation are looked at, and a sample of all that follow.
-5. What an option or a route states is never detected.
-6. Mission time is read in another byte order, or with other subseconds, where 64 packets of one clock are
-   nearer to the capture's times then by far, and no subseconds exceed a second. Its epoch is a usual one, by
-   the leap seconds of today or none apart, where packets have the times then at which they were captured.
+4. A conversation is read with the kinds that are the first to fit two of its packets; if there are several,
+   each packet is read with the first that fits it (:mod:`edoras_tools.decode.builds`). The first packets of
+   each conversation are examined, and a sample of all that follow.
+5. A value that an option or a route states is never detected.
+6. Mission time is read in another byte order, or with other subseconds, if the times of 64 packets of one
+   clock are then nearer to the capture's times by far, and no subseconds exceed a second. Its epoch is a
+   usual one, possibly shifted by today's leap seconds, if packets then have the times at which they were
+   captured.
 """
 
 from __future__ import annotations
@@ -48,33 +49,33 @@ if TYPE_CHECKING:
 _ENOUGH: Final = 512
 """Sound packets after which detection ends."""
 _MOST: Final = 4096
-"""Packets of a batch that are looked at."""
+"""Most packets of a batch that are examined."""
 _FIRST: Final = 64
-"""Sound packets of each conversation that are looked at, from its first on."""
+"""Sound packets of each conversation that are examined, from its first on."""
 _UNSOUND: Final = 16
-"""So many packets that are not sound count as one that is: a conversation may have no other."""
+"""Number of unsound packets that count as one sound packet: a conversation may have no sound ones."""
 _SAMPLE: Final = 256
-"""So many packets of a batch are looked at later, when at least so many have passed."""
+"""Packets of a later batch that are examined, and packets that must have passed before."""
 _NAMED: Final = 3
 _EXTENDED: Final = cfe.HEADERS.index(cfe.WITH_EXTENDED)
 _PLAIN: Final = len(cfe.TOLD)
-"""What a command shows that has no extended header: it is the same with both telemetry headers."""
+"""Vote of a command without an extended header, which is the same with both telemetry headers."""
 _NOTHING: Final = _PLAIN + 1
 _LEAST: Final = 2
 _TIMED: Final = 64
-"""So many packets with a time tell how headers have it."""
+"""Fewest packets with a time that show the format of mission time."""
 _WIDE_NS: Final = 3 * SECOND
-"""They are captured over more than this, and wait for less than a second of it."""
+"""Capture time that these packets must cover; their clock may wait for less than a second of it."""
 _NEAR: Final = 0.7
-"""Share of the next best spread that the spread of times has at the most."""
+"""Largest ratio of the spread of times to the next best spread."""
 _ORDERS: Final[tuple[Literal["little"] | None, ...]] = (None, "little")
 _TICKS: Final = (None, 10_000, 1_000, 100)
 _EPOCHS: Final = (0, -378_691_200, 315_532_800, 315_964_800, 946_684_800, 946_728_000)
 """1970, 1958, 1980, 1980-01-06, 2000, and noon of 2000-01-01, in s since 1970."""
 _LEAPS: Final = (0, 18, 37)
-"""Seconds that UTC is behind a clock that counts none: itself, GPS, TAI."""
+"""Seconds by which UTC is behind a clock without leap seconds: UTC itself, GPS, TAI."""
 _GOES_ON_S: Final = 5
-"""A clock that counts seconds stays this near the capture's."""
+"""Largest difference, in s, between a clock that counts seconds and the capture's."""
 
 _TIME_NOTE: Final = (
     "telemetry has mission time as {}, as its bytes show; 'time' of 'cfs' in a mission file says otherwise"
@@ -82,7 +83,7 @@ _TIME_NOTE: Final = (
 
 
 class _Kept(NamedTuple):
-    """What is kept of packets: first bytes, length, capture time in ns, row of the batch."""
+    """The parts of packets that are kept: first bytes, length, capture time in ns, row of the batch."""
 
     head: NDArray[np.uint8]
     length: Integers
@@ -101,10 +102,10 @@ class Variants:
     """Settles the headers and envelopes of a context while a source's first packets are decoded.
 
     Args:
-        context: its ``headers`` and ``envelopes`` are set; a line of ``notes`` says so.
+        context: context whose ``headers`` and ``envelopes`` are set; ``notes`` gets a line for each.
 
     Attributes:
-        settled: nothing is left to detect.
+        settled: whether nothing is left to detect.
     """
 
     def __init__(self, context: Context) -> None:
@@ -125,7 +126,7 @@ class Variants:
         self._all_seen = self.settled = not (self._seek_headers or seek or context.options.time is None)
 
     def look(self, batch: PacketBatch, link: NDArray[np.uint8]) -> None:
-        """Look at a batch that is about to be decoded; ``link`` has a link a row."""
+        """Examine a batch that is about to be decoded; ``link`` has the link of each row."""
         rows = np.flatnonzero(self._packets[link])
         if not self._all_seen:
             self._sample = self._sample.and_(self._sound(batch, rows[:_MOST], link))
@@ -140,7 +141,7 @@ class Variants:
         self.settled = self._all_seen and not self._seek_headers
 
     def _sound(self, batch: PacketBatch, rows: Places, link: NDArray[np.uint8]) -> _Kept:
-        """Return what is kept of those packets of some rows whose length field is right."""
+        """Return the kept parts of those of some packets whose length field is right."""
         start = self._context.header_bytes[link[rows]]
         length = batch.length[rows].astype(np.int64) - start
         head = gather(batch.data, batch.offset[rows] + start, LOOKED_AT)
@@ -171,7 +172,7 @@ class Variants:
         self._tell_time()
 
     def _tell_time(self) -> None:
-        """Find how telemetry headers have mission time, where nothing else can be (rule 6)."""
+        """Detect the format of mission time in telemetry headers, if no other fits (rule 6)."""
         context, headers = self._context, self._context.headers
         timed = (self._sample.length >= headers.telemetry_bytes) & ~_commands(self._sample)
         timed &= headers.telemetry.column("seconds", self._sample.head, headers.start) != 0
@@ -202,7 +203,7 @@ class Variants:
         return Fitting(self._context.structs, self._context.command_table, sample.head, sample.length)
 
     def _explained(self, sample: _Kept) -> list[Mask]:
-        """Return for each kind of headers which packets it explains; an extended header's clock goes on."""
+        """Return which packets each kind of headers explains; an extended header's clock must run on."""
         fitting = self._fitting(sample)
         explained = [fitting.by(headers) for headers in cfe.TOLD]
         timed = np.flatnonzero(explained[_EXTENDED] & ~_commands(sample))
@@ -211,7 +212,7 @@ class Variants:
         return explained
 
     def _look_at_conversations(self, batch: PacketBatch, rows: Places, link: NDArray[np.uint8]) -> None:
-        """Count for some packets of each conversation which headers alone explain them."""
+        """Count, for some packets of each conversation, the first headers that explain them."""
         place = conversations(batch)
         place = place if len(rows) == len(place) else place[rows]
         fresh = np.flatnonzero((self._left > 0).take(place))[:_MOST]
@@ -245,7 +246,7 @@ class Variants:
             self._settle()
 
     def _first(self, sample: _Kept, conversation: Places) -> Places:
-        """Return the first kind that explains each packet; what a plain command shows; ``_NOTHING``."""
+        """Return the first kind that explains each packet, or ``_PLAIN`` (a plain command), or ``_NOTHING``."""
         fitting = self._fitting(sample)
         first = np.select([fitting.by(headers) for headers in cfe.TOLD], range(len(cfe.TOLD)), _NOTHING)
         timed = np.flatnonzero((first == _EXTENDED) & ~_commands(sample))
@@ -256,7 +257,7 @@ class Variants:
         return first
 
     def _kinds_of(self, place: int) -> int:
-        """Return the headers of a conversation, a bit each."""
+        """Return the headers of a conversation, as a bit mask."""
         usual = self._context.headers
         plain = cfe.HEADERS.index(cfe.STANDARD if usual.extended else usual)
         bits = 0
@@ -265,7 +266,7 @@ class Variants:
         return bits
 
     def _settle(self) -> None:
-        """Let packets be read with what was found, and say so where that is not the usual."""
+        """Apply the detected headers, and add a note if they are not the usual ones."""
         context, usual = self._context, 1 << cfe.HEADERS.index(self._context.headers)
         kinds_of = {place: self._kinds_of(place) for place in self._names}
         context.builds.settle(
@@ -291,7 +292,7 @@ class Variants:
             context.notes.append(self._note)
 
     def _tell_envelopes(self) -> None:
-        """Give each route the format that most of its packets carry."""
+        """Give each route the envelope format of most of its packets."""
         context = self._context
         msg_ids = context.msg_ids
         msg_id = msg_ids.column(self._sample.head, self._sample.length)
@@ -313,7 +314,7 @@ class Variants:
                     )
 
     def _format(self, rows: Places, *, command: bool) -> EnvelopeFormat | None:
-        """Return the format that fits most of some packets; None where none fits two."""
+        """Return the format that fits most of some packets; None if none fits two."""
         headers = self._context.headers
         at = headers.command_bytes if command else headers.telemetry_bytes
         body, have = self._sample.head[rows, at : at + DEFAULT.size + 4], self._sample.length[rows] - at
@@ -327,7 +328,7 @@ def _commands(sample: _Kept) -> Mask:
 
 
 def _goes_on(sample: _Kept) -> Mask:
-    """Tell in which telemetry the extended header's clock counts seconds as the capture's does."""
+    """Return in which telemetry the extended header's clock runs with the capture's clock."""
     extended = cfe.WITH_EXTENDED
     seconds = extended.telemetry.column("seconds", sample.head, extended.start).astype(np.int64)
     ahead = seconds - sample.time_ns // SECOND
@@ -335,6 +336,6 @@ def _goes_on(sample: _Kept) -> Mask:
 
 
 def _endpoint_names(batch: PacketBatch, row: int) -> str:
-    """Return how people are told of a row's conversation."""
+    """Return the text for the user that names a row's conversation."""
     source, target = batch.ends(row)
     return f"{source} > {target}"

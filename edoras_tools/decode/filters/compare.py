@@ -51,11 +51,11 @@ _MOST: Final = 1 << 64
 
 
 class Misfit(Exception):  # noqa: N818  it never leaves the compiler
-    """A constant or an operator that a field cannot be compared with.
+    """A constant or an operator that does not suit a field.
 
     Attributes:
-        why: one line.
-        value: the constant; None where the operator is wrong.
+        why: reason, one line.
+        value: the constant; None if the operator is wrong.
     """
 
     def __init__(self, why: str, value: Value | None = None) -> None:
@@ -65,9 +65,9 @@ class Misfit(Exception):  # noqa: N818  it never leaves the compiler
 
 
 def test_of(field: FilterField, comparison: Comparison) -> Test:
-    """Return the test that a comparison makes of one field's values.
+    """Return the test of one field's values for a comparison.
 
-    ``!=`` and ``not in`` accept a value that differs.
+    ``!=`` and ``not in`` accept a packet if each of its values differs.
 
     Raises:
         Misfit: the field cannot be compared like that.
@@ -125,7 +125,7 @@ def _ordered(field: FilterField, symbol: str, value: Value) -> Test:
 
 
 def _bounds(symbol: str, limit: float) -> tuple[float, float]:
-    """Return the least and the greatest whole number that compare like that with a number."""
+    """Return the smallest and the largest integer that compare like that with a number."""
     if math.isnan(limit):
         return math.inf, -math.inf
     down, up = (limit, limit) if math.isinf(limit) else (math.floor(limit), math.ceil(limit))
@@ -137,7 +137,7 @@ def _bounds(symbol: str, limit: float) -> tuple[float, float]:
 
 
 def _within(values: NDArray[Any], low: float, high: float) -> Mask:
-    """Tell which whole numbers lie between two, whatever their width; bools are 0 and 1."""
+    """Return which integers lie between two limits, whatever their width; bools are 0 and 1."""
     if values.dtype == bool:
         values = values.view(np.uint8)
     limits = np.iinfo(values.dtype)
@@ -154,7 +154,7 @@ def _within(values: NDArray[Any], low: float, high: float) -> Mask:
 
 
 def constant(field: FilterField, value: Value) -> Any:
-    """Return the number that a word means to a field.
+    """Return the number that a word means for a field.
 
     Raises:
         Misfit: it means none.

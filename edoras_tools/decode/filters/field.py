@@ -20,35 +20,35 @@ if TYPE_CHECKING:
     from edoras_tools.wire.arrays.order import Mask
 
 COLUMN_COST: Final = 0
-"""Cost of what the decoder's columns hold."""
+"""Cost of values in the decoder's columns."""
 BYTES_COST: Final = 1
-"""Cost of what is gathered from the bytes."""
+"""Cost of values gathered from the bytes."""
 MESSAGE_COST: Final = 2
-"""Cost of what is read from ROS messages in bulk."""
+"""Cost of values read from ROS messages in bulk."""
 PACKET_COST: Final = 3
-"""Cost of what takes a dissection of each packet."""
+"""Cost of values that need a dissection of each packet."""
 
 
 class FilterField(msgspec.Struct, frozen=True, eq=False):
     """A named value of a packet, or a list of them.
 
     Attributes:
-        name: in filters, in the tree and in JSON.
-        kind: what the values are.
-        pick: reads it from one packet: a value, a list, or None where the packet has none.
-        read: reads it from many packets at once; None where each must be dissected.
-        scope: the packets that can have it, if ``read`` is None; None for any.
-        cost: of ``read``.
-        dtype: of numbers and truths.
-        limits: least and greatest number that it can hold.
-        base: of the number when it is shown: 10 or 16.
-        digits: at the least, in base 16.
-        names: names of numbers, shown and accepted.
+        name: name in filters, in the tree and in JSON.
+        kind: kind of the values.
+        pick: reads the field from one packet: a value, a list, or None if the packet has none.
+        read: reads it from many packets at once; None if each must be dissected.
+        scope: returns the packets that can have it, if ``read`` is None; None for any.
+        cost: cost of ``read``.
+        dtype: type of numbers and bools.
+        limits: smallest and largest number that it can hold.
+        base: base in which the number is displayed: 10 or 16.
+        digits: fewest digits in base 16.
+        names: names of numbers, displayed and accepted.
         words: further names of numbers, accepted only.
-        choices: all texts that it can have, where they are known.
-        alike: tells whether a text matches a word; None: if they are equal.
+        choices: all texts that it can have, if they are known.
+        alike: returns whether a text matches a word; None: if they are equal.
         many: whether it is a list.
-        doc: one line.
+        doc: description, one line.
     """
 
     name: str
@@ -70,11 +70,11 @@ class FilterField(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def price(self) -> int:
-        """What it costs to read."""
+        """The cost of reading it."""
         return PACKET_COST if self.read is None else self.cost
 
     def series(self, rows: PacketRows) -> Series:
-        """Return its values in some packets: in bulk where it can be, else packet by packet."""
+        """Return the values in some packets: in bulk if possible, else packet by packet."""
         if not isinstance(rows, ColumnRows):
             return self._picked(rows)
         if self.read is not None:
@@ -103,7 +103,7 @@ class FilterField(msgspec.Struct, frozen=True, eq=False):
         return Series(len(rows), np.array(values, self.dtype), *places)
 
     def length(self) -> Self:
-        """Return the field of how many values this one has, or of how many characters its text has."""
+        """Return a field with the number of values of this one, or the number of characters of its text."""
         pick, read = self.pick, self.read
         countable = self.many or self.kind not in {ValueKind.TEXT, ValueKind.BYTES}
 

@@ -1,4 +1,4 @@
-"""Filters: an expression over the fields of packets, evaluated on columns as far as columns go.
+"""Filters: an expression over the fields of packets, evaluated on columns as far as possible.
 
 ``and`` evaluates the cheapest operand first, so that few packets are left for the expensive ones: first the
 decoder's columns, then fields read from the bytes, then ROS messages in bulk, and last fields that need the
@@ -44,12 +44,12 @@ class Where:
     """A compiled filter.
 
     Args:
-        context: what packets are decoded with; gives names their fields.
-        begin_ns: the zero of ``time``; None: the first datagram of the first batch.
-        names: of the context, where many filters are made.
+        context: context that packets are decoded with; its fields have names.
+        begin_ns: zero of ``time``; None: the first datagram of the first batch.
+        names: names of the context's fields, to share them between many filters.
 
     Raises:
-        WhereError: it is not an expression, names no field, or compares what cannot be compared.
+        WhereError: the text is no expression, names no field, or compares values that cannot be compared.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Where:
         Batches come in the order they were captured: ``time`` counts from the first datagram of the first.
 
         Args:
-            selection: look only at these rows; the result then has one element for each of them.
+            selection: rows to test; the result then has one element for each of them.
         """
         if self._begin_ns is None and len(batch):
             self._begin_ns = int(batch.time_ns[0])
@@ -77,7 +77,7 @@ class Where:
         return self.passing(ColumnRows(self.context, self._begin_ns or 0, batch, columns, rows))
 
     def passing(self, rows: ColumnRows) -> Mask:
-        """Return which of some rows pass; what was read of them for another filter is not read again."""
+        """Return which of some rows pass; values read for another filter are not read again."""
         return self._node.mask(rows)
 
     def judge(self, packets: Sequence[Decoded]) -> Mask:
@@ -88,10 +88,10 @@ class Where:
 
 
 class _Test(msgspec.Struct, frozen=True):
-    """What every node of a compiled filter is.
+    """Base of the nodes of a compiled filter.
 
     Attributes:
-        price: the highest cost of its fields.
+        price: highest cost of its fields.
     """
 
     price: int
@@ -102,9 +102,9 @@ class _Test(msgspec.Struct, frozen=True):
 
 
 class _Compared(_Test, frozen=True):
-    """One field, which may be of several types, against constants.
+    """One field, which may be of several types, compared with constants.
 
-    ``every``: the packet has a value and none of them fails; else one value that passes is enough.
+    ``every``: the packet has a value and no value fails; else one value that passes is enough.
     """
 
     tests: Sequence[tuple[FilterField, Test]]
@@ -139,7 +139,7 @@ class _Not(_Test, frozen=True):
 
 
 class _Joined(_Test, frozen=True):
-    """All of some nodes, or one of them; ``steps`` groups nodes of one price, the cheapest first."""
+    """All or any of some nodes must hold; ``steps`` groups nodes of one price, the cheapest first."""
 
     steps: Sequence[Sequence[_Test]]
     every: bool
@@ -173,7 +173,7 @@ def _compile(node: Expression, text: str, names: Names) -> _Test:
 
 
 def fields(text: str, context: Context, option: str = "--fields") -> list[tuple[str, list[FilterField]]]:
-    """Return what names between commas mean: each name, and its field, or several that share it.
+    """Return the fields of comma-separated names: each name, and its field, or several that share it.
 
     Raises:
         WhereError: one is not a field, or a group of fields.

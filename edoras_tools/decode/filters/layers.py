@@ -1,4 +1,4 @@
-"""The headers as fields: the layouts' own names, read from where the decoder found each header."""
+"""The headers as fields: the layouts' own names, read at the offsets that the decoder found."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.wire.msg_id import MsgIds
 
     Places = tuple[Integers, Integers]
-    """Which rows have a header, and where in the batch's data it starts."""
+    """Rows that have a header, and its start in the batch's data."""
 
 
 _DECODED: Final = {
@@ -38,10 +38,10 @@ _DECODED: Final = {
     "ccsds.msg_id": ("msg_id", NO_MSG_ID),
     "cfe_command.function_code": ("function_code", -1),
 }
-"""Fields that are columns: which column, and its value for an absent field."""
+"""Fields that are columns: the column, and its value for an absent field."""
 
 _FOUND_BY: Final = {"command": "function_code", "telemetry": "mission_time_ns"}
-"""The column that is -1 where a packet has not this header."""
+"""Column that is -1 if a packet does not have this header."""
 
 
 def layer_fields(context: Context) -> Iterator[FilterField]:
@@ -56,7 +56,7 @@ def layer_fields(context: Context) -> Iterator[FilterField]:
 
 @cache
 def _of_link(_key: object, link: LinkProtocol) -> list[FilterField]:
-    """Return the fields of a link's own headers; the key tells links apart that are equal as numbers."""
+    """Return the fields of a link's own headers; the key distinguishes links with equal numbers."""
     return [
         field
         for layout in link.layouts
@@ -85,7 +85,7 @@ def _packet_headers() -> Iterator[FilterField]:
 
 
 def _others(msg_ids: MsgIds) -> Iterator[FilterField]:
-    """Yield what no layout holds."""
+    """Yield fields that are in no layout."""
     words = {name.lower(): msg_ids.of_known(value) for value, name in MSG_ID_NAMES.items()}
     yield FilterField(
         "ccsds.msg_id",
@@ -135,9 +135,10 @@ def _header(
     """Yield a header and its fields.
 
     Args:
-        places: finds the headers of many packets; None if each packet must be dissected.
-        by_field: ``places`` takes the name of the ``field``: some headers lack the last fields.
-        many: a packet may have several of them.
+        places: returns the places of the headers of many packets; None if each packet must be dissected.
+        by_field: whether ``places`` takes the name of the ``field``, because some headers do not have the
+            last fields.
+        many: whether a packet may have several of them.
     """
     name = layout.name
 
@@ -149,7 +150,7 @@ def _header(
 
 
 def _presence(places: Callable[[ColumnRows], Places], rows: ColumnRows) -> Mask:
-    """Tell which packets have a header."""
+    """Return which packets have a header."""
     out = np.zeros(len(rows), bool)
     out[places(rows)[0]] = True
     return out
@@ -212,11 +213,11 @@ def _decoded(column: str, none: int, rows: ColumnRows) -> Series:
 
 
 _OWN_ORDER: Final = (cfe.EVENT, cfe.SOFTWARE_BUS_HOUSEKEEPING, cfe.TELEMETRY)
-"""What the flight computer writes in its own byte order."""
+"""Layouts that the flight computer writes in its own byte order."""
 
 
 def _gathered(layout: Layout, slot: Slot, places: Callable[[ColumnRows], Places], rows: ColumnRows) -> Series:
-    """Read one field of the headers that a batch holds."""
+    """Read one field of the headers in a batch."""
     owner, start = places(rows)
     layout = rows.context.in_order(layout) if layout in _OWN_ORDER else layout
     values = slot_values(layout, slot, gather(rows.batch.data, start + slot.start, slot.end - slot.start))
@@ -229,7 +230,7 @@ def slot_values(layout: Layout, slot: Slot, window: NDArray[np.uint8]) -> NDArra
     """Return one field of many headers: numbers, or a list of str or bytes.
 
     Args:
-        window: u8 (n, width of the slot), the bytes of the field.
+        window: bytes of the field, u8 (n, width of the slot).
     """
     if slot.field.kind not in {"text", "bytes"}:
         return layout.column(slot.field.name, window, -slot.start)
@@ -242,7 +243,7 @@ def slot_values(layout: Layout, slot: Slot, window: NDArray[np.uint8]) -> NDArra
 
 
 def _of_any_format(field: FilterField) -> FilterField:
-    """Let a field of the envelope be read in the format that the context's routes have by then."""
+    """Return a field of the envelope that is read in the format that the routes have at that time."""
 
     def read(rows: ColumnRows) -> Series:
         formats = set(rows.context.envelopes) or {DEFAULT}
@@ -269,7 +270,7 @@ def _primary(rows: ColumnRows) -> Places:
 
 
 def _secondary(kind: str, rows: ColumnRows, field: str | None = None) -> Places:
-    """Find the ``command`` or ``telemetry`` header, or those of them that have a field."""
+    """Return the places of ``command`` or ``telemetry`` headers, or of those that have a field."""
     has = [field is None or field in getattr(item, kind).by_name for item in cfe.HEADERS]
     headers = rows.column("headers")
     owner = np.flatnonzero((rows.column(_FOUND_BY[kind]) >= 0) & np.array(has)[headers])
@@ -284,7 +285,7 @@ def _extended(rows: ColumnRows) -> Places:
 
 
 def _body(rows: ColumnRows) -> tuple[Mask, Integers, Integers]:
-    """Return which packets have a whole cFE header, where what follows it starts, and its bytes."""
+    """Return which packets have a whole cFE header, the start of the bytes behind it, and their number."""
     whole = (rows.column("function_code") >= 0) | (rows.column("mission_time_ns") >= 0)
     header = rows.column("header_length")
     return whole, rows.column("packet_offset") + header, rows.column("packet_length") - header
@@ -311,7 +312,7 @@ def _encapsulation(rows: ColumnRows) -> Places:
 
 
 def _padding(rows: ColumnRows) -> tuple[Mask, Integers]:
-    """Return which packets have bytes after the CDR, and how many."""
+    """Return which packets have bytes after the CDR, and the number of these bytes."""
     end = rows.column("packet_offset") + rows.column("packet_length")
     length = end - rows.column("cdr_offset") - rows.column("cdr_length")
     return (rows.column("cdr_offset") >= 0) & (length > 0), length

@@ -3,14 +3,14 @@
 The rules that this file keeps:
 
 1. A path is names with dots, each with an index or none: ``poses[-1].position.x``. Without an index a list
-   gives all of its values; an index that a message does not have gives none.
-2. One path may be a field of several types: each type gives a ``FilterField`` of its own, and a packet has
-   a value where its own type has one.
+   gives all of its values; an index that is outside a message's list gives none.
+2. One path may be a field of several types: each type has a ``FilterField`` of its own, and a packet has a
+   value if its own type has the field.
 3. A field has two readers: ``pick`` for one decoded packet, ``read`` for the columns of many. Both give the
    same values; ``tests/decode/filters/test_agreement.py`` checks that.
-4. ``read`` is None where columns are not enough (an index inside a list of lists): those packets are decoded
+4. ``read`` is None if columns are not enough (an index inside a list of lists): those packets are decoded
    one by one.
-5. The messages of a type are read once for each batch, however many fields of them a filter names.
+5. The messages of a type are read once for each batch, even if a filter names many of their fields.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class MessageFieldFinder:
     """Finds fields of messages by their path.
 
     Args:
-        context: gives the routes, the types and the C structs.
+        context: decoder context with the routes, the types and the C structs.
     """
 
     def __init__(self, context: Context) -> None:
@@ -102,7 +102,7 @@ class MessageFieldFinder:
             )
 
     def look_ahead(self) -> None:
-        """Add the types of the topics of DDS that the input announces."""
+        """Add the types of the DDS topics that the input announces."""
         for name in self._context.announced_topics().values():
             self._add(name)
 
@@ -110,13 +110,13 @@ class MessageFieldFinder:
         return bool(self._routes)
 
     def of_types(self, types: Iterable[str]) -> MessageFieldFinder:
-        """Return one that looks at some types first, and at others only where none of these has a field."""
+        """Return a finder that tries some types first, and the others only if none of these has the field."""
         other = copy(self)
         other._first = self._routes.keys() & types  # noqa: SLF001  of its own kind
         return other
 
     def find(self, path: str) -> list[FilterField]:
-        """Return the field of that path of each type of a route that has it."""
+        """Return the fields with that path, one for each type of a route that has it."""
         path_steps = _split(path.removeprefix(_PREFIX))
         for names in (self._first, self._routes):
             fields = [
@@ -129,7 +129,7 @@ class MessageFieldFinder:
         return fields
 
     def of_structs(self, path: str) -> list[FilterField]:
-        """Return the field of that path of each C struct that has it, or of the one it begins with."""
+        """Return the fields with a path, one for each C struct that has it or that the path begins with."""
         path = path.removeprefix(_PREFIX)
         # The names of a dictionary have dots, too.
         names = [path, *(path[: match.start()] for match in reversed(list(_DOT.finditer(path))))]
@@ -170,7 +170,7 @@ class MessageFieldFinder:
         )
 
     def inside(self, path: str) -> list[str]:
-        """Return the names of what a group of fields holds."""
+        """Return the names of the fields in a group of fields."""
         plain = re.sub(r"\[-?\d+\]", "", path.removeprefix(_PREFIX))
         return sorted({name for name in self.names() if name.startswith(f"{plain}.")})
 
@@ -242,7 +242,7 @@ class MessageFieldFinder:
     def _reader(
         self, messages: Callable[[ColumnRows], Owned], steps: list[_Step]
     ) -> Callable[[ColumnRows], Series] | None:
-        """Return what reads a field of many messages; None where columns do not tell."""
+        """Return the reader of a field of many messages; None if columns are not enough."""
         indices = [step.element for step in steps if step.listed]
         path = ".".join(step.field.name for step in steps)
         if steps[-1].field.type in self._definitions:
@@ -258,7 +258,7 @@ class MessageFieldFinder:
         return partial(field_series, messages, path, index)
 
     def _single(self, name: str) -> str:
-        """Return the path of a value that every message of a type has exactly one of, if there is any."""
+        """Return the path of a value that each message of a type has exactly once; empty if there is none."""
         for item in self._definitions[name].fields:
             if item.shape is not schema.Shape.SCALAR:
                 continue
@@ -271,11 +271,11 @@ class MessageFieldFinder:
 
 
 _LAYERS: Final = {PACKETS[item] for item in (cfe.EVENT_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID)}
-"""Structs whose fields are those of a layer."""
+"""Structs whose fields are the fields of a layer, too."""
 
 
 def _is_layer(bound: Bound) -> bool:
-    """Tell whether a struct's fields are those of a layer, and found there."""
+    """Return whether a struct's fields are found as the fields of a layer."""
     return bound.shipped and (bound.struct.name in _LAYERS or bound.key.msg_id == UDP_KEY)
 
 
@@ -365,7 +365,7 @@ def held_messages(bound: Bound, rows: ColumnRows) -> Owned:
 
 
 def _may_hold(routes: tuple[int, ...], rows: ColumnRows) -> Mask:
-    """Tell which rows may hold messages of some routes' types: theirs, and samples."""
+    """Return which rows may hold messages of some routes' types: packets of the routes, and samples."""
     return np.isin(rows.routes(), routes) | among(rows.column("link"), lambda link: link.samples)
 
 
@@ -389,7 +389,7 @@ def _read_whole(read: Callable[[ColumnRows], Owned], rows: ColumnRows) -> Series
 def field_series(
     read: Callable[[ColumnRows], Owned], path: str, index: int | None, rows: ColumnRows
 ) -> Series:
-    """Return a field's values, those of all elements of an array or of one, and the rows that hold them."""
+    """Return a field's values (of all elements of an array or of one), and the rows that hold them."""
     owner, messages = read(rows)
     column, valid = messages.fields[path], messages.valid
     holders = owner[valid]

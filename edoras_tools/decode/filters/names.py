@@ -1,4 +1,4 @@
-"""Which names there are: of the packet itself, of every header, and of every message that a route carries."""
+"""The names of fields: of the packet itself, of every header, and of every message of a route."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _ALIASES: Final = {
     "spacecraft_id": "sbn.spacecraft_id",
     "message": "ros",
 }
-"""Names of ``sniff --json`` and of the columns, which win over everything else of that name."""
+"""Short names, of ``sniff --json`` and of the columns; they have precedence over equal names."""
 _OF_MESSAGES: Final = (
     *("number", "time_ns", "time", "utc", "length", "topic", "type"),
     *("findings", "ros", "summary", "stop", "payload"),
@@ -44,10 +44,10 @@ _CLOSE: Final = 0.6
 
 
 class Unknown(Exception):  # noqa: N818  it never leaves the compiler
-    """A name that is not a field, or more than one; the message says what to write.
+    """A name that is not a field, or is ambiguous; the message says what to write.
 
     Args:
-        say: makes the message on demand: the search for similar names is slow.
+        say: makes the message on demand, because the search for similar names is slow.
     """
 
     def __init__(self, say: Callable[[], str]) -> None:
@@ -62,7 +62,7 @@ class Names:
     """Finds fields by name.
 
     Args:
-        context: gives the routes, the types and the options.
+        context: decoder context with the routes, the types and the options.
     """
 
     def __init__(self, context: Context) -> None:
@@ -76,7 +76,7 @@ class Names:
             self._of_datagrams = frozenset(names - {*self._packet, "message"})
             layers = []
         self._layers = {field.name: field for field in layers}
-        # The headers of F Prime have names of cFE's; they do not make those less clear.
+        # F Prime's headers have some names of cFE's; these do not make cFE's names ambiguous.
         apart = {layout.name for link in context.links if link.dictionary for layout in link.layouts}
         others = (name for name in self._layers if name.partition(".")[0] not in apart)
         self._short = by_key(others, lambda name: name.rpartition(".")[2])
@@ -88,7 +88,7 @@ class Names:
         ]
 
     def of_types(self, types: Iterable[str]) -> Names:
-        """Return the names for filters of messages that are all of some types."""
+        """Return the names for filters of messages whose types are among some types."""
         other = copy(self)
         other._messages = self._messages.of_types(types)  # noqa: SLF001  of its own kind
         return other
@@ -97,7 +97,7 @@ class Names:
         """Return the field of a name; several where message types or endpoints share it.
 
         Raises:
-            Unknown: there is none, or the name is not clear.
+            Unknown: there is no such field, or the name is ambiguous.
         """
         if name in self._packet:
             return self._packet[name]
@@ -124,13 +124,13 @@ class Names:
         return fields
 
     def inside(self, field: FilterField) -> list[str]:
-        """Return what a group of fields holds."""
+        """Return the names of the fields in a group of fields."""
         if field.name in self._layers:
             return [name for name in self._layers if name.startswith(f"{field.name}.")]
         return self._messages.inside(field.name)
 
     def all(self) -> Iterator[str]:
-        """Yield every name that can be written, without indices."""
+        """Yield every valid name, without indices."""
         yield from self._packet
         yield from (name for name, of in _ALIASES.items() if of in self._packet or of in self._layers)
         yield from self._layers
@@ -253,7 +253,7 @@ def _packet_fields(context: Context) -> Iterator[FilterField]:
 
 
 def _of_json(rows: PacketRows, decoded: Decoded) -> bool:
-    """Tell whether a message has values, and no fields: those are of ROS messages and C structs."""
+    """Return whether a message has values but no fields: only ROS messages and C structs have fields."""
     topic = decoded.datagram.topic
     return topic != NO_ROUTE and bool(rows.context.mission.recorded[topic].unread)
 
@@ -289,7 +289,7 @@ def _read_findings(rows: ColumnRows) -> Series:
 
 
 def _read_messages(rows: ColumnRows) -> Series:
-    """Tell which packets hold a message: what the decoder found valid, and a type is known for."""
+    """Return which packets hold a message: valid by the decoder's findings, and of a known type."""
     types, routes = rows.context.types, rows.context.mission.routes
     typed = np.array([types is not None and types.has(route.type) for route in routes] + [False])
     invalid = (rows.column("findings") & np.uint32(Finding.CDR_INVALID)) != 0
@@ -358,7 +358,7 @@ def _text(rows: ColumnRows, side: str, row: int) -> str:
 
 
 def _distinct(rows: ColumnRows, key: Any, text: Any) -> Series:
-    """Return texts that equal keys share."""
+    """Return texts, one for each distinct key."""
     _, first, codes = np.unique(key, return_index=True, return_inverse=True)
     return Series(len(rows), codes.reshape(-1), table=[text(row) for row in first.tolist()])
 

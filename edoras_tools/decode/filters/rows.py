@@ -1,4 +1,4 @@
-"""Packets as a filter sees them: a batch with its columns, or packets that were decoded one by one.
+"""Packets in the form that a filter reads: a batch with its columns, or packets decoded one by one.
 
 Both give the same series for every field.
 """
@@ -27,7 +27,7 @@ INDEX_DTYPE = np.dtype(np.int64)
 
 
 class ValueKind(Enum):
-    """What a field's values are, and so what they may be compared with; the value reads in a message."""
+    """The kind of a field's values, and so the possible comparisons; the value is its text in messages."""
 
     NUMBER = "a number"
     BOOL = "true or false"
@@ -42,11 +42,11 @@ class Series(NamedTuple):
     """The values of a field in ``rows`` packets.
 
     Attributes:
-        rows: how many packets.
-        values: numbers, i64 ns for times, or where ``table`` is given indices into it.
-        owner: i64, the row that each value belongs to; None where every row has one, in order.
-        holders: i64, rows that have the field though maybe no value, as an empty list; None: the owners.
-        table: the distinct texts or bytes.
+        rows: number of packets.
+        values: numbers, i64 ns for times, or indices into ``table`` if that is set.
+        owner: row of each value, i64; None if every row has one, in order.
+        holders: rows that have the field, even without a value (an empty list), i64; None: the owners.
+        table: distinct texts or bytes.
     """
 
     rows: int
@@ -59,24 +59,24 @@ class Series(NamedTuple):
     def of_objects(
         cls, rows: int, items: Iterable[Any], owner: Integers | None = None, holders: Integers | None = None
     ) -> Self:
-        """Make a series of texts or bytes, each distinct one kept once."""
+        """Make a series of texts or bytes; each distinct one is kept once."""
         places: dict[Any, int] = {}
         codes = np.fromiter((places.setdefault(item, len(places)) for item in items), INDEX_DTYPE)
         return cls(rows, codes, owner, holders, list(places))
 
     @classmethod
     def of_chosen(cls, values: NDArray[Any], present: Mask) -> Self:
-        """Make a series of a column and the rows where it holds a value."""
+        """Make a series from a column and a mask of the rows that have a value."""
         if present.all():
             return cls(len(values), values)
         owner = np.flatnonzero(present)
         return cls(len(values), values[owner], owner)
 
     def where(self, hit: Mask) -> Mask:
-        """Return the rows of which a value is hit.
+        """Return the rows with a value that is hit.
 
         Args:
-            hit: bool, one a value.
+            hit: whether each value is hit, bool.
         """
         if self.owner is None:
             return hit
@@ -89,19 +89,19 @@ class Series(NamedTuple):
         return self.where(np.ones(len(self.values), bool))
 
     def lengths(self) -> Self:
-        """Return how many values every row that has the field holds."""
+        """Return the number of values in every row that has the field."""
         if self.owner is None:
             return type(self)(self.rows, np.ones(self.rows, INDEX_DTYPE))
         holders = np.unique(self.owner) if self.holders is None else self.holders
         return type(self)(self.rows, np.bincount(self.owner, minlength=self.rows)[holders], holders)
 
     def sizes(self) -> Self:
-        """Return how long every text is."""
+        """Return the length of every text."""
         sizes = np.array([len(item) for item in self.table or ()], INDEX_DTYPE)
         return type(self)(self.rows, sizes[self.values], self.owner)
 
     def placed(self, rows: int, at: Integers) -> Self:
-        """Return the series of more rows, of which row ``at[i]`` is this one's row ``i``."""
+        """Return the series for more rows, where row ``at[i]`` is row ``i`` of this one."""
         owner = at if self.owner is None else at[self.owner]
         holders = None if self.holders is None else at[self.holders]
         return type(self)(rows, self.values, owner, holders, self.table)
@@ -136,8 +136,8 @@ class ColumnRows(PacketRows):
 
     Attributes:
         batch: the whole batch.
-        columns: what was decoded from it.
-        selection: which rows; an index array, or a slice for all.
+        columns: columns decoded from it.
+        selection: rows of the batch; an index array, or a slice for all.
     """
 
     def __init__(
@@ -167,18 +167,18 @@ class ColumnRows(PacketRows):
         return getattr(self.batch, name)[self.selection]
 
     def indices(self) -> Integers:
-        """Return where in the batch these rows are."""
+        """Return the indices of these rows in the batch."""
         return np.arange(len(self.batch))[self.selection]
 
     def alone(self) -> tuple[PacketBatch, Columns]:
-        """Return these rows as a batch and columns of their own; the whole ones where all are chosen."""
+        """Return these rows as their own batch and columns; the originals if all rows are selected."""
         if len(self) == len(self.batch):
             return self.batch, self.columns
         rows = self.indices()
         return self.batch.take(rows), self.columns.take(rows)
 
     def routes(self) -> NDArray[np.int16]:
-        """Return the route of a packet's message: one of its link, else of any link."""
+        """Return the route of each packet's message: a route of its link, else of any link."""
 
         def make() -> NDArray[np.int16]:
             exact, msg_id = self.column("route"), self.column("msg_id")
@@ -201,14 +201,14 @@ class ColumnRows(PacketRows):
         return type(self)(self.context, self.begin_ns, self.batch, self.columns, selection)
 
     def by_spacecraft(self) -> Iterator[tuple[Places, Self]]:
-        """Yield the rows of each spacecraft, with the context as it is for it, and where they are here."""
+        """Yield the places of each spacecraft's rows, and these rows with the context of that spacecraft."""
         for number, places in by_value(self.column("spacecraft")):
             own = self if number == FIRST_SPACECRAFT and len(places) == len(self) else self.take(places)
             own.context = self.context.of(number)
             yield places, own
 
     def once(self, key: object, make: Callable[[], Any]) -> Any:
-        """Return what was made under a key, and make it the first time."""
+        """Return the cached result for a key; ``make`` makes it the first time."""
         if key not in self._known:
             self._known[key] = make()
         return self._known[key]

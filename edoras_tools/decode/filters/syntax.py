@@ -13,7 +13,7 @@
     item        = value | range                 range = value ".." value
     value       = quoted text | bare word
 
-The field that a value is compared with decides what the value means: see ``compare``.
+The field that a value is compared with decides the meaning of the value: see ``compare``.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ _ESCAPE: Final = re.compile(r"""\\([\\"'])""")
 
 
 class WhereError(ConfigError):
-    """A filter that cannot be understood: what is wrong, then the expression with a mark under the place.
+    """A filter with a mistake; the message has the reason, then the expression with a mark under the place.
 
     Attributes:
-        why: what is wrong, one line.
+        why: reason, one line.
         at: position of the first wrong character, from 0.
-        end: one past the last wrong character.
+        end: position after the last wrong character.
     """
 
     def __init__(self, text: str, at: int, end: int, why: str, option: str = "--where") -> None:
@@ -65,7 +65,7 @@ class WhereError(ConfigError):
 
 
 class Value(msgspec.Struct, frozen=True):
-    """A constant as it was written: ``text`` without quotes, and where it stood."""
+    """A constant as written: ``text`` without quotes, and its position."""
 
     text: str
     at: int
@@ -96,7 +96,7 @@ class Presence(msgspec.Struct, frozen=True):
 
 
 class Comparison(msgspec.Struct, frozen=True):
-    """A field against constants; ``at`` and ``end`` are the operator's place."""
+    """A field compared with constants; ``at`` and ``end`` are the operator's position."""
 
     operand: Operand
     operator: Operator
@@ -106,13 +106,13 @@ class Comparison(msgspec.Struct, frozen=True):
 
 
 class Negation(msgspec.Struct, frozen=True):
-    """What does not hold."""
+    """The opposite of a node."""
 
     of: Expression
 
 
 class Junction(msgspec.Struct, frozen=True):
-    """All of some nodes, or one of them."""
+    """All or any of some nodes must hold."""
 
     of: tuple[Expression, ...]
     every: bool
@@ -131,16 +131,16 @@ def parse_filter(text: str) -> Expression:
 
 
 def parse_names(text: str, option: str) -> list[Operand]:
-    """Read names of fields between commas, as ``--fields`` takes them; ``len(...)`` is one too.
+    """Read comma-separated names of fields, as ``--fields`` takes them; ``len(...)`` is allowed.
 
     Raises:
-        WhereError: one is none.
+        WhereError: one of them is no name of a field.
     """
     return _Parser(text, option).names()
 
 
 class _Parser:
-    """Recursive descent over the characters: what a token is depends on where it stands."""
+    """Recursive descent over the characters: the kind of a token depends on its place."""
 
     def __init__(self, text: str, option: str = "--where") -> None:
         self._text = text
