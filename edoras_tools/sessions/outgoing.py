@@ -4,7 +4,7 @@ Rules that it keeps:
 
 1. Columns only: each change works on all datagrams at once, on a copy.
 2. Changes act in this order: headers, MsgId and sender, time stamps, sequence counts, checksums.
-3. What is the same in every pass is changed once (``Changes.once``), the rest in each (``Changes.each``).
+3. Changes that are the same in every pass are made once (``Changes.once``), the others each time (``each``).
 4. A datagram without the field in question stays as it is.
 """
 
@@ -42,11 +42,11 @@ _SIZES: Final = np.array(
 """Header bytes of commands and of telemetry, by ``Outgoing.headers``."""
 _STARTS: Final = np.array([item.start for item in cfe.HEADERS])
 _STAMP_AT: Final = 4
-"""Where a message that starts with a ``std_msgs/Header`` has its time: behind the encapsulation."""
+"""Offset of the time in a message that starts with a ``std_msgs/Header``, behind the encapsulation."""
 
 
 class SequenceRule(StrEnum):
-    """What to do with sequence words."""
+    """The treatment of sequence words."""
 
     KEEP = "keep"
     COUNT = "count"
@@ -54,7 +54,7 @@ class SequenceRule(StrEnum):
 
 
 class ChecksumRule(StrEnum):
-    """What to do with the checksums of commands."""
+    """The treatment of the checksums of commands."""
 
     KEEP = "keep"
     FIX = "fix"
@@ -66,18 +66,18 @@ class Outgoing(msgspec.Struct, frozen=True):
     """Datagrams in sending order; offsets point into ``data``, arrays have one element a datagram.
 
     Attributes:
-        link: which link they go to.
-        data: u8, their payloads and nothing else.
-        offset: i64, start of the datagram.
-        length: i32, its bytes.
-        time_ns: i64, when it was recorded.
-        packet_offset: i64, start of the space packet; -1 where there is none.
-        packet_length: i32, bytes of the space packet.
-        header_length: u8, cFE header bytes.
-        headers: u8, place in ``cfe.HEADERS`` of the headers that the packet has.
-        msg_id: i32, ``NO_MSG_ID`` where there is none.
-        cdr_offset: i64, start of the CDR; -1 where there is none.
-        route: i16, index into the mission's routes, or ``NO_ROUTE``.
+        link: link that they go to.
+        data: payloads, without anything else, u8.
+        offset: start of the datagram, i64.
+        length: bytes of the datagram, i32.
+        time_ns: time of recording, i64.
+        packet_offset: start of the space packet, i64; -1 if there is none.
+        packet_length: bytes of the space packet, i32.
+        header_length: bytes of the cFE headers, u8.
+        headers: index in ``cfe.HEADERS`` of the packet's headers, u8.
+        msg_id: MsgId, i32; ``NO_MSG_ID`` if there is none.
+        cdr_offset: start of the CDR, i64; -1 if there is none.
+        route: index into the mission's routes, or ``NO_ROUTE``, i16.
     """
 
     link: Link
@@ -101,7 +101,7 @@ class Outgoing(msgspec.Struct, frozen=True):
         return self.data[start : start + int(self.length[index])].tobytes()
 
     def take(self, rows: NDArray[Any] | slice) -> Self:
-        """Return chosen rows over the same buffer."""
+        """Return selected rows over the same buffer."""
         return replace(self, **{name: getattr(self, name)[rows] for name in _COLUMNS})
 
     def copy(self) -> Self:
@@ -164,10 +164,10 @@ class Outgoing(msgspec.Struct, frozen=True):
         """Lay out space packets, one a datagram.
 
         Args:
-            link: where they go.
+            link: link that they go to.
             rows: the packets.
-            sender: who sends them on the SBN link; needed there.
-            headers: those of their cFE; None for the usual ones.
+            sender: identity of the sender, needed for the SBN link.
+            headers: headers of their cFE; None for the usual ones.
         """
         before = [
             sbn.emit(sbn.MsgType.APP, sender, row.packet)[: sbn.HEADER.size] if sender else b""
@@ -203,13 +203,13 @@ class Outgoing(msgspec.Struct, frozen=True):
 
     @property
     def command(self) -> NDArray[np.bool_]:
-        """bool, which are commands; also true without a MsgId."""
+        """Which datagrams are commands, bool; also True without a MsgId."""
         return VERSION_1.is_command(cfe.known_ids(self.msg_id, self.headers))
 
     def with_headers(self, new: cfe.Headers) -> Outgoing:
-        """Return the datagrams with the headers of another build, as ``cfe.with_headers`` gives one packet.
+        """Return the datagrams with the headers of another build, like ``cfe.with_headers`` for one packet.
 
-        The size that the SBN header tells changes too. Packets shorter than their headers stay as they are.
+        The size in the SBN header changes, too. Packets shorter than their headers stay unchanged.
         """
         number, command = cfe.HEADERS.index(new), self.command
         size = np.where(command, *_SIZES[:, self.headers])
@@ -256,10 +256,10 @@ class Packet(msgspec.Struct, frozen=True):
     """A space packet to lay out.
 
     Attributes:
-        packet: its bytes, at least a primary header.
-        time_ns: when it was recorded, or is due.
+        packet: bytes of the packet, at least a primary header.
+        time_ns: time at which it was recorded, or is due.
         route: index into the mission's routes.
-        cdr_at: where in it the CDR starts; -1 where there is none.
+        cdr_at: start of the CDR in the packet; -1 if there is none.
     """
 
     packet: bytes
@@ -292,17 +292,17 @@ def join_datagrams(parts: Sequence[Outgoing]) -> Outgoing:
 
 
 class Changes(msgspec.Struct, frozen=True):
-    """What is changed in the datagrams before they are sent; nothing by default.
+    """Changes of the datagrams before they are sent; nothing by default.
 
     Attributes:
-        headers: those of the cFE that they are sent to, which all packets get; None keeps what was captured.
-        msg_ids: MsgId to its replacement; of another type (command, telemetry) only where all packets have
-            extended headers, whose lengths are equal: the function code is then 1, the time 0.
-        sequence: of every space packet.
-        checksum: of every command; computed after all other changes.
-        restamp: bool (routes,), routes whose messages start with a ``std_msgs/Header``: its stamp becomes the
+        headers: headers of the receiving cFE, which all packets get; None keeps the captured ones.
+        msg_ids: replacement of each MsgId; it may be of another type (command, telemetry) only if all packets
+            have extended headers, whose lengths are equal: the function code is then 1, the time 0.
+        sequence: treatment of the sequence word of every space packet.
+        checksum: treatment of the checksum of every command, after all other changes.
+        restamp: routes whose messages start with a ``std_msgs/Header``, bool (routes,): its stamp becomes the
             time of sending; None changes no stamp.
-        sender: identity in every SBN header; None keeps what was captured.
+        sender: identity in every SBN header; None keeps the captured ones.
     """
 
     msg_ids: Mapping[int, int] = msgspec.field(default_factory=dict)
@@ -314,7 +314,7 @@ class Changes(msgspec.Struct, frozen=True):
 
     @property
     def differ(self) -> bool:
-        """Whether each pass over the datagrams changes them again."""
+        """Whether the changes differ from pass to pass."""
         return self.sequence is SequenceRule.COUNT or self.restamp is not None
 
     def once(self, out: Outgoing) -> Outgoing:
@@ -336,13 +336,13 @@ class Changes(msgspec.Struct, frozen=True):
         return out if self.differ else self.each(out)
 
     def each(self, out: Outgoing, *, sent: int = 0, start_ns: int = 0, due_ns: Any = 0) -> Outgoing:
-        """Return the datagrams as one pass sends them.
+        """Return the datagrams for one pass.
 
         Args:
-            out: as ``once`` returned them.
-            sent: passes before this one.
-            start_ns: when this pass starts, ns since 1970.
-            due_ns: i64 (n,), deadlines from then.
+            out: result of ``once``.
+            sent: number of passes before this one.
+            start_ns: start of this pass, ns since 1970.
+            due_ns: deadlines from then, i64 (n,).
         """
         if self.sequence is SequenceRule.KEEP and self.checksum is ChecksumRule.KEEP and self.restamp is None:
             return out
@@ -359,7 +359,7 @@ class Changes(msgspec.Struct, frozen=True):
 
     @staticmethod
     def _write_sender(out: Outgoing, sender: Peer) -> None:
-        """Write the sender into every SBN header that is whole."""
+        """Write the sender into every complete SBN header."""
         whole = out.offset[out.length >= sbn.HEADER.size]
         slot = sbn.HEADER.by_name["processor_id"]
         identity = np.array([sender.processor_id, sender.spacecraft_id], ">u4").view("V8")
@@ -367,7 +367,7 @@ class Changes(msgspec.Struct, frozen=True):
 
 
 def _put_msg_ids(out: Outgoing, rows: NDArray[np.intp], msg_id: NDArray[np.int32]) -> None:
-    """Write MsgIds into packets, as their headers have them."""
+    """Write MsgIds into packets, in the version of their headers."""
     out.msg_id[rows] = msg_id
     for number, members in by_value(out.headers[rows]):
         headers, at = cfe.HEADERS[number], out.packet_offset[rows[members]]
@@ -379,7 +379,7 @@ def _put_msg_ids(out: Outgoing, rows: NDArray[np.intp], msg_id: NDArray[np.int32
 
 
 def _put_other_header(out: Outgoing, rows: NDArray[np.intp]) -> None:
-    """Write the headers of commands and of telemetry behind extended headers, where the other ones are."""
+    """Replace command headers by telemetry headers or the reverse, behind extended headers."""
     headers = cfe.WITH_EXTENDED
     for command in (False, True):
         selection = rows[out.command[rows] == command]
@@ -395,7 +395,7 @@ def _put_other_header(out: Outgoing, rows: NDArray[np.intp]) -> None:
 def _grow(
     data: NDArray[np.uint8], at: NDArray[np.int64], layout: Layout, name: str, by: NDArray[np.int32]
 ) -> None:
-    """Add to a size of 16 bits in headers of a layout."""
+    """Add to a 16-bit size in headers of a layout."""
     at = at + layout.by_name[name].start
     put_rows(data, at, (read_at(data, at, ">u2").astype(np.int32) + by).astype(">u2"))
 

@@ -1,4 +1,4 @@
-"""When each message is due: absolute deadlines from a recording's own times, a speed or rates.
+"""The deadline of each message: absolute, from a recording's own times, a speed or rates.
 
 Rules that it keeps:
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _STEPS: Final = 64
-"""Steps of the lateness scale to a doubling: a step is 1.1 %."""
+"""Steps of the lateness scale for each doubling: one step is 1.1 %."""
 _FOLD: Final = 1 << 16
 
 
@@ -31,9 +31,9 @@ class Timetable(NamedTuple):
     """The order and the deadlines of one pass over a recording.
 
     Attributes:
-        order: i64 (n,), rows of the recording in the order they are sent.
-        due_ns: i64 (n,), deadlines of ``order``, never decreasing, from 0 at the start of the pass.
-        period_ns: from the start of one pass to the start of the next.
+        order: rows of the recording in the order they are sent, i64 (n,).
+        due_ns: deadlines of ``order``, never decreasing, from 0 at the start of the pass, i64 (n,).
+        period_ns: time from the start of one pass to the start of the next.
     """
 
     order: NDArray[np.int64]
@@ -42,19 +42,19 @@ class Timetable(NamedTuple):
 
     @property
     def rate_hz(self) -> float | None:
-        """Messages per second that are asked for; None where no time is asked for at all."""
+        """Requested messages per second; None if no times are requested."""
         count = len(self.due_ns)
         return count * SECOND / self.period_ns if self.period_ns and count else None
 
 
 class Pacing(msgspec.Struct, frozen=True):
-    """How fast a recording is sent.
+    """The speed at which a recording is sent.
 
     Attributes:
-        speed: of the recording's own times; 2 is twice as fast.
-        rate_hz: send all messages evenly at this rate instead; 0 keeps their own times.
-        stream_rates: a stream to its own rate in Hz; the others are not touched by it.
-        unpaced: no deadlines: as fast as possible.
+        speed: factor on the recording's own times; 2 is twice as fast.
+        rate_hz: rate at which all messages are sent evenly instead; 0 keeps their own times.
+        stream_rates: own rate in Hz of some streams; it does not change the others.
+        unpaced: whether there are no deadlines: as fast as possible.
         cap_hz: most messages a second; 0 for no limit.
     """
 
@@ -82,8 +82,8 @@ class Pacing(msgspec.Struct, frozen=True):
         """Plan one pass.
 
         Args:
-            time_ns: i64 (n,), when each message was recorded; a step back in time counts as no step.
-            stream: (n,) what ``stream_rates`` goes by; needed only where there are some.
+            time_ns: time of recording of each message, i64 (n,); a step back in time counts as no step.
+            stream: key of ``stream_rates`` for each message, (n,); needed only if there are such rates.
         """
         count = len(time_ns)
         every = np.arange(count, dtype=np.int64)
@@ -120,7 +120,7 @@ class Pacing(msgspec.Struct, frozen=True):
 
 
 def _evenly(count: int, rate_hz: float) -> NDArray[np.int64]:
-    """Return ``count`` deadlines, each rounded from its exact place: no rounding adds up."""
+    """Return ``count`` deadlines, each rounded from its exact value, so that rounding does not add up."""
     return np.rint(np.arange(count) * (SECOND / rate_hz)).astype(np.int64)
 
 
@@ -129,7 +129,7 @@ def _at(index: int, rate_hz: float) -> int:
 
 
 class Lateness:
-    """How late messages were sent, on a logarithmic scale, in bounded memory."""
+    """The lateness of sent messages, on a logarithmic scale, in bounded memory."""
 
     def __init__(self) -> None:
         self._count = self._max_ns = 0
@@ -137,13 +137,13 @@ class Lateness:
         self._steps = np.zeros(_STEPS * 64, np.int64)
 
     def add(self, late_ns: int) -> None:
-        """Take one message's lateness; one that was early was on time."""
+        """Add one message's lateness; a negative one counts as 0."""
         self._waiting.append(late_ns)
         if len(self._waiting) >= _FOLD:
             self._fold()
 
     def add_all(self, late_ns: NDArray[np.int64]) -> None:
-        """Take those of many messages."""
+        """Add the latenesses of many messages."""
         self._waiting += late_ns.tolist()
         if len(self._waiting) >= _FOLD:
             self._fold()
@@ -159,13 +159,13 @@ class Lateness:
 
     @property
     def count(self) -> int:
-        """Messages."""
+        """The number of messages."""
         self._fold()
         return self._count
 
     @property
     def max_ns(self) -> int:
-        """The latest; 0 without messages."""
+        """The largest lateness; 0 without messages."""
         self._fold()
         return self._max_ns
 

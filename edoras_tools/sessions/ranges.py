@@ -1,4 +1,4 @@
-"""Which of many whole numbers are known, as ranges: bytes of a file, sequence numbers of a writer."""
+"""Sets of many whole numbers as ranges: bytes of a file, sequence numbers of a writer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_RANGES: Final = 1 << 12
 
 
 class KnownRanges:
-    """Which bytes of a file, or which sequence numbers, are known: ranges in order that do not touch."""
+    """The bytes of a file, or sequence numbers, that are present, as ordered ranges that do not touch."""
 
     def __init__(self) -> None:
         self._starts: list[int] = []
@@ -27,17 +27,17 @@ class KnownRanges:
 
     @property
     def end(self) -> int:
-        """One past the last known one."""
+        """The last number in the set, plus 1; 0 if it is empty."""
         return self._ends[-1] if self._ends else 0
 
     @property
     def size(self) -> int:
-        """How many are known."""
+        """The size of the set."""
         return sum(self._ends) - sum(self._starts)
 
     @property
     def count(self) -> int:
-        """How many ranges there are."""
+        """The number of ranges."""
         return len(self._starts)
 
     def start_of(self, index: int) -> int:
@@ -45,14 +45,14 @@ class KnownRanges:
         return self._starts[index]
 
     def forget(self, before: int) -> None:
-        """Forget all numbers below one."""
+        """Remove all numbers below one."""
         at = bisect_right(self._ends, before)
         del self._starts[:at], self._ends[:at]
         if self._starts:
             self._starts[0] = max(self._starts[0], before)
 
     def missing(self, start: int, end: int) -> list[tuple[int, int]]:
-        """Return the parts of a range that are not known."""
+        """Return the parts of a range that are not in the set."""
         gaps = []
         for index in range(bisect_left(self._ends, start), bisect_right(self._starts, end)):
             if start < self._starts[index]:
@@ -61,7 +61,7 @@ class KnownRanges:
         return [*gaps, (start, end)] if start < end else gaps
 
     def add(self, start: int, end: int) -> bool:
-        """Add a range and return True; one that touches no other is left out if there are too many."""
+        """Add a range and return True; if there are too many, one that touches no other is ignored: False."""
         first, last = bisect_left(self._ends, start), bisect_right(self._starts, end)
         if first < last:
             start, end = min(start, self._starts[first]), max(end, self._ends[last - 1])
@@ -72,7 +72,7 @@ class KnownRanges:
         return True
 
     def fresh(self, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Add numbers; tell which of them were not known, each at its first place, bool (n,)."""
+        """Add numbers; return which of them were not in the set, each at its first place, bool (n,)."""
         distinct, first = np.unique(numbers, return_index=True)
         starts, ends = np.array(self._starts, np.int64), np.array(self._ends, np.int64)
         before = np.searchsorted(starts, distinct, side="right")

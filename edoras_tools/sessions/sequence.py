@@ -1,17 +1,18 @@
-"""Following packet sequence counts: what is missing, repeated, late, or restarted.
+"""Follows packet sequence counts: finds missing, repeated, late, and restarted ones.
 
 The rules:
 
-1. A stream is one MsgId of one sender on one link. The sender is its SBN identity where the link has one, and
-   then each receiver has a stream of its own, because each is sent a copy; elsewhere it is its endpoint.
+1. A stream is one MsgId of one sender on one link. If the link has SBN identities, the sender is its
+   identity, and each receiver has its own stream, because each gets a copy; otherwise the sender is its
+   endpoint.
 2. A sequence word of 0 is not a count; nor is a count that never changes. Nothing is reported of a stream
   whose count jumps beyond the window, or restarts, at more than every fourth packet.
-3. One stream may carry packets of several senders that count each for themselves, as Telemetry Output does
-   with what another processor sends through it. Each count is followed as a strand. A packet that has a time
-   belongs to a strand of the same boot: capture time less packet time is then the same, within 3 s. Of none,
-   it may still be the next of a strand, or fill a hole: it was delayed, or a clock was set.
+3. One stream may carry packets of several senders with their own counts, for example if Telemetry Output
+   forwards packets of another processor. Each count is followed as a strand. A packet with a time belongs to
+   a strand of the same boot: capture time minus packet time is then the same, within 3 s. If no strand has
+   that boot, the packet may still be the next of a strand, or fill a hole: it was delayed, or a clock was
+   set.
 4. A packet is the first of these that fits; among strands, the one that moved last comes first:
-
    a. a duplicate of the packet before: the same count, the same bytes;
    b. the next of a strand;
    c. late: it fills a hole of a strand, within the window. It was reordered, and is not missing;
@@ -20,16 +21,15 @@ The rules:
    f. late, within the window before the first packet of a strand;
    g. ahead of the nearest strand by less than half the range: as (e). But one of the first 64 counts, of a
       packet without a time, is (h);
-   h. the first of a new strand: a restart, or another sender where the strand before it goes on afterwards.
+   h. the first of a new strand: a restart, or another sender if the strand before it continues afterwards.
+5. An apparent jump was another sender's packet if counts continue at the beginning of the hole: by three
+   packets while the strand also continues behind the hole (or never did, as behind a damaged count); or by
+   one packet if the hole is larger than the window. The hole then lies between two strands, and nothing is
+   missing in it. Three such packets also prove that (f) was (h).
+6. The division of packets into batches changes nothing.
 
-5. What looked like a jump was another sender's packet if counts go on at the beginning of the hole: by three
-   packets while the strand goes on behind the hole too, or never did, as behind a damaged count; or by one
-   packet where the hole is larger than the window. The hole then lies between two strands, and nothing is
-   missing in it. Three such packets also tell that (f) was (h).
-6. How packets are cut into batches changes nothing.
-
-Counts that go up by one are taken as runs; Python looks at a packet only where the count jumps. Jumps ahead,
-one after the other while there is one strand, are all rule 4e or 4g and are taken at once.
+Counts that increase by one are handled as runs; Python handles a packet alone only where the count jumps.
+Consecutive jumps ahead, while there is one strand, are all rule 4e or 4g and are handled at once.
 """
 
 from __future__ import annotations
@@ -57,28 +57,28 @@ if TYPE_CHECKING:
 MODULUS: Final = 1 << 14
 """CCSDS 133.0-B 4.1.3.4.3: the packet sequence count has 14 bits."""
 FORWARD: Final = MODULUS // 2
-"""A step of half the range or more is a step back."""
+"""Step from which on a step is a step back: half the range."""
 WINDOW: Final = 1024
-"""How far behind the highest count a late packet is told."""
+"""Counts behind the highest one within which a late packet is recognised."""
 REPEATED: Final = 128
-"""How far behind the highest count a repeated packet is told."""
+"""Counts behind the highest one within which a repeated packet is recognised."""
 BOOT_APART_NS: Final = 3 * SECOND
-"""No packet is delayed this long on its way; boots that are closer than this are not distinguished."""
+"""Longest delay of a packet on its way; boots that are closer in time than this are not distinguished."""
 _FIRST_COUNTS: Final = 64
 _REMEMBERED: Final = FORWARD // 2
-"""For how many counts a hole larger than the window, or a strand that does not move, is remembered."""
+"""Number of counts for which a hole larger than the window, or an idle strand, is remembered."""
 _GOES_ON: Final = 3
 _LEAST_HOLE: Final = 16
-"""A smaller hole is not taken for the distance between two senders: the first sender soon fills it."""
+"""Smallest hole that may be the distance between two senders: the first sender soon fills a smaller one."""
 _MOST_STRANDS: Final = 8
 _MOST_STREAMS: Final = 1 << 14
-"""Random bytes could name any number of streams; more than these are not followed."""
+"""Most streams that are followed: random bytes could name any number."""
 _NO_BOOT: Final = np.iinfo(np.int64).min
 _NOT_MISSED: Final = -1
 
 
 class _Hole(msgspec.Struct, eq=False):
-    """Counts that did not come yet: positions from ``first`` up to ``end``.
+    """Counts that have not come: positions from ``first`` up to ``end``.
 
     ``row`` is the row that jumped over them; ``_NOT_MISSED`` for those before the first packet of a strand.
     """
@@ -95,16 +95,16 @@ class _Strand(msgspec.Struct, eq=False):
     """One sender's count. A position is a count that does not wrap: modulo ``MODULUS`` it is the count.
 
     Attributes:
-        last: its highest position.
-        boot: capture time less packet time of its newest packet that has one, ns; else ``_NO_BOOT``.
+        last: highest position.
+        boot: capture time minus packet time of its newest packet with a time, ns; else ``_NO_BOOT``.
         prints: fingerprints of the newest packets, by position modulo ``REPEATED``.
-        holes: what did not come yet and may still come, by position.
-        place: how many packets of the stream had come when it moved last.
+        holes: positions that have not come and may still come.
+        place: number of packets of the stream up to its last move.
         follows: the strand that moved last when this one began, until that one moves again.
-        moved: whether it ever went on.
-        front: packets by which it went on since ``behind_steps`` was 1.
-        behind: position of the packet with which another sender's count would go on at a hole.
-        behind_steps: late packets that went on so, one after the other.
+        moved: whether it ever continued.
+        front: packets by which it continued since ``behind_steps`` was 1.
+        behind: position of the packet with which another sender's count would continue at a hole.
+        behind_steps: number of consecutive late packets that continued like that.
     """
 
     last: int
@@ -119,22 +119,22 @@ class _Strand(msgspec.Struct, eq=False):
     behind_steps: int = 0
 
     def position(self, count: int) -> int:
-        """Return the position that has a count and is nearest to ``last``."""
+        """Return the position with a given count that is nearest to ``last``."""
         return self.last + (count - self.last + FORWARD) % MODULUS - FORWARD
 
     def hole(self, position: int) -> _Hole | None:
-        """Return the hole that a position is in."""
+        """Return the hole that contains a position, or None."""
         if position >= self.last:
             return None
         index = bisect_right(self.holes, position, key=_BY_FIRST) - 1
         return self.holes[index] if index >= 0 and position < self.holes[index].end else None
 
     def may_have(self, boot: int) -> bool:
-        """Tell whether a packet of a boot may be one of its."""
+        """Return whether a packet of a boot may belong to it."""
         return _NO_BOOT in {boot, self.boot} or abs(boot - self.boot) <= BOOT_APART_NS
 
     def advance(self, prints: Sequence[int] | NDArray[np.uint32], boot: int) -> None:
-        """Go on by as many packets as have fingerprints; the newest that has a time is of a boot."""
+        """Continue by ``len(prints)`` packets; ``boot`` is that of the newest packet with a time."""
         self.last += len(prints)
         if len(prints) == 1:
             self.prints[self.last % REPEATED] = prints[0]
@@ -149,7 +149,7 @@ class _Strand(msgspec.Struct, eq=False):
         self.forget()
 
     def fill(self, hole: _Hole, position: int) -> None:
-        """Take a position out of one of its holes."""
+        """Remove a position from one of its holes."""
         if position == hole.first:
             hole.first += 1
         else:
@@ -160,7 +160,7 @@ class _Strand(msgspec.Struct, eq=False):
             self.holes.remove(hole)
 
     def forget(self) -> None:
-        """Close holes that nothing may fill any more."""
+        """Remove holes that are too old to be filled."""
         while self.holes:
             oldest = self.holes[0]
             if oldest.end > self.last - (_REMEMBERED if oldest.end - oldest.first > WINDOW else WINDOW):
@@ -169,18 +169,18 @@ class _Strand(msgspec.Struct, eq=False):
 
 
 class SequenceRows(msgspec.Struct, frozen=True, eq=False):
-    """What the sequence counts say of each row of a batch: columns, i32 (rows,), and ``refilled_row``, i64.
+    """The results of the sequence counts for each row of a batch: columns i32 (rows,), ``refilled_row`` i64.
 
-    Summed over the rows of a stream they are what its ``SequenceStream`` has.
+    Sums over the rows of a stream are the counts in its ``SequenceStream``.
 
     Attributes:
-        stream: index into ``SequenceCounts.streams``; -1 where the row has no count.
-        missing: counts that are missing between the row and the one before it.
-        refilled: counts taken for missing before, that are not.
-        refilled_row: before which row they were taken for missing, counted over all batches from 0.
-        duplicates: 1 where the row repeats another.
-        reordered: 1 where the row came late; less where the row tells that earlier ones did not.
-        restarts: 1 where the count begins anew; -1 where the row tells that another sender's began.
+        stream: index into ``SequenceCounts.streams``; -1 if the row has no count.
+        missing: number of missing counts between the row and the one before it.
+        refilled: number of counts, missing before, that the row proves not to be missing.
+        refilled_row: row before which these were counted as missing, counted over all batches from 0.
+        duplicates: 1 if the row repeats another.
+        reordered: 1 if the row came late; less if the row proves that earlier rows did not.
+        restarts: 1 if the count restarts; -1 if the row proves that another sender's count began.
     """
 
     stream: NDArray[np.int32]
@@ -193,17 +193,17 @@ class SequenceRows(msgspec.Struct, frozen=True, eq=False):
 
 
 class _Runs(msgspec.Struct, frozen=True, eq=False):
-    """Packets of the streams of a batch, and runs of them: of one stream, with counts that go up by one.
+    """Packets of the streams of a batch, and runs of them: of one stream, with counts that increase by one.
 
     Attributes:
-        begins: where each run begins in the columns below.
-        ends: where it ends.
-        steps: from the count before a run, of the same stream; 0 where there is none.
-        count: of each packet.
-        rows: of the batch.
-        prints: their fingerprints.
-        places: how many packets of the stream came before each.
-        boots: capture time less packet time; ``_NO_BOOT`` without one.
+        begins: start of each run in the columns below.
+        ends: end of each run.
+        steps: step from the count before a run, of the same stream; 0 if there is none.
+        count: sequence count of each packet.
+        rows: row of each packet in the batch.
+        prints: fingerprint of each packet.
+        places: number of packets of the stream before each packet.
+        boots: capture time minus packet time; ``_NO_BOOT`` without a packet time.
     """
 
     begins: NDArray[np.int64]
@@ -217,18 +217,18 @@ class _Runs(msgspec.Struct, frozen=True, eq=False):
 
 
 class SequenceStream(msgspec.Struct, eq=False):
-    """What the sequence counts of one stream say.
+    """The results of the sequence counts of one stream.
 
     Attributes:
-        packets: packets that have a count.
-        missing: counts that never came.
-        repeated: packets that came twice.
-        late: packets that came after a later one.
-        restarts: times the count began anew.
-        leaps: times it jumped beyond the window, or began anew.
+        packets: number of packets that have a count.
+        missing: number of counts that never came.
+        repeated: number of packets that came twice.
+        late: number of packets that came after a later one.
+        restarts: number of times the count restarted.
+        leaps: number of times it jumped beyond the window, or restarted.
         moved: whether it ever moved.
-        last_count: of the newest packet.
-        last_print: its fingerprint.
+        last_count: count of the newest packet.
+        last_print: fingerprint of the newest packet.
     """
 
     packets: int = 0
@@ -254,21 +254,21 @@ class SequenceStream(msgspec.Struct, eq=False):
 
     @property
     def gaps(self) -> int:
-        """Counts that never came; 0 where the sender does not count, as for the two below."""
+        """The number of counts that never came; 0 if the sender does not count, as for the two below."""
         return self.missing if self.has_count else 0
 
     @property
     def duplicates(self) -> int:
-        """Packets that came twice."""
+        """The number of packets that came twice."""
         return self.repeated if self.has_count else 0
 
     @property
     def reordered(self) -> int:
-        """Packets that came late."""
+        """The number of packets that came late."""
         return self.late if self.has_count else 0
 
     def stands_at(self, count: int) -> bool:
-        """Tell whether no count other than this one came so far."""
+        """Return whether no count other than this one came so far."""
         return not self.moved and all(item.last % MODULUS == count for item in self._strands)
 
     def stay(self, newest: int) -> None:
@@ -277,23 +277,23 @@ class SequenceStream(msgspec.Struct, eq=False):
         strand.prints[strand.last % REPEATED] = newest
 
     def take(self, runs: _Runs, index: int, out: _Told) -> None:
-        """Take a run; what it tells goes to ``out``."""
+        """Take a run; its results go to ``out``."""
         begin, end = int(runs.begins[index]), int(runs.ends[index])
         prints, boots, place = runs.prints[begin:end], runs.boots[begin:end], int(runs.places[begin])
         at, first = 0, int(runs.count[begin])
         if len(self._strands) == 1 and (self._strands[0].last + 1) % MODULUS == first:
-            # One strand goes on whatever the boots are.
+            # A single strand continues, independent of the boots.
             self._strands[0].advance(prints, _newest(boots))
             self._went_on(self._strands[0], place + len(prints) - 1, out)
             return
         while at < len(prints):
             count, out.row, boot = (first + at) % MODULUS, int(runs.rows[begin + at]), int(boots[at])
             strands = [item for item in self._strands if item.may_have(boot)]
-            # The boot is not known: perhaps a clock was set, so the next count of a strand still belongs to
-            # it.
+            # If no strand has the boot, perhaps a clock was set: the next count of a strand still belongs
+            # to it.
             ready = [item for item in strands or self._strands if (item.last + 1) % MODULUS == count]
             if ready:
-                # The boot of each packet chooses among several strands.
+                # The boot of each packet selects one of several strands.
                 end = len(prints) if len(self._strands) == 1 else _same_boot(boots, at)
                 ready[0].advance(prints[at:end], _newest(boots[at:end]))
                 self._went_on(ready[0], place + end - 1, out)
@@ -312,7 +312,7 @@ class SequenceStream(msgspec.Struct, eq=False):
                 self.take(runs, index, out)
 
     def _go_ahead(self, runs: _Runs, first: int, end: int, out: _Told) -> bool:
-        """Take runs of which each is ahead, if all may be of one boot; tell whether so."""
+        """Take runs of which each is ahead, if all may be of one boot; return whether they were taken."""
         (strand,) = self._strands
         begin, stop = runs.begins[first], runs.ends[end - 1]
         rows, jumps = runs.rows[begin:stop], runs.begins[first:end] - begin
@@ -385,7 +385,7 @@ class SequenceStream(msgspec.Struct, eq=False):
         return False
 
     def _divide(self, strand: _Strand, hole: _Hole, position: int, packet: _Packet, out: _Told) -> None:
-        """Make the packets in front of a hole another sender's: a strand that is now at ``position``."""
+        """Attribute the packets before a hole to another sender: a strand that is now at ``position``."""
         taken_back = max(strand.behind_steps - 1, 0)
         self.late -= taken_back
         out.add("reordered", -taken_back)
@@ -450,12 +450,12 @@ class SequenceStream(msgspec.Struct, eq=False):
         self._add(strand)
 
     def _add(self, strand: _Strand) -> None:
-        """Put a strand first; forget those that did not move for long."""
+        """Put a strand first; remove strands that did not move for long."""
         remembered = [item for item in self._strands if strand.place - item.place <= _REMEMBERED]
         self._strands = [strand, *remembered[: _MOST_STRANDS - 1]]
 
     def _went_on(self, strand: _Strand, place: int, out: _Told) -> None:
-        """Put a strand first; what began after it did not take its place."""
+        """Put a strand first; strands that began after it were no restarts of it."""
         strand.place = place
         strand.moved = self.moved = True
         if len(self._strands) == 1:
@@ -469,7 +469,7 @@ class SequenceStream(msgspec.Struct, eq=False):
                 out.add("restarts", -1)
 
     def _find(self, hole: _Hole, count: int, out: _Told) -> None:
-        """Note that counts of a hole are not missing after all."""
+        """Record that some counts of a hole are not missing after all."""
         if hole.row != _NOT_MISSED:
             self.missing -= count
             out.add("refilled", count)
@@ -486,12 +486,12 @@ class _Packet(msgspec.Struct, frozen=True, eq=False):
 
 
 class _Told(msgspec.Struct, eq=False):
-    """The columns of a batch that is followed.
+    """The result columns of a batch while it is followed.
 
     Attributes:
-        columns: as in ``SequenceRows``.
-        first_row: rows of the batches before.
-        row: that is followed now.
+        columns: columns of ``SequenceRows``.
+        first_row: number of rows in the batches before.
+        row: row that is handled now.
     """
 
     columns: dict[str, NDArray[Any]]
@@ -504,7 +504,7 @@ class _Told(msgspec.Struct, eq=False):
 
 
 def _unknown(position: int) -> _Hole:
-    """Return what may come late before the first packet of a strand."""
+    """Return a hole for packets that may come late before the first packet of a strand."""
     return _Hole(position - WINDOW, position, _NOT_MISSED)
 
 
@@ -518,10 +518,10 @@ def _new_strand(packet: _Packet, position: int) -> _Strand:
 class SequenceCounts:
     """Follows the sequence counts of all streams, a batch at a time.
 
-    Several may share it that see the same batches: a batch is followed once.
+    Several users that see the same batches may share it: a batch is followed once.
 
     Attributes:
-        streams: what the counts of each stream say so far.
+        streams: results of each stream so far.
     """
 
     def __init__(self) -> None:
@@ -532,10 +532,10 @@ class SequenceCounts:
         self._ordered: tuple[PacketBatch, NDArray[np.int64], NDArray[np.bool_]] | None = None
 
     def order(self, batch: PacketBatch, columns: Columns) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return all rows of a batch, those of one link, sender and MsgId side by side, as they came.
+        """Return all rows of a batch grouped by link, sender and MsgId, in their order within a group.
 
         Returns:
-            the rows; bool, where those of another begin.
+            The rows; and whether each begins a group, bool.
         """
         if self._ordered is None or self._ordered[0] is not batch:
             msg_id = (columns.msg_id + 1).astype(np.uint32)
@@ -545,7 +545,7 @@ class SequenceCounts:
         return self._ordered[1:]
 
     def follow(self, batch: PacketBatch, columns: Columns) -> SequenceRows:
-        """Follow the counts of a batch's packets that have one; return what they say of its rows."""
+        """Follow the counts of a batch's packets that have one; return the results for its rows."""
         if self._newest is not None and self._newest[0] is batch:
             return self._newest[1]
         out = _Told(
@@ -568,9 +568,10 @@ class SequenceCounts:
         return self._newest[1]
 
     def whole(self, parts: Sequence[SequenceRows]) -> SequenceRows:
-        """Join what ``follow`` said of all batches so far, as it is known now.
+        """Join the results of ``follow`` for all batches so far, with later corrections.
 
-        What was found is taken off ``missing``. A row whose sender does not count is as one without a count.
+        Counts that came later are subtracted from ``missing``. A row whose sender does not count becomes a
+        row without a count.
         """
         joined = {
             name: np.concatenate([getattr(part, name) for part in parts])
@@ -636,7 +637,7 @@ class SequenceCounts:
         bare = (ends - jumps == 1) & (mission[jumps] <= 0)
         for owner, own in by_value(owners):
             stream, first = streams[owner], int(count[jumps[own[0]]])
-            # Of one that does not count only the first and the newest packet matter (rules 2 and 4d).
+            # Of a stream that does not count, only the first and the newest packet matter (rules 2 and 4d).
             still = bare[own].all() and (count[jumps[own]] == first).all() and stream.stands_at(first)
             if still:
                 stream.take(runs, int(own[0]), out)
@@ -655,19 +656,19 @@ class SequenceCounts:
 
 
 class _Groups(msgspec.Struct, frozen=True, eq=False):
-    """Rows of a batch, those of one stream side by side, as they came; where each stream begins; its key."""
+    """Rows of a batch grouped by stream, in their order; the start of each stream; its key."""
 
     rows: NDArray[np.int64]
     begins: NDArray[np.int64]
     keys: NDArray[np.uint64]
 
     def owner(self, at: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return which stream each place in ``rows`` belongs to."""
+        """Return the stream that each place in ``rows`` belongs to."""
         return np.searchsorted(self.begins, at, side="right") - 1
 
 
 def _ordered(batch: PacketBatch, columns: Columns, rows: NDArray[np.int64]) -> _Groups:
-    """Put the rows of each stream side by side (rule 1); most are so already."""
+    """Group the rows by stream (rule 1); most are grouped already."""
     fresh = changes(
         rows,
         columns.link,
@@ -704,16 +705,16 @@ def _ordered(batch: PacketBatch, columns: Columns, rows: NDArray[np.int64]) -> _
 def _endpoints(
     batch: PacketBatch, address: NDArray[np.uint32], port: NDArray[np.uint16], rows: NDArray[np.int64]
 ) -> NDArray[np.uint64]:
-    """Return a number for an endpoint of each row, the same in every batch."""
+    """Return a number for the endpoint of each row, the same in every batch."""
     return np.asarray(batch.fixed(address)[rows] << np.uint64(16) | port[rows], np.uint64)
 
 
 def _prints(
     batch: PacketBatch, columns: Columns, groups: _Groups, odd: NDArray[np.int64]
 ) -> NDArray[np.uint32]:
-    """Return the fingerprints of those rows that another may be compared with; 0 for the others.
+    """Return the fingerprints of those rows that may be compared with another; 0 for the others.
 
-    They are the first and the newest of each stream, and all of a stream that has an ``odd`` row: one whose
+    They are the first and the newest ones of each stream, and all of a stream with an ``odd`` row, whose
     count is not a little ahead of the one before.
     """
     ends = np.append(groups.begins[1:], len(groups.rows))
@@ -733,7 +734,7 @@ def _prints(
 
 
 def _jumps(count: NDArray[np.uint16], begins: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where a stream begins, or its count does not go up by one."""
+    """Return the places where a stream begins, or its count does not increase by one."""
     jump = np.ones(len(count), np.bool_)
     jump[1:] = (count[1:] - count[:-1]) & np.uint16(MODULUS - 1) != 1
     jump[begins[begins < len(count)]] = True
@@ -741,7 +742,7 @@ def _jumps(count: NDArray[np.uint16], begins: NDArray[np.int64]) -> NDArray[np.i
 
 
 def _newest(boots: NDArray[np.int64]) -> int:
-    """Return the last one that is known, else ``_NO_BOOT``."""
+    """Return the last boot that is known, else ``_NO_BOOT``."""
     if (last := int(boots[-1])) != _NO_BOOT or len(boots) == 1:  # nearly always: a tenth of the time
         return last
     dated = boots[boots != _NO_BOOT]

@@ -3,11 +3,11 @@
 Rules that it keeps:
 
 1. Datagrams to send are put into ``outbox``, in order; the owner of the socket empties it.
-2. Every message that comes in is counted once: as sent, as held back by a limit (or waiting for it), or as
-   refused with a reason.
+2. Every incoming message is counted once: as sent, as held back by a limit (or waiting for it), or as refused
+   with a reason.
 3. Messages for cFS while the session is not ready are never sent, also not later: old commands are dangerous.
 4. A packet longer than cFS accepts is refused, never cut.
-5. The bytes of a message stay as they are; only headers and envelopes are written or removed.
+5. The bytes of a message stay unchanged; only headers and envelopes are written or removed.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Limit(msgspec.Struct, frozen=True):
 
     Attributes:
         rate_hz: most messages a second; None for no limit.
-        keep: ``latest``: one too many waits until the lane is due, and a newer one replaces it;
-            ``first``: one too many is dropped.
+        keep: message to keep at the limit. ``latest``: an excess message waits until the lane is due, and a
+            newer one replaces it; ``first``: an excess message is dropped.
     """
 
     rate_hz: float | None = None
@@ -46,18 +46,18 @@ class Limit(msgspec.Struct, frozen=True):
 
 
 class Limiter(Generic[Item]):
-    """Lanes, each with its limit, and a limit of all of them together.
+    """Lanes of messages, each with its own limit, and one limit for all of them together.
 
     1. A message passes when its lane is due; then the lane is due again one period later.
-    2. Due times stay on a grid where messages come a little late: 250 Hz under a limit of 30 Hz leave at
-       30 Hz, not at the 27.8 Hz of every ninth message.
+    2. Due times stay on a grid if messages come a little late: 250 Hz under a limit of 30 Hz leave at 30 Hz,
+       not at the 27.8 Hz of every ninth message.
     3. Two messages of a lane are never closer than half a period.
-    4. Where the total is reached, the lane that has waited longest is next.
+    4. If the total is reached, the lane that has waited longest is next.
 
     Args:
-        limits: of each lane.
+        limits: limit of each lane.
         total_hz: most messages a second of the counted lanes together; None for no limit.
-        in_total: which lanes the total counts; all by default.
+        in_total: whether the total counts each lane; by default all of them.
 
     Attributes: held: for each lane, messages that never pass: dropped, or replaced by a newer one.
     """
@@ -79,13 +79,13 @@ class Limiter(Generic[Item]):
 
     @property
     def next_ns(self) -> int | None:
-        """When ``due`` returns something; None when nothing waits."""
+        """Time at which ``due`` returns something, ns; None if nothing waits."""
         if not self._waiting:
             return None
         return min(max(self._clocks[lane].due_ns, self._totals[lane].due_ns) for lane in self._waiting)
 
     def waits(self, lane: int) -> bool:
-        """Tell whether a message of a lane waits."""
+        """Return whether a message of a lane waits."""
         return lane in self._waiting
 
     def offer(self, lane: int, item: Item, *, now: int) -> bool:
@@ -96,7 +96,7 @@ class Limiter(Generic[Item]):
             self._waiting[lane] = item  # it keeps its place in the order of waiting
             self.held[lane] += 1
             return False
-        # Under a total, a message that waits already goes first.
+        # Under a total, a message that already waits goes first.
         if self._may(lane, now) and not any(self._may(other, now) for other in self._waiting):
             self._pass(lane, now)
             return True
@@ -124,7 +124,7 @@ class Limiter(Generic[Item]):
 
 
 class _Clock:
-    """When the next message may pass, ns."""
+    """Time at which the next message may pass, ns."""
 
     __slots__ = ("_period_ns", "due_ns")
 
@@ -133,7 +133,7 @@ class _Clock:
         self.due_ns = -(1 << 62)
 
     def step(self, now: int) -> None:
-        """Note that one passed."""
+        """Note that a message passed."""
         period = self._period_ns
         if not period:
             return
@@ -143,18 +143,18 @@ class _Clock:
 
 
 CI_LARGEST: Final = limits.CI_BUFFER
-"""Command Ingest cuts a longer packet: it is refused instead."""
+"""Largest packet that Command Ingest accepts, in bytes; it would cut a longer one, which is refused."""
 _REASONS: Final = 16
 SBN_LARGEST: Final = sbn.LARGEST_PAYLOAD
 
 
 class LinkSession(Protocol):
-    """The protocol with cFS apart from the messages; time is an argument, in ns."""
+    """The protocol with cFS, without the messages; time is an argument, in ns."""
 
     notes: list[str]
     """Lines for people; the reader empties the list."""
     refused: dict[str, int]
-    """Datagrams that were refused, by reason."""
+    """Number of refused datagrams, by reason."""
 
     @property
     def ready(self) -> bool:
@@ -163,7 +163,7 @@ class LinkSession(Protocol):
 
     @property
     def next_ns(self) -> int | None:
-        """When ``service`` is due; None when never."""
+        """Time at which ``service`` is due, ns; None for never."""
         ...
 
     def receive_datagram(self, data: bytes, *, now: int) -> tuple[int, list[bytes]]:
@@ -171,7 +171,7 @@ class LinkSession(Protocol):
         ...
 
     def service(self, *, now: int) -> list[bytes]:
-        """Return what is due."""
+        """Do the work that is due; return datagrams to send."""
         ...
 
     def frame(self, packet: bytes) -> bytes:
@@ -183,20 +183,20 @@ class LinkSession(Protocol):
         ...
 
     def goodbye(self) -> list[bytes]:
-        """Return what to send at the end."""
+        """Return the datagrams to send at the end."""
         ...
 
     def summary(self) -> dict[str, Any]:
-        """Return its part of ``bridge --json``."""
+        """Return the session's part of ``bridge --json``."""
         ...
 
 
 class BridgeOptions(msgspec.Struct, frozen=True):
-    """How a bridge writes and reads packets.
+    """Options for the packets of a bridge.
 
     Attributes:
-        headers: those of the cFE at the other end.
-        envelope: format where a route names none; ``auto`` tells it from the bytes.
+        headers: headers of the cFE at the other end.
+        envelope: format where a route names none; ``auto`` detects it from the bytes.
         max_size: largest packet in bytes that cFS accepts.
         max_rate_total: most messages a second to cFS; None for no limit.
     """
@@ -208,12 +208,12 @@ class BridgeOptions(msgspec.Struct, frozen=True):
 
 
 class Traffic(msgspec.Struct):
-    """What happened to the messages of one route.
+    """The counts of the messages of one route.
 
     Attributes:
-        received: messages that came in.
-        sent: messages that went out.
-        refused: messages that could not go out, by reason.
+        received: number of messages that came in.
+        sent: number of messages that went out.
+        refused: number of messages that could not go out, by reason.
     """
 
     received: int = 0
@@ -221,7 +221,7 @@ class Traffic(msgspec.Struct):
     refused: dict[str, int] = msgspec.field(default_factory=dict)
 
     def refuse(self, reason: str) -> None:
-        """Count one that is refused.
+        """Count a refused message.
 
         The number of reasons is bounded, because some contain values of the message.
         """
@@ -234,19 +234,19 @@ class BridgeSession:
     """The routes of one bridge, and its session with cFS.
 
     Args:
-        routes: to and from cFS.
-        link: the session.
-        writer: of packets; the session uses the same.
-        sizes: type to the bytes of its messages; None where they vary.
+        routes: routes to and from cFS.
+        link: the session with cFS.
+        writer: writer of packets, shared with the session.
+        sizes: bytes of the messages of each type; None if they vary.
 
     Attributes:
-        routes: as given; a route is named by its index.
-        link: as given.
+        routes: the routes; a route is named by its index.
+        link: the session with cFS.
         traffic: counts of each route.
         limiter: rate limits, in the order of the routes.
         outbox: datagrams to send, in order.
-        others: packets from cFS that no route claims.
-        unreadable: datagrams from cFS without a whole packet.
+        others: number of packets from cFS without a route.
+        unreadable: number of datagrams from cFS without a whole packet.
     """
 
     def __init__(
@@ -263,7 +263,7 @@ class BridgeSession:
         self.outbox: list[bytes] = []
         self.others = self.unreadable = 0
         handlings = [route.handling for route in routes]
-        # The total protects cFS; what comes from cFS does not count.
+        # The total protects cFS; packets from cFS do not count.
         limits = [Limit(item.max_rate, item.keep or "latest") for item in handlings]
         self.limiter: Limiter[bytes] = Limiter(
             limits, options.max_rate_total, [route.to_cfs for route in routes]
@@ -281,14 +281,14 @@ class BridgeSession:
 
     @property
     def next_ns(self) -> int | None:
-        """When ``service`` is due; None when never."""
+        """Time at which ``service`` is due, ns; None for never."""
         first, second = self.link.next_ns, self.limiter.next_ns
         if first is None or second is None:
             return first if second is None else second
         return min(first, second)
 
     def receive_message(self, index: int, cdr: bytes, *, now: int) -> bool:
-        """Take a message of the graph for cFS; tell whether it was put into the outbox at once."""
+        """Take a message of the graph for cFS; return whether it was put into the outbox at once."""
         traffic = self.traffic[index]
         traffic.received += 1
         if not self.link.ready:
@@ -328,7 +328,7 @@ class BridgeSession:
         return None
 
     def service(self, *, now: int) -> list[tuple[int, bytes]]:
-        """Do what is due, of the session and of messages held back; return the messages to publish."""
+        """Do the work that is due, of the session and the limiter; return the messages to publish."""
         due = self.link.next_ns
         if due is not None and due <= now:
             self.outbox += self.link.service(now=now)
@@ -349,11 +349,11 @@ class BridgeSession:
         self.traffic[index].refuse(reason)
 
     def goodbye(self) -> None:
-        """Put what ends the session into the outbox."""
+        """Put the datagrams that end the session into the outbox."""
         self.outbox += self.link.goodbye()
 
     def summary(self) -> dict[str, Any]:
-        """Return its part of ``bridge --json``."""
+        """Return the bridge's part of ``bridge --json``."""
         return {
             **self.link.summary(),
             "refused": dict(self.link.refused),

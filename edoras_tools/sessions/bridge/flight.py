@@ -31,23 +31,24 @@ _NO_PACKET: Final = -1
 _MOST_TOLD: Final = 64
 _MOST_PEERS: Final = 16
 _SUBSCRIBED_WITHIN_NS: Final = 2 * SECOND
-"""cFS has sent its subscriptions by then."""
+"""Time within which cFS has sent its subscriptions."""
 
 
 class FlightSession:
     """One connection to cFS's Software Bus Network.
 
     Args:
-        own: identity of this side. peer: identity of cFS; all others are refused. msg_ids: what this side
-            subscribes to.
-        now: ns.
-        headers: those of the cFE at the other end.
+        own: identity of this side.
+        peer: identity of cFS; all others are refused.
+        msg_ids: MsgIds that this side subscribes to.
+        now: present time, ns.
+        headers: headers of the cFE at the other end.
 
     Attributes:
         connection: the SBN connection.
-        connections: how often a connection was made.
-        losses: how often one was lost: by ``disconnect``, by ``timeout``.
-        refused: refused datagrams, by reason.
+        connections: number of times a connection was made.
+        losses: number of times one was lost: by ``disconnect``, by ``timeout``.
+        refused: number of refused datagrams, by reason.
         notes: lines for people; the reader empties the list.
     """
 
@@ -70,14 +71,14 @@ class FlightSession:
 
     @property
     def next_ns(self) -> int:
-        """When ``service`` is due."""
+        """Time at which ``service`` is due, ns."""
         return self.connection.next_ns
 
     def receive_datagram(self, data: bytes, *, now: int) -> tuple[int, list[bytes]]:
         """Take a datagram, any bytes.
 
         Returns:
-            where a space packet starts, -1 where there is none, and what to answer.
+            The start of its space packet, -1 if there is none, and the datagrams that answer it.
         """
         if self.connection.receive_message(data, now=now):
             return sbn.HEADER.size, []
@@ -91,7 +92,7 @@ class FlightSession:
         return at, list(step.datagrams)
 
     def service(self, *, now: int) -> list[bytes]:
-        """Ask for a connection, keep it alive, or find that it is lost."""
+        """Request a connection, keep it alive, or detect that it is lost."""
         step = self.connection.service(now=now)
         for event in step.events:
             self._note(event)
@@ -102,7 +103,7 @@ class FlightSession:
         return self.connection.want(msg_ids, now=now)
 
     def frame(self, packet: bytes) -> bytes:
-        """Return the datagram of a packet, 32,767 bytes at the most."""
+        """Return the datagram of a packet, which has at most 32,767 bytes."""
         msg_id = self._headers.msg_ids.of(packet)
         if msg_id not in self.connection.subscribed:
             self._unwanted.add(msg_id)
@@ -124,7 +125,7 @@ class FlightSession:
         return self.connection.goodbye()
 
     def summary(self) -> dict[str, Any]:
-        """Return its part of ``bridge --json``."""
+        """Return the session's part of ``bridge --json``."""
         return {
             "peer": str(self._peer),
             "connected": self.ready,
@@ -133,7 +134,7 @@ class FlightSession:
         }
 
     def _note(self, event: ConnectionEvent) -> None:
-        """Count an event, and add a line for people where there is one."""
+        """Count an event, and add a line for people if it needs one."""
         peer = self._peer
         match event:
             case Connected():

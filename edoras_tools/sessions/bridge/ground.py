@@ -7,10 +7,10 @@ asking     telemetry arrives                           hearing
 hearing    none arrives for ``SILENCE_NS``             asking
 =========  ==========================================  =========
 
-Asking is the enable command, then the remove-packet and add-packet commands for what the mission wants in
-Telemetry Output's table: every ``ASK_NS`` at first, later every ``SILENCE_NS``, so that a cFS that starts
-late or restarts is found. Telemetry Output's pipe holds four commands of one MsgId between two wake-ups: more
-are sent in groups, ``STEP_NS`` apart.
+To ask is to send the enable command, then remove-packet and add-packet commands for the packets of the
+mission in Telemetry Output's table: every ``ASK_NS`` at first, later every ``SILENCE_NS``, so that a cFS
+that starts late or restarts is reached. Telemetry Output's pipe holds four commands of one MsgId between two
+wake-ups: more commands are sent in groups, ``STEP_NS`` apart.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ STEP_NS: Final = SECOND
 """Twice the time between Command Ingest's wake-ups."""
 _ASKS: Final = 5
 _AT_ONCE: Final = 4
-"""Commands of one MsgId that wait in Telemetry Output's pipe."""
+"""Most commands of one MsgId that can wait in Telemetry Output's pipe."""
 _ADD: Final = struct.Struct("<IBBBx")
-"""MsgId, priority, reliability, how many may wait."""
+"""MsgId, priority, reliability, message limit."""
 
 
 class GroundSession:
@@ -42,16 +42,16 @@ class GroundSession:
 
     Args:
         address: IPv4 address that Telemetry Output shall send to; None: send it no commands.
-        add: MsgIds for its table, and how many of each may wait.
-        now: ns.
+        add: message limit of each MsgId to add to its table.
+        now: present time, ns.
 
     Attributes:
-        ready: whether commands may be sent: always true.
-        next_ns: when ``service`` is due; None when never.
+        ready: whether commands may be sent: always True.
+        next_ns: time at which ``service`` is due; None for never.
         hearing: whether telemetry arrives.
-        asked: how often Telemetry Output was asked.
+        asked: number of times that Telemetry Output was asked.
         notes: lines for people; the reader empties the list.
-        refused: datagrams refused, by reason: always empty, for any sender may be TO.
+        refused: number of refused datagrams, by reason: always empty, because any sender may be TO.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class GroundSession:
         self._bursts: list[list[bytes]] = []
 
     def receive_datagram(self, data: bytes, *, now: int) -> tuple[int, list[bytes]]:
-        """Take a datagram; return where its space packet starts, and nothing to answer."""
+        """Take a datagram; return the start of its space packet, and no answers."""
         self._heard_ns = now
         if not self.hearing:
             self.hearing, self._told = True, False
@@ -117,7 +117,7 @@ class GroundSession:
         return []
 
     def summary(self) -> dict[str, Any]:
-        """Return its part of ``bridge --json``."""
+        """Return the session's part of ``bridge --json``."""
         return {"connected": self.hearing, "asked": self.asked}
 
     def _ask(self) -> list[list[bytes]]:

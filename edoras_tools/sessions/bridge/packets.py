@@ -1,6 +1,6 @@
-"""Space packets as a bridge writes and reads them: cFE's header, the EDORAS envelope, the CDR unchanged.
+"""Space packets of a bridge, written and read: cFE's header, the EDORAS envelope, the unchanged CDR.
 
-An envelope whose length exceeds the packet is refused; one whose length is shorter is cut there.
+An envelope whose length exceeds the packet is refused; bytes behind the length of an envelope are dropped.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class PacketWriter:
     """Writes packets; sequence counts and checksums, which the public bridges leave 0, on request.
 
     Args:
-        checksum: write the checksum of commands.
-        sequence: count the packets of each MsgId, as cFE does.
-        headers: those of the cFE that reads them.
+        checksum: whether to write the checksum of commands.
+        sequence: whether to count the packets of each MsgId, as cFE does.
+        headers: headers of the cFE that reads the packets.
     """
 
     def __init__(
@@ -46,11 +46,11 @@ class PacketWriter:
         self._counts: dict[int, int] = {}
 
     def overhead(self, msg_id: int) -> int:
-        """Return the bytes of the header that a MsgId has."""
+        """Return the bytes of the headers of a MsgId's packets."""
         return self._headers.size(msg_id)
 
     def of_known(self, msg_id: int) -> int:
-        """Return what a MsgId of version 1 is for the cFE that reads."""
+        """Return the MsgId, for the cFE that reads the packets, of a MsgId of version 1."""
         return self._headers.msg_ids.of_known(msg_id)
 
     def write(self, msg_id: int, payload: bytes, code: int = edoras_app.SET) -> bytes:
@@ -72,7 +72,7 @@ class PacketWriter:
         return packet[:at] + bytes((cfe.checksum(packet),)) + packet[at + 1 :]
 
     def _start(self, msg_id: int) -> tuple[int, bytes, bool]:
-        """Return a packet's first word, what is between its primary header and the next, and its kind."""
+        """Return the first word, the bytes between primary and cFE header, and whether it is a command."""
         head = self._headers.emit(msg_id, self._headers.size(msg_id), 0, 0)
         between = head[ccsds.PRIMARY.size :]
         command = bool(self._headers.msg_ids.is_command(msg_id))
@@ -84,9 +84,9 @@ class Envelope:
     """One route's envelope, both ways.
 
     Args:
-        form: its format; None reads the format from the bytes, and writes the default.
-        cdr_bytes: bytes of every message of the type, encapsulation included; None where they vary.
-        type_name: for refusals.
+        form: format of the envelope; None detects it from the bytes, and writes the default.
+        cdr_bytes: bytes of every message of the type, encapsulation included; None if they vary.
+        type_name: type of the message, for refusals.
     """
 
     def __init__(
@@ -111,11 +111,12 @@ class Envelope:
         return self._lengths.pack(length, length) + cdr
 
     def open(self, data: bytes, start: int, end: int) -> bytes | str:
-        """Return the CDR of an envelope, or why there is none.
+        """Return the CDR of an envelope, or the reason why there is none.
 
         Args:
-            start: where the envelope starts in it.
-            end: where its packet ends, within the datagram.
+            data: the datagram.
+            start: start of the envelope in it.
+            end: end of its packet, within the datagram.
         """
         form = self._form or envelope.detect(data[start:end])
         if form is None:
@@ -145,9 +146,9 @@ class PacketPlace(msgspec.Struct, frozen=True):
     """A space packet in a datagram.
 
     Attributes:
-        msg_id: as its cFE builds it.
-        body: where its cFE header ends.
-        end: where it ends, by its own length and the datagram's.
+        msg_id: MsgId in the version of its cFE.
+        body: end of its cFE header.
+        end: end of the packet, by its own length and the datagram's.
     """
 
     msg_id: int
@@ -156,7 +157,7 @@ class PacketPlace(msgspec.Struct, frozen=True):
 
 
 def find_packet(data: bytes, at: int, headers: cfe.Headers = cfe.STANDARD) -> PacketPlace | None:
-    """Return the space packet that starts somewhere in a datagram; None where its header is not whole."""
+    """Return the space packet that starts at byte ``at`` of a datagram; None if its header is incomplete."""
     if len(data) - at < ccsds.PRIMARY.size:
         return None
     msg_id = headers.msg_ids.of(data, at)

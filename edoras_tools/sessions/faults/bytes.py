@@ -1,6 +1,6 @@
 """Faults in the bytes of datagrams: each function returns the bytes with one fault.
 
-A datagram without the field is returned as it was, and nothing is reported.
+A datagram without the field is returned unchanged, and nothing is reported.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ class Altered(NamedTuple):
     """A datagram after a fault.
 
     Attributes:
-        payload: its bytes; the same object where nothing was changed.
-        detail: what was changed, as ``packet_data_length 69 -> 70``.
+        payload: bytes of the datagram; the same object if nothing was changed.
+        detail: description of the change, e.g. ``packet_data_length 69 -> 70``.
     """
 
     payload: bytes
@@ -37,18 +37,18 @@ class Chance(NamedTuple):
     number: int
 
     def bits(self, salt: int) -> int:
-        """Return 64 of them."""
+        """Return 64 random bits."""
         return draw(self.key, self.number, salt)
 
 
 class Struck(NamedTuple):
-    """What a fault has to know besides the bytes.
+    """The inputs of a fault besides the bytes.
 
     Attributes:
-        link: that the datagram is on.
-        values: the options of the rule.
+        link: link of the datagram.
+        values: options of the rule.
         chance: random bits for this datagram.
-        headers: those of the cFE.
+        headers: headers of the cFE.
     """
 
     link: Link
@@ -58,7 +58,7 @@ class Struck(NamedTuple):
 
 
 def packet_offset(payload: bytes, link: Link) -> int:
-    """Return where the space packet starts, -1 where there is none."""
+    """Return the start of the space packet, -1 if there is none."""
     at = 0
     if link.peers:
         if len(payload) <= sbn.HEADER.size or payload[sbn.MSG_TYPE_AT] != sbn.MsgType.APP:
@@ -127,7 +127,7 @@ def _network(payload: bytes, struck: Struck) -> tuple[int, Layout]:
 
 
 def _envelope(payload: bytes, struck: Struck) -> tuple[int, Layout]:
-    """Find the envelope; its format is told from the bytes."""
+    """Return the place and layout of the envelope; its format is detected from the bytes."""
     at = packet_offset(payload, struck.link)
     if at < 0:
         return -1, envelope.DEFAULT.layout
@@ -148,7 +148,7 @@ def _wrong(
     """Return the fault that changes one field.
 
     Args:
-        header: returns where the header with the field starts, negative where there is none, and its layout.
+        header: returns the start of the header with the field, negative if there is none, and its layout.
     """
 
     def change(payload: bytes, struck: Struck) -> Altered:
@@ -176,7 +176,7 @@ CONTENT: Final[Mapping[str, Callable[[bytes, Struck], Altered]]] = {
     "sbn-processor": _wrong(_network, "processor_id"),
     "sbn-spacecraft": _wrong(_network, "spacecraft_id"),
 }
-"""By the name of the kind."""
+"""Functions that change bytes, by the name of the fault's kind."""
 
 _LARGEST: Final = 65507
 """Largest payload of UDP over IPv4."""
@@ -184,7 +184,7 @@ _SEQUENCE: Final = ccsds.PRIMARY.by_name["packet_sequence_count"]
 
 
 def _rewritten(payload: bytes, at: int, layout: Layout, name: str, value: int) -> Altered:
-    """Write one field, its bits alone."""
+    """Write the bits of one field."""
     slot = layout.by_name[name]
     before = layout.read(slot, payload, at)
     start, end = at + slot.start, at + slot.end

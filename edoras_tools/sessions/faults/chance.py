@@ -30,9 +30,9 @@ def draw(key: int, number: int, salt: int = 0) -> int:
     """Return 64 bits that look random.
 
     Args:
-        key: of the sequence.
+        key: key of the sequence.
         number: place in the sequence, from 0.
-        salt: tells apart several draws for one place.
+        salt: number that distinguishes several draws for one place.
     """
     value = (key + (number + 1) * _GOLDEN + salt * _SECOND) & _MASK
     value = ((value ^ value >> 30) * _FIRST) & _MASK
@@ -50,7 +50,7 @@ def draws(key: int, first: int, count: int) -> NDArray[np.uint64]:
 
 
 def threshold(probability: float) -> int:
-    """Return what a draw must be below to strike, for a probability below 1."""
+    """Return the limit below which a draw strikes, for a probability below 1."""
     return int(probability * (1 << 64))
 
 

@@ -1,4 +1,4 @@
-"""What each kind of fault does to a datagram, and the state that it keeps between datagrams."""
+"""The effect of each kind of fault on a datagram, with its state between datagrams."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from edoras_tools.wire.cfe import Headers
 
 _HEADERS: Final = 28
-"""Bytes of the IPv4 and UDP headers: a line carries them too."""
+"""Bytes of the IPv4 and UDP headers, which a line carries, too."""
 _SALT_JITTER: Final = 1
 
 
@@ -26,12 +26,12 @@ class Pending(msgspec.Struct, eq=False):
     """A datagram while it passes through the rules.
 
     Attributes:
-        payload: its bytes, as they are now.
-        due_ns: when it is to be sent.
+        payload: present bytes.
+        due_ns: time at which it is to be sent.
         stream: number of its sender.
-        to_cfs: its direction.
-        room: memory that it takes while it is held back; 0 otherwise.
-        sent: it was already sent.
+        to_cfs: whether it goes to cFS.
+        room: memory in bytes that it takes while it is held back; 0 otherwise.
+        sent: whether it was already sent.
     """
 
     payload: bytes
@@ -43,16 +43,16 @@ class Pending(msgspec.Struct, eq=False):
 
 
 class Received(NamedTuple):
-    """The datagram that an effect is asked about.
+    """A datagram and the circumstances in which an effect gets it.
 
     Attributes:
-        link: which link it is on.
-        to_cfs: its direction.
+        link: link of the datagram.
+        to_cfs: whether it goes to cFS.
         stream: number of its sender.
         msg_id: its MsgId, or ``NO_MSG_ID``.
-        now: the time, ns.
-        struck: whether the rule strikes it; if not, the effect has state from an earlier one.
-        chance: random bits for it.
+        now: present time, ns.
+        struck: whether the rule strikes it; if not, the effect has state from an earlier datagram.
+        chance: random bits for the datagram.
     """
 
     link: Link
@@ -65,12 +65,12 @@ class Received(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What an effect did.
+    """The result of an effect.
 
     Attributes:
-        items: the datagrams that go on.
-        detail: what was done; empty where nothing was.
-        lost: the datagram that it was done to, where that is an earlier one.
+        items: datagrams that continue.
+        detail: description of the change; empty if there is none.
+        lost: the datagram that was changed, if it is an earlier one.
     """
 
     items: list[Pending]
@@ -79,11 +79,11 @@ class Outcome(NamedTuple):
 
 
 class Effect:
-    """What one rule does in one run.
+    """The effect of one rule in one run.
 
     Attributes:
         outlasts: whether a strike may also change later datagrams.
-        switched_ns: when it was last enabled by hand.
+        switched_ns: time at which it was last enabled by hand.
     """
 
     outlasts = False
@@ -94,11 +94,11 @@ class Effect:
         self.switched_ns: int | None = None
 
     def may_strike(self, elapsed: int, now: int) -> bool:
-        """Tell whether the rule may strike now."""
+        """Return whether the rule may strike now."""
         return self.schedule.active(elapsed)
 
     def watches(self, to_cfs: bool, stream: int, now: int) -> bool:
-        """Tell whether it also acts on datagrams that it does not strike."""
+        """Return whether it also acts on datagrams that it does not strike."""
         return False
 
     def act(self, items: list[Pending], received: Received) -> Outcome:
@@ -112,7 +112,7 @@ class _Drop(Effect):
 
 
 class _Silence(Effect):
-    """Each strike begins a silence where a probability or a count is given; else the schedule does."""
+    """Each strike begins a silence if a probability or a count is set; otherwise the schedule does."""
 
     def __init__(self, rule: Rule) -> None:
         super().__init__(rule)
@@ -189,7 +189,7 @@ class _Duplicate(Effect):
 
 
 class _Rate(Effect):
-    """One datagram each ``1 / hz``; one too many waits for the next slot (latest) or is dropped (first)."""
+    """One datagram each ``1 / hz``; an excess one waits for the next slot (latest) or is dropped (first)."""
 
     def __init__(self, rule: Rule) -> None:
         super().__init__(rule)
@@ -222,7 +222,7 @@ class _Rate(Effect):
 
 
 class _Burst(Effect):
-    """Time is divided into intervals; what arrives in one is sent at its end."""
+    """Time is divided into intervals; datagrams that arrive in one are sent at its end."""
 
     def act(self, items: list[Pending], received: Received) -> Outcome:
         piece = max(self.values["time"], 1)

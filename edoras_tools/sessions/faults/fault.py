@@ -1,4 +1,4 @@
-"""What a fault is, for those who record or read one."""
+"""The record of an injected fault."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ class Fault(NamedTuple):
     """One fault of one datagram, as it is recorded.
 
     Attributes:
-        time_ns: when the datagram came, on the caller's clock.
-        kind: name of the kind, or ``overflow`` where ``HOLD_BYTES`` were exceeded.
-        detail: what was done.
-        original: the datagram as it came.
-        link: which link it was on.
-        to_cfs: which way it went.
-        msg_id: its MsgId; ``NO_MSG_ID`` where it has none.
-        rule: the rule, as it was written.
-        stream: as it was given with the datagram.
+        time_ns: time at which the datagram came, on the caller's clock.
+        kind: name of the kind, or ``overflow`` if ``HOLD_BYTES`` were exceeded.
+        detail: description of the change.
+        original: bytes of the datagram as it came.
+        link: link of the datagram.
+        to_cfs: whether it went to cFS.
+        msg_id: its MsgId; ``NO_MSG_ID`` if it has none.
+        rule: text of the rule.
+        stream: number of the sender.
     """
 
     time_ns: int

@@ -17,7 +17,7 @@ REQUIRED: Final = object()
 
 
 class Stage(IntEnum):
-    """The order in which faults act, whatever the order of the rules."""
+    """The order in which faults act, independent of the order of the rules."""
 
     LOSS = 0
     CONTENT = 1
@@ -34,9 +34,9 @@ class Option(NamedTuple):
     """One option of a kind.
 
     Attributes:
-        read: text to value; raises ValueError with what is allowed.
-        default: the value where it is not given; ``REQUIRED`` where it must be given.
-        doc: one line.
+        read: converts text to the value; raises ValueError with a text of the allowed values.
+        default: value if the option is missing; ``REQUIRED`` if it must be present.
+        doc: description, one line.
     """
 
     read: Callable[[str], Any]
@@ -48,11 +48,11 @@ class FaultKind(msgspec.Struct, frozen=True):
     """One kind of fault.
 
     Attributes:
-        name: as in a rule and in ``/edoras/faults``.
-        stage: when it acts.
-        doc: one line.
-        value: the option that the text behind the colon sets.
-        options: its own, besides those of every rule.
+        name: name in a rule and in ``/edoras/faults``.
+        stage: stage at which it acts.
+        doc: description, one line.
+        value: name of the option that the text behind the colon sets.
+        options: options of this kind, besides those of every rule.
     """
 
     name: str
@@ -194,7 +194,7 @@ FAULT_KINDS: Final[Mapping[str, FaultKind]] = {
         ),
     )
 }
-"""By name."""
+"""The kinds by name."""
 
 PROFILES: Final[Mapping[str, tuple[str, ...]]] = {
     "leo": ("delay:8ms", "jitter:4ms", "bandwidth:2M", "drop:0.001"),

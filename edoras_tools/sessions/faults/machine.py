@@ -1,16 +1,16 @@
-"""Fault injection: which datagrams a rule strikes, and what happens to them.
+"""Fault injection: decides which datagrams a rule strikes, and applies its effect.
 
 A ``FaultPlan`` is frozen: rules and a seed. A ``FaultMachine`` is one run of it. Rules that it keeps:
 
 1. No I/O, no clock: time is an argument, and never goes back.
-2. Each rule counts the datagrams in its scope as they came in, whatever other rules did to them. It counts
-   each sender (``stream``), link and direction apart.
+2. Each rule counts the datagrams in its scope as they came in, independent of the effects of other rules. It
+   has separate counts for each sender (``stream``), link and direction.
 3. Whether a rule strikes the n-th datagram follows from the seed, the rule and n alone. So the same seed
-   strikes the same datagrams in every run, whatever their times, one by one or in batches, with or without
-   other rules.
-4. Rules act in the order of their stages (``kinds.Stage``), whatever the order in which they are written.
-5. A datagram that nothing strikes is handed on as the same object.
-6. What is held back is bounded by ``HOLD_BYTES``; what exceeds it is lost, and reported as a fault.
+   strikes the same datagrams in every run, independent of times, of batches, and of other rules.
+4. Rules act in the order of their stages (``kinds.Stage``), independent of the order in which they are
+   written.
+5. A datagram that nothing strikes is returned as the same object.
+6. Held-back datagrams take at most ``HOLD_BYTES``; an excess one is lost, and reported as a fault.
 """
 
 from __future__ import annotations
@@ -50,20 +50,20 @@ __all__ = ["HEAD_BYTES", "HOLD_BYTES", "Delivery", "FaultMachine", "FaultPlan"]
 _INVOLVED: Final = 1
 _STRUCK: Final = 2
 _HOLDING_BYTES: Final = 256
-"""Memory that a held datagram takes besides its bytes, about."""
+"""Approximate memory of a held datagram besides its bytes."""
 
 HOLD_BYTES: Final = 256 << 20
-"""Most bytes held back at once."""
+"""Most bytes that are held back at once."""
 
 
 class Delivery(NamedTuple):
     """A datagram to send now.
 
     Attributes:
-        payload: its bytes; the same object that came in where nothing was changed.
-        due_ns: when it was due; not later than now.
-        stream: as given with the datagram.
-        to_cfs: as given with the datagram.
+        payload: its bytes; the same object that came in if nothing was changed.
+        due_ns: time at which it was due; not later than now.
+        stream: number of its sender.
+        to_cfs: whether it goes to cFS.
     """
 
     payload: bytes
@@ -76,8 +76,8 @@ class FaultPlan(msgspec.Struct, frozen=True):
     """The faults to inject.
 
     Attributes:
-        rules: the faults; they act in the order of their kinds' stages, then in this one.
-        seed: of all random choices.
+        rules: the faults; they act in the order of their kinds' stages, then in this order.
+        seed: seed of all random choices.
     """
 
     rules: tuple[Rule, ...] = ()
@@ -96,7 +96,7 @@ class FaultPlan(msgspec.Struct, frozen=True):
         """Begin a run.
 
         Args:
-            now: when it starts, which schedules count from; None: with the first datagram.
+            now: time of its start, from which schedules count; None: the time of the first datagram.
             where: compiles the filter expressions of scopes.
 
         Raises:
@@ -109,12 +109,12 @@ class FaultMachine:
     """One run of a plan.
 
     Attributes:
-        plan: what runs.
-        rules: in the order in which they act.
-        enabled: which are in use; see ``switch``.
-        struck: how many datagrams each struck.
+        plan: the plan of this run.
+        rules: the rules in the order in which they act.
+        enabled: whether each rule is in use; see ``switch``.
+        struck: number of datagrams that each rule struck.
         held_bytes: memory of the datagrams held back now.
-        overflowed: datagrams lost because ``HOLD_BYTES`` were held back.
+        overflowed: number of datagrams lost because ``HOLD_BYTES`` were held back.
     """
 
     def __init__(
@@ -148,23 +148,23 @@ class FaultMachine:
 
     @property
     def waiting(self) -> int:
-        """Datagrams held back now."""
+        """The number of datagrams held back now."""
         return sum(not item.sent for _, _, item in list(self._heap))
 
     @property
     def next_ns(self) -> int | None:
-        """When ``due`` returns something; None while nothing is held back."""
+        """Time at which ``due`` returns something; None while nothing is held back."""
         while self._heap and self._heap[0][2].sent:
             self._pop()
         return self._heap[0][0] if self._heap else None
 
     def switch(self, index: int, on: bool, *, now: int) -> None:
-        """Enable or disable a rule; what it held back is still sent when it is due."""
+        """Enable or disable a rule; datagrams that it held back are still sent when they are due."""
         self.enabled[index] = on
         self._active[index].effect.switched_ns = now if on else None
 
     def concerns(self, link: Link, *, to_cfs: bool) -> bool:
-        """Tell whether an enabled rule looks at datagrams of this link and direction."""
+        """Return whether an enabled rule applies to datagrams of this link and direction."""
         return any(
             self.enabled[counter.active.index] for counter in self._counters_of(link, to_cfs=to_cfs, stream=0)
         )
@@ -175,14 +175,14 @@ class FaultMachine:
         """Take one datagram.
 
         Args:
-            payload: its bytes.
-            link: which link it is on.
-            to_cfs: which way it goes.
-            now: the caller's clock, ns; it never goes back.
-            stream: number of its sender: order and counts are kept for each sender apart.
+            payload: bytes of the datagram.
+            link: link of the datagram.
+            to_cfs: whether it goes to cFS.
+            now: time of the caller's clock, ns; it never goes back.
+            stream: number of the sender, which has its own order and counts.
 
         Returns:
-            what to send now, in this order, and the faults. ``due`` returns what is held back.
+            The datagrams to send now, in this order, and the faults. ``due`` returns those held back.
         """
         verdicts = self._decide_one(payload, link, to_cfs, now, stream)
         if not verdicts:
@@ -200,20 +200,20 @@ class FaultMachine:
         now: int,
         stream: int = 0,
     ) -> NDArray[np.uint8] | None:
-        """Decide a batch at once: which datagrams pass as they are, and which need ``strike``.
+        """Decide a batch at once: which datagrams pass unchanged, and which need ``strike``.
 
         Args:
-            heads: u8 (n, ``HEAD_BYTES`` or more): the first bytes of each.
-            length: (n,), bytes of each.
-            payload: gives the bytes of one, for rules with a filter expression.
+            heads: first bytes of each datagram, u8 (n, ``HEAD_BYTES`` or more).
+            length: bytes of each, (n,).
+            payload: returns the bytes of one, for rules with a filter expression.
             link: as for ``apply``.
             to_cfs: as for ``apply``.
             now: as for ``apply``.
             stream: as for ``apply``.
 
         Returns:
-            u8 (rules, n): 0 where a rule does nothing to a datagram; its column goes to ``strike``. None
-            where no rule looks at this link and direction.
+            u8 (rules, n): 0 if a rule does nothing to a datagram; pass the datagram's column to ``strike``.
+            None if no rule applies to this link and direction.
         """
         counters = self._counters_of(link, to_cfs=to_cfs, stream=stream)
         if not counters:
@@ -256,19 +256,19 @@ class FaultMachine:
         now: int,
         stream: int = 0,
     ) -> tuple[list[Delivery], list[Fault]]:
-        """Do to a datagram what ``decide`` decided, in the order of the batch.
+        """Apply the decisions of ``decide`` to a datagram, in the order of the batch.
 
         Args:
             payload: its bytes.
-            column: its column of what ``decide`` returned.
-            row: its place in the batch.
+            column: column of the datagram in the result of ``decide``.
+            row: place of the datagram in the batch.
             link: as for ``apply``.
             to_cfs: as for ``apply``.
             now: as for ``apply``.
             stream: as for ``apply``.
 
         Returns:
-            as ``apply``.
+            As ``apply``.
         """
         verdicts = []
         for counter in self._counters_of(link, to_cfs=to_cfs, stream=stream):
@@ -281,7 +281,7 @@ class FaultMachine:
         return self._act(payload, link, to_cfs, now, stream, verdicts)
 
     def due(self, now: int) -> list[Delivery]:
-        """Return what was held back up to now, in order of time."""
+        """Return the held-back datagrams that are due at ``now``, in order of time."""
         deliveries = []
         while self._heap and self._heap[0][0] <= now:
             item = self._pop()
@@ -367,7 +367,7 @@ class FaultMachine:
         return deliveries, faults
 
     def _hold(self, item: Pending) -> bool:
-        """Hold a datagram back; tell whether there was room."""
+        """Hold a datagram back; return whether there was room."""
         item.room = len(item.payload) + _HOLDING_BYTES
         if self.held_bytes + item.room > HOLD_BYTES:
             return False

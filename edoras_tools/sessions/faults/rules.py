@@ -1,4 +1,4 @@
-"""Rules: one fault, what it strikes, and when; read from ``drop:0.1,msg_id=0x1827`` or from a mapping."""
+"""Rules: a fault, the datagrams it strikes, and when; read from ``drop:0.1,msg_id=0x1827`` or a mapping."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
     from edoras_tools.model import Link
 
 DIRECTIONS: Final = {"cfs": True, "ground": False, "bridge": False}
-"""``to=``: towards cFS, or away from it; ``ground`` and ``bridge`` both mean away."""
+"""Directions in ``to=``: towards cFS (True) or away from it; ``ground`` and ``bridge`` both mean away."""
 
 
 class RuleScope(msgspec.Struct, frozen=True):
-    """Which datagrams a rule looks at; empty is all.
+    """The datagrams that a rule applies to; empty is all.
 
     Attributes:
-        links: of these links.
-        to_cfs: towards cFS, away from it, or both (None).
-        msg_ids: packets with these MsgIds.
-        sbn_types: SBN datagrams of these MsgTypes.
-        where: a filter expression, as ``--where`` takes it.
+        links: links of the datagrams.
+        to_cfs: direction: towards cFS, away from it, or both (None).
+        msg_ids: MsgIds of the packets.
+        sbn_types: MsgTypes of SBN datagrams.
+        where: filter expression, in the language of ``--where``.
     """
 
     links: frozenset[Link] = frozenset()
@@ -43,14 +43,14 @@ class RuleScope(msgspec.Struct, frozen=True):
 
 
 class Schedule(msgspec.Struct, frozen=True):
-    """Which of them it strikes.
+    """The datagrams in its scope that a rule strikes.
 
     Attributes:
-        probability: each with this probability.
-        every: only each N-th that the rule looks at; 0 all.
-        from_ns: from this time on, ns since the start.
-        until_ns: up to this time; None for ever.
-        period_ns: the time from ``from_ns`` to ``until_ns`` comes again each period; 0 never.
+        probability: probability with which each one is struck.
+        every: number N if only each N-th is struck; 0 for all.
+        from_ns: time from which on it strikes, ns since the start.
+        until_ns: time up to which it strikes; None for ever.
+        period_ns: period in which the time from ``from_ns`` to ``until_ns`` repeats; 0 for never.
     """
 
     probability: float = 1.0
@@ -60,7 +60,7 @@ class Schedule(msgspec.Struct, frozen=True):
     period_ns: int = 0
 
     def active(self, elapsed: int) -> bool:
-        """Tell whether the rule is in force ``elapsed`` ns after the start."""
+        """Return whether the rule is in force ``elapsed`` ns after the start."""
         since = elapsed - self.from_ns
         if since < 0:
             return False
@@ -71,13 +71,13 @@ class Schedule(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One fault, what it strikes, and when.
+    """One fault, the datagrams it strikes, and when.
 
     Attributes:
-        kind: what it does.
-        values: what the kind is told, defaults filled in.
-        scope: which datagrams it looks at.
-        schedule: which of them it strikes.
+        kind: kind of the fault.
+        values: options of the kind, with defaults.
+        scope: datagrams that the rule applies to.
+        schedule: datagrams among these that it strikes.
         text: the rule as it was written.
         enabled: whether it is in force from the start.
     """
@@ -152,14 +152,14 @@ COMMON: Final[Mapping[str, Option]] = {
     "switch": Option(_switch, True, "off: not in force until switched on"),
     "where": Option(str, "", "filter expression; the last option, as it may hold commas"),
 }
-"""What every rule takes."""
+"""Options that every rule takes."""
 
 
 def parse_rule(text: str) -> Rule:
     """Read a rule: ``KIND[:VALUE][,OPTION=VALUE]...``, as ``drop:0.1`` or ``delay:200ms,msg_id=0x1827``.
 
     Raises:
-        ConfigError: what is wrong with it, all at once.
+        ConfigError: the rule has mistakes; the text names all of them.
     """
     head, _, rest = text.partition(",")
     name, colon, value = (part.strip() for part in head.partition(":"))
@@ -183,11 +183,12 @@ def make_rule(
     """Make a rule of its kind and options.
 
     Args:
-        words: option and text of its value, None where there was none; the option ``""`` is the kind's own.
+        name: name of the kind.
+        words: option and text of its value, None if it had none; the option ``""`` is the kind's own.
         text: the rule as it was written.
 
     Returns:
-        the rule, or None and what is wrong: option and mistake.
+        The rule, or None, and the mistakes: option and text.
     """
     kind = FAULT_KINDS.get(name)
     if kind is None:

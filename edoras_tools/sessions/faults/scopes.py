@@ -1,4 +1,4 @@
-"""Which datagrams are in the scope of a rule, one at a time and a batch at once, and how many were."""
+"""The datagrams in the scope of a rule, one at a time or a batch at once, and their counts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HEAD_BYTES: Final = sbn.HEADER.size + MSG_ID_BYTES
 
 
 def datagram_msg_id(payload: bytes, link: Link, msg_ids: MsgIds = VERSION_1) -> int:
-    """Return a datagram's MsgId, ``NO_MSG_ID`` where it has none."""
+    """Return a datagram's MsgId, ``NO_MSG_ID`` if it has none."""
     at = packet_offset(payload, link)
     return msg_ids.of(payload, at) if at >= 0 else NO_MSG_ID
 
@@ -36,12 +36,12 @@ class ActiveRule(msgspec.Struct):
     """A rule of this run.
 
     Attributes:
-        index: its place in the order in which rules act.
-        rule: as written.
-        ordinal: its number among the rules of its kind.
-        matches: its filter expression, compiled; None where it has none.
-        effect: what it does, with the state that it keeps.
-        msg_ids: the version of MsgIds.
+        index: place in the order in which rules act.
+        rule: the rule as written.
+        ordinal: number among the rules of its kind.
+        matches: compiled filter expression; None if it has none.
+        effect: effect of the rule, with its state.
+        msg_ids: version of the MsgIds.
     """
 
     index: int
@@ -52,12 +52,12 @@ class ActiveRule(msgspec.Struct):
     msg_ids: MsgIds = VERSION_1
 
     def looks_at(self, link: Link, *, to_cfs: bool) -> bool:
-        """Tell whether datagrams of a link and direction may be in its scope."""
+        """Return whether datagrams of a link and direction may be in its scope."""
         scope = self.rule.scope
         return (not scope.links or link in scope.links) and scope.to_cfs in {None, to_cfs}
 
     def inside(self, payload: bytes, link: Link) -> bool:
-        """Tell whether a datagram of a link and direction that it looks at is in its scope."""
+        """Return whether a datagram of a link and direction that may be in scope is in scope."""
         scope = self.rule.scope
         if scope.msg_ids and datagram_msg_id(payload, link, self.msg_ids) not in scope.msg_ids:
             return False
@@ -75,9 +75,9 @@ class StreamCounter(msgspec.Struct):
 
     Attributes:
         active: the rule.
-        key: of the random choices.
-        threshold: a draw below it strikes.
-        count: datagrams seen.
+        key: key of the random choices.
+        threshold: limit below which a draw strikes.
+        count: number of datagrams so far.
         first: count before the last batch that was decided.
         places: rows of that batch that were in scope.
     """
@@ -91,12 +91,12 @@ class StreamCounter(msgspec.Struct):
 
 
 class BatchHeads:
-    """The header fields of a batch that scopes ask for, read once.
+    """The header fields of a batch that scopes need, read once.
 
     Args:
-        heads: u8 (n, ``HEAD_BYTES`` or more): the first bytes of each.
-        length: (n,), bytes of each.
-        link: of all.
+        heads: first bytes of each datagram, u8 (n, ``HEAD_BYTES`` or more).
+        length: bytes of each, (n,).
+        link: link of all datagrams.
     """
 
     def __init__(self, heads: NDArray[np.uint8], length: NDArray[np.integer[Any]], link: Link) -> None:
@@ -104,7 +104,7 @@ class BatchHeads:
         self._msg_id: NDArray[np.int32] | None = None
 
     def inside(self, active: ActiveRule, payload: Callable[[int], bytes]) -> NDArray[np.bool_]:
-        """Tell of each datagram whether it is in the scope of a rule that looks at this link; bool (n,)."""
+        """Return whether each datagram is in the scope of a rule that applies to this link; bool (n,)."""
         scope = active.rule.scope
         inside = np.ones(len(self._length), bool)
         if scope.msg_ids:

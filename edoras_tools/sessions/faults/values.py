@@ -1,6 +1,6 @@
 """Text to values: the times, probabilities, counts, rates and field changes of a fault rule.
 
-Each function raises ValueError for another text; it says what is allowed.
+Each function raises ValueError for another text; the message says which texts are allowed.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ class NumberChange(NamedTuple):
     """A change of a number: ``+3`` and ``-3`` are added, ``12`` replaces it.
 
     Attributes:
-        amount: what is added, or the new value.
-        relative: whether it is added.
+        amount: number to add, or the new value.
+        relative: whether to add it.
     """
 
     amount: int
     relative: bool
 
     def apply(self, value: int) -> int:
-        """Return the number changed."""
+        """Return the changed number."""
         return value + self.amount if self.relative else self.amount
 
 
@@ -33,7 +33,7 @@ def time_ns(text: str) -> int:
     """Read a length of time in ns: ``200ms``, ``1.5s``, ``2m``; a bare number is seconds."""
     unit = next((name for name in sorted(_TIMES, key=len, reverse=True) if text.endswith(name)), "")
     value = _decimal(text.removesuffix(unit)) * _TIMES.get(unit, 10**9)
-    if not 0 <= value < _LONGEST_NS:  # also where it is not a number
+    if not 0 <= value < _LONGEST_NS:  # also if it is not a number
         raise ValueError("a length of time is needed, as 200ms, 1.5s or 2m")
     return int(value)
 

@@ -2,17 +2,17 @@
 
 Rules that it keeps:
 
-1. Bytes and times in, ``Step`` out: events that happened and datagrams to send. No socket, no clock.
+1. Bytes and times in, ``Step`` out: events and datagrams to send. No socket, no clock.
 2. The state changes by ``states.TRANSITIONS`` only, and only by triggers that the habits do not ignore.
-3. Any datagram of the peer but a DISCONNECT connects. Stock SBN announces itself to other spacecraft only, so
-   the first SUB or PROTO of either side is what connects peers of one spacecraft.
+3. Any datagram of the peer except a DISCONNECT connects. Stock SBN announces itself only to other spacecraft,
+   so the first SUB or PROTO of either side connects peers of one spacecraft.
 4. The peer is identified by spacecraft and processor, never by its address.
 5. Subscriptions are sent with the greeting; later only changes. The peer's subscriptions end with the
   connection.
-6. Everything that is sent delays the next heartbeat; everything that is received delays the time-out.
-7. Any bytes may come. They give events, never exceptions.
+6. Every sent datagram delays the next heartbeat; every received datagram delays the time-out.
+7. Any bytes may come. They cause events, never exceptions.
 
-How the implementations differ is in ``habits``.
+``habits`` has the differences between implementations.
 """
 
 from __future__ import annotations
@@ -54,23 +54,24 @@ class SbnConnection:
 
     Args:
         own: identity of this side.
-        msg_ids: what this side subscribes to.
+        msg_ids: MsgIds that this side subscribes to.
+        habits: behaviour of this side.
         peer: identity of the other side; None accepts any.
-        now: when it starts.
+        now: time of the start.
 
     Attributes:
-        own: as given.
-        peer: as given.
-        habits: as given.
-        state: whether messages cross.
+        own: identity of this side.
+        peer: identity of the other side, or None.
+        habits: behaviour of this side.
+        state: state of the connection.
         answered: identity of the last sender; None while not connected.
         wanted: MsgIds that this side subscribes to.
         subscribed: MsgIds that the other side has subscribed to.
-        subscribed_ns: when this side last sent all its subscriptions.
+        subscribed_ns: time at which this side last sent all its subscriptions.
     """
 
     busy = False
-    """Nothing is waited for after the last message."""
+    """Whether to wait after the last message: never."""
 
     def __init__(
         self,
@@ -99,12 +100,12 @@ class SbnConnection:
 
     @property
     def connected(self) -> bool:
-        """Whether messages cross."""
+        """Whether messages can be sent and received."""
         return self.state is ConnectionState.CONNECTED
 
     @property
     def next_ns(self) -> int:
-        """When ``service`` is due."""
+        """Time at which ``service`` is due."""
         habits = self.habits
         if habits.reading is not None:
             return self._poll_ns
@@ -121,7 +122,7 @@ class SbnConnection:
         return self._sent_ns + self.habits.ask_ns if self.habits.asks_when_silent else self._ask_ns
 
     def receive_message(self, data: bytes, *, now: int) -> bool:
-        """Take a datagram if it is an APP message of the connected peer; tell whether it is.
+        """Take a datagram if it is an APP message of the connected peer; return whether it is.
 
         This is the fast path for most datagrams, which need no answer. Polled readers do not have it.
         """
@@ -148,15 +149,15 @@ class SbnConnection:
         return self._take(data, header["msg_type"], sender, now)
 
     def answer(self, data: bytes, *, now: int) -> list[bytes]:
-        """Take a datagram, any bytes; return what that asks for."""
+        """Take a datagram, any bytes; return the datagrams that answer it."""
         return list(self.receive_datagram(data, now=now).datagrams)
 
     def due(self, *, now: int) -> list[bytes]:
-        """Do what is due; return the datagrams for it."""
+        """Do the work that is due; return datagrams to send."""
         return list(self.service(now=now).datagrams)
 
     def service(self, *, now: int) -> Step:
-        """Do what is due: read, find that the peer is lost, ask for a connection, send a heartbeat."""
+        """Do the work that is due: read, detect a lost peer, request a connection, send a heartbeat."""
         habits = self.habits
         events: list[ConnectionEvent] = []
         out: list[bytes] = []
@@ -192,7 +193,7 @@ class SbnConnection:
         return self._subscriptions(MsgType.SUB, msg_ids)
 
     def frame(self, packet: bytes) -> bytes:
-        """Return the datagram of a space packet, 32,767 bytes at the most."""
+        """Return the datagram of a space packet, which has at most 32,767 bytes."""
         return self._own_head.emit(packet)
 
     def sent(self, *, now: int) -> None:
@@ -200,7 +201,7 @@ class SbnConnection:
         self._sent_ns = now
 
     def goodbye(self) -> list[bytes]:
-        """Return what lets the peer close the connection at once."""
+        """Return the datagrams that let the peer close the connection at once."""
         return self._emit(self.habits.farewell) if self.connected else []
 
     def _take(self, data: bytes, msg_type: int, sender: Peer, now: int) -> Step:
@@ -240,7 +241,7 @@ class SbnConnection:
         return Step(events, out)
 
     def _read(self, length_modulus: int, events: list[ConnectionEvent], out: list[bytes]) -> None:
-        """Read what waits in the socket as a polled reader does, and answer it."""
+        """Read the waiting datagrams of the socket like a polled reader, and answer them."""
         while self._waiting:
             data = self._waiting.popleft()
             if len(data) % length_modulus < sbn.HEADER.size:
@@ -267,7 +268,7 @@ class SbnConnection:
         return Subscriptions(msg_type, ident, msg_ids)
 
     def _happens(self, trigger: Trigger) -> bool:
-        """Change the state as the table says; tell whether there was anything to change."""
+        """Change the state by the table; return whether the trigger applied."""
         after = TRANSITIONS.get((self.state, trigger))
         if after is None or trigger in self.habits.ignores:
             return False
@@ -297,7 +298,7 @@ class SbnConnection:
         return self._emit(msg_types)
 
     def _emit(self, msg_types: Iterable[MsgType]) -> list[bytes]:
-        """Return the datagrams of these types, in order; those of subscriptions hold what is wanted."""
+        """Return the datagrams of these types, in order; those of subscriptions contain ``wanted``."""
         out: list[bytes] = []
         for msg_type in msg_types:
             if msg_type in {MsgType.SUB, MsgType.UNSUB}:
@@ -322,6 +323,6 @@ def _refused(data: bytes, msg_size: int, sender: Peer) -> NotTaken:
 
 
 def _has_old_header(data: bytes) -> bool:
-    """Recognise the older header: seven bytes, and a size that fits seven and not eleven."""
+    """Return whether a datagram has the older header of seven bytes, by its size field."""
     size = sbn.LEGACY_HEADER.size
     return len(data) >= size and sbn.LEGACY_HEADER.parse(data)["msg_size"] == len(data) - size

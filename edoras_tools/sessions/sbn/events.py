@@ -1,4 +1,4 @@
-"""The states of an SBN connection, and its events, which its owner gets in the order in which they happened.
+"""The states of an SBN connection, and its events, which its owner gets in order.
 
 The diagram in ``docs/bridge.md`` is written from the table of transitions.
 """
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 
 class ConnectionState(Enum):
-    """Whether messages cross."""
+    """Whether messages can be sent and received."""
 
     DISCONNECTED = "disconnected"
     CONNECTED = "connected"
 
 
 class Trigger(Enum):
-    """What changes the state; the value is the text for people."""
+    """A cause of a change of state; the value is the text for people."""
 
     HEARD = "any datagram of the peer but DISCONNECT"
     DISCONNECT = "DISCONNECT"
@@ -38,11 +38,11 @@ TRANSITIONS: Final[Mapping[tuple[ConnectionState, Trigger], ConnectionState]] = 
     (ConnectionState.CONNECTED, Trigger.TIMEOUT): ConnectionState.DISCONNECTED,
     (ConnectionState.CONNECTED, Trigger.RESTART): ConnectionState.CONNECTED,
 }
-"""State and trigger to the next state. What is not listed changes nothing."""
+"""Next state by state and trigger; any other pair changes nothing."""
 
 
 class Refusal(Enum):
-    """Why a datagram was refused; the value is the text for people."""
+    """The reason why a datagram was refused; the value is the text for people."""
 
     SHORT = "shorter than an SBN header"
     OLD_HEADER = "SBN header of 7 bytes"
@@ -106,11 +106,11 @@ ConnectionEvent = Connected | Disconnected | Version | Subscriptions | AppMessag
 
 
 class Step(NamedTuple):
-    """What one call did.
+    """The result of one call.
 
     Attributes:
-        events: what happened, in order.
-        datagrams: what to send to the peer, in order.
+        events: events, in order.
+        datagrams: datagrams to send to the peer, in order.
     """
 
     events: Sequence[ConnectionEvent] = ()

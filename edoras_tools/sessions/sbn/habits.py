@@ -1,4 +1,4 @@
-"""How implementations of SBN differ: the options of ``SbnConnection``, and a preset for each one."""
+"""Differences between implementations of SBN: the options of ``SbnConnection``, and a preset for each."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class PolledReading(NamedTuple):
     """A receiver that polls its socket, and stops at the first datagram that is not a message.
 
     Attributes:
-        every_ns: period.
-        buffer: bytes of a datagram that it keeps.
-        length_modulus: its length variable counts modulo this; what is then shorter than a header is dropped.
+        every_ns: polling period.
+        buffer: most bytes of a datagram that it keeps.
+        length_modulus: modulus of its length variable; a datagram whose result is below a header is dropped.
     """
 
     every_ns: int
@@ -29,22 +29,23 @@ class PolledReading(NamedTuple):
 
 
 class Habits(msgspec.Struct, frozen=True):
-    """How a peer behaves.
+    """The behaviour of a peer.
 
     Attributes:
-        ask: what it sends while it is not connected, in order.
-        ask_ns: time between two of these.
-        ask_first: what it sends before the first of these, after each loss and at the start.
-        asks_when_silent: the time to ask counts from the last datagram of any kind that it sent.
-        asks_strangers_only: ask only a peer whose spacecraft and processor both differ from its own.
-        asks_always: ask when connected too.
-        greeting: what it sends when a connection is made.
-        farewell: what it sends at the end of a connection.
-        one_by_one: a SUB for each MsgId instead of one for all.
+        ask: messages that it sends while it is not connected, in order.
+        ask_ns: time between two requests.
+        ask_first: messages that it sends before the first request, at the start and after each loss.
+        asks_when_silent: whether the time to ask counts from the last datagram of any kind that it sent.
+        asks_strangers_only: whether it asks only peers whose spacecraft and processor both differ from its
+            own.
+        asks_always: whether it also asks while it is connected.
+        greeting: messages that it sends when a connection is made.
+        farewell: messages that it sends at the end of a connection.
+        one_by_one: whether it sends a SUB for each MsgId instead of one for all.
         heartbeat_ns: time without sending, after which it sends a heartbeat; None: it sends none.
         timeout_ns: silence after which the connection is lost; None: it never is.
-        ignores: changes of state that it does not have.
-        reading: how it reads its socket; None: as datagrams arrive.
+        ignores: triggers that do not change its state.
+        reading: behaviour of a polled socket; None: it reads datagrams as they arrive.
     """
 
     ask: tuple[MsgType, ...]
@@ -65,7 +66,7 @@ class Habits(msgspec.Struct, frozen=True):
 STOCK: Final = Habits(
     ask=(MsgType.ANNOUNCE,), ask_ns=facts.ANNOUNCE_S * SECOND, asks_when_silent=True, asks_strangers_only=True
 )
-"""SBN as cFS runs it.
+"""SBN in cFS.
 
 It announces itself only to peers of other spacecraft, and waits for others to send first.
 """
@@ -74,7 +75,7 @@ CLIENT: Final = Habits(ask=(MsgType.PROTO, MsgType.SUB), ask_ns=SECOND)
 """A peer that connects at once: the default of replay, inject and sweep."""
 
 TCP_CLIENT: Final = replace(CLIENT, farewell=(), timeout_ns=None)
-"""The same over TCP: the module of cFS has no timeout and no DISCONNECT; who leaves closes the connection."""
+"""The same over TCP: cFS's module has no timeout and no DISCONNECT; a peer closes the connection."""
 
 BRIDGE: Final = Habits(
     ask=(MsgType.PROTO,),
