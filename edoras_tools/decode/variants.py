@@ -246,7 +246,7 @@ class Variants:
             self._settle()
 
     def _first(self, sample: _Kept, conversation: Places) -> Places:
-        """Return the first kind that explains each packet, or ``_PLAIN`` (a plain command), or ``_NOTHING``."""
+        """Return the first kind that explains each packet; ``_PLAIN`` for plain commands, or ``_NOTHING``."""
         fitting = self._fitting(sample)
         first = np.select([fitting.by(headers) for headers in cfe.TOLD], range(len(cfe.TOLD)), _NOTHING)
         timed = np.flatnonzero((first == _EXTENDED) & ~_commands(sample))

@@ -17,4 +17,4 @@ ROWS: Final = {
     "reset": "edoras_tools.links.resets:RESETS",
     "icmp": "edoras_tools.links.icmp:ICMP",
 }
-"""The built-in links and where each object is; other packages add theirs by entry points."""
+"""Locations of the built-in links; other packages add theirs by entry points."""

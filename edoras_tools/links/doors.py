@@ -1,7 +1,7 @@
-"""What the doors of a link take and give: state that goes from batch to batch, and what comes of it.
+"""The interfaces between a link and the rest: objects with state from batch to batch, and their results.
 
-A link of headers alone has none of these. Floors above give and take what stands here as ``Any``: each says
-which type it is.
+A link that has only headers needs none of these. Types of higher layers are ``Any`` here; each docstring
+names the type.
 """
 
 from __future__ import annotations
@@ -34,69 +34,69 @@ class TopicSpace(Protocol):
 
     @property
     def endpoints(self) -> Endpoints | None:
-        """What endpoints announced; None where nobody decodes it."""
+        """The endpoints that announced themselves; None if nobody decodes announcements."""
 
     def used_names(self) -> set[str]:
-        """Return the names of topics that other messages have, or may have."""
+        """Return the topic names that other messages have, or may get."""
 
     def place(self, name: str, type_name: str, metadata: Mapping[str, str]) -> int:
         """Return the channel of a topic, which is added at first use."""
 
 
 class OwnTopics(Protocol):
-    """Makes messages of a link's datagrams, on topics that only the content names."""
+    """Makes messages of a link's datagrams, on topics that are known only from their content."""
 
     def messages(self, batch: PacketBatch, columns: Columns) -> Iterable[Any]:
         """Return the ``io.topics.rows.Messages`` of a batch, as copies; batches come in order."""
 
     def offer(self) -> None:
-        """Add the topics that are known already, before a message of theirs comes."""
+        """Add the topics that are already known, before their first messages."""
 
 
 class OwnRows(Protocol):
-    """Puts together what comes in pieces: each whole is a row of its own behind that of its last piece."""
+    """Reassembles pieces: each whole unit becomes a row behind the row of its last piece."""
 
     def take(
         self, batch: PacketBatch, columns: Columns, decode: Callable[[PacketBatch], Columns]
     ) -> tuple[PacketBatch, Columns]:
-        """Return a batch and its columns with the rows that become whole in it; batches come in order.
+        """Return a batch and its columns with the rows that become complete in it; batches come in order.
 
         Args:
-            decode: reads rows that were made.
+            decode: decodes the new rows.
         """
 
     def notes(self) -> list[str]:
-        """Return what came, a line each, for users."""
+        """Return notes for users on the pieces, a line each."""
 
 
 class Unwrapper(Protocol):
-    """Takes packets out of what carries them, before a batch is decoded."""
+    """Extracts packets from their carriers (frames, for example), before a batch is decoded."""
 
     @property
     def pieces(self) -> int:
-        """Carriers that were read."""
+        """The number of carriers read."""
 
     def take(self, batch: PacketBatch) -> PacketBatch:
         """Return a batch with the packets that end in it as rows of their own; batches come in order."""
 
     def notes(self) -> list[str]:
-        """Return what came, a line each, for users."""
+        """Return notes for users on the carriers, a line each."""
 
 
 class KnownSamples(msgspec.Struct, frozen=True, eq=False):
-    """Samples of one topic whose type is known, in the order of the rows; of one length.
+    """Samples of one topic with a known type, in the order of the rows; arrays have one length.
 
     Attributes:
-        topic: its ROS name.
-        type: its ROS type.
-        row: i64, of the batch.
-        writers: GUIDs.
-        writer: i64, which of them wrote it.
-        sequence_number: i64, the writer's.
-        offset: i64, of the CDR encapsulation in the batch's data.
-        length: i32, bytes, padding included.
-        written_ns: i64, when it was written, ns since 1970; -1 where nobody says.
-        valid: bool, whether it is a whole message.
+        topic: ROS name of the topic.
+        type: ROS type of the topic.
+        row: row of the batch, i64.
+        writers: GUIDs of the writers.
+        writer: index of its writer in ``writers``, i64.
+        sequence_number: number of the sample from its writer, i64.
+        offset: start of the CDR encapsulation in the batch's data, i64.
+        length: bytes, padding included, i32.
+        written_ns: time of writing, i64, ns since 1970; -1 if unknown.
+        valid: whether it is a whole message, bool.
     """
 
     topic: str
@@ -112,7 +112,7 @@ class KnownSamples(msgspec.Struct, frozen=True, eq=False):
 
 
 class SampleReader(Protocol):
-    """Reads samples in datagrams: messages of writers that announce their topics, and sign what they send."""
+    """Reads samples in datagrams: messages of writers that announce their topics and identify themselves."""
 
     def known_samples(
         self, types: Any, endpoints: Endpoints, batch: PacketBatch, rows: Places
@@ -121,7 +121,7 @@ class SampleReader(Protocol):
 
         Args:
             types: a ``ros.TypeStore``; None: no type is known.
-            rows: those of the link.
+            rows: rows of the link.
         """
 
     def rows_on(
@@ -130,21 +130,21 @@ class SampleReader(Protocol):
         """Return those of some rows that have a sample of a topic that ``holds`` accepts."""
 
     def writers(self, batch: PacketBatch, rows: Places) -> Iterable[bytes]:
-        """Return the GUIDs of the writers that some rows are about."""
+        """Return the GUIDs of the writers to which some rows belong."""
 
     def topic_of(self, guid: bytes, endpoints: Endpoints) -> str:
-        """Return what the topic of a writer is called, also where it was not announced."""
+        """Return the name of a writer's topic; also one for a topic that was not announced."""
 
 
 class SampleStream(msgspec.Struct, frozen=True):
     """The samples of one writer.
 
     Attributes:
-        topic: its ROS name, or what it is called.
-        count: samples that were captured, each once.
+        topic: ROS name, or a substitute.
+        count: number of captured samples, each counted once.
         first_ns: time of the first.
         last_ns: time of the last.
-        longest_ns: the longest time between two of them.
+        longest_ns: longest time between two consecutive ones.
     """
 
     topic: str
@@ -155,26 +155,26 @@ class SampleStream(msgspec.Struct, frozen=True):
 
 
 class Follower:
-    """What a link counts in the batches of a stream, for ``info``; this one counts nothing."""
+    """The counts of a link in the batches of a stream, for ``info``; this one counts nothing."""
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch; they come in order."""
+        """Add a batch; batches come in order."""
 
     def summary(self) -> dict[str, Any]:
-        """Return what ``info --json`` says more."""
+        """Return the link's additions to ``info --json``."""
         return {}
 
     def counts(self) -> Sequence[Any]:
-        """Return the sequence counts of packets that have no row, each a ``sessions.sequence.Stream``."""
+        """Return sequence counts of packets without a row, each a ``sessions.sequence.SequenceStream``."""
         return ()
 
 
 class LinkEvidence(Follower):
-    """What a link saw in the batches of a stream, for the doctor; this one saw nothing.
+    """The observations of a link in the batches of a stream, for the doctor; this one observes nothing.
 
     Attributes:
-        datagrams: those that the doctor has no row of, and judges by this alone.
-        reassembled: rows among these that were put together, and not captured.
+        datagrams: number of datagrams that the doctor has no rows of, and judges by these observations alone.
+        reassembled: number of rows that were reassembled, not captured.
     """
 
     datagrams: int = 0
@@ -185,17 +185,17 @@ class LinkEvidence(Follower):
         return ()
 
     def spans(self) -> list[tuple[int, int]]:
-        """Return from when to when something was captured, ns since 1970."""
+        """Return begin and end of each time in which something was captured, ns since 1970."""
         return []
 
     def rows(self, drops: int | None) -> list[Any]:
         """Return witness rows, each a ``diagnosis.ledger.Row``.
 
         Args:
-            drops: frames that the capture itself lost; None where it does not tell.
+            drops: number of frames that the capture itself lost; None if unknown.
         """
         return []
 
     def missing(self, drops: int | None) -> list[Any]:
-        """Return what was lost, each a ``diagnosis.missing.Missing``; see ``rows``."""
+        """Return the losses, each a ``diagnosis.missing.Missing``; see ``rows``."""
         return []

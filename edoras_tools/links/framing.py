@@ -1,15 +1,15 @@
-"""How a link's messages are cut from a TCP stream.
+"""The interface that cuts a link's messages from a TCP stream.
 
-A link that travels over TCP sets ``LinkProtocol.framing`` to an object of a class made from :class:`Framing`,
-and names its ports in ``LinkProtocol.transport`` with ``protocol="tcp"`` (or ``"either"``). For most links
-:meth:`Framing.lengths` is all that there is to write: how long the message is that starts at a byte.
-``io.frames.tcp`` puts the bytes of each connection in order, calls it, and makes of each message one row of a
-``PacketBatch``, so ``recognise``, ``locate`` and ``dissect`` of the link see a message like a datagram.
+A link over TCP sets ``LinkProtocol.framing`` to an object of a class derived from :class:`Framing`, and names
+its ports in ``LinkProtocol.transport`` with ``protocol="tcp"`` (or ``"either"``). Most links only implement
+:meth:`Framing.lengths`: the length of the message that starts at a byte. ``io.frames.tcp`` puts the bytes of
+each connection in order, calls it, and makes one row of a ``PacketBatch`` from each message, so
+``recognise``, ``locate`` and ``dissect`` of the link see a message like a datagram.
 
 Rules that every framing keeps:
 
-1. It is frozen: what is learnt from one connection is kept in what :meth:`Framing.state` returns.
-2. Whatever the bytes, it raises nothing.
+1. It is frozen: knowledge of one connection is kept in the object that :meth:`Framing.state` returns.
+2. It raises nothing, for any bytes.
 3. A message longer than ``largest`` is none: no stream can make a reader keep more than that.
 """
 
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
 NOT_YET: Final = 0
 """The length of a message whose header is not complete yet."""
 NOT_A_MESSAGE: Final = -1
-"""The length where no message starts."""
+"""The length at a byte where no message starts."""
 
 
 class MessageContents(msgspec.Struct, frozen=True, eq=False):
-    """What the messages of one connection hold, where that is not their bytes as they are.
+    """The contents of the messages of one connection, if they differ from the messages' bytes.
 
     Attributes:
-        data: u8, the contents end to end.
-        offset: i64 (n,), start of each in ``data``.
-        length: i64 (n,), bytes of each.
-        part: bool (n,), messages that are only a part of one: their content comes with a later one.
+        data: contents end to end, u8.
+        offset: start of each in ``data``, i64 (n,).
+        length: bytes of each, i64 (n,).
+        part: whether the message is only a part of one, bool (n,): its content comes with a later message.
     """
 
     data: NDArray[np.uint8]
@@ -48,10 +48,10 @@ class MessageContents(msgspec.Struct, frozen=True, eq=False):
 
 
 class StreamState(Protocol):
-    """What is known of one connection, for a link whose messages depend on those before.
+    """The state of one connection, for a link whose messages depend on earlier ones.
 
     Attributes:
-        foreign: whether it is another program's, which uses the same port: nothing of it is kept.
+        foreign: whether the connection is another program's on the same port, so that nothing of it is kept.
     """
 
     foreign: bool
@@ -59,13 +59,13 @@ class StreamState(Protocol):
     def contents(
         self, data: NDArray[np.uint8], offset: Integers, length: Integers, forward: Mask
     ) -> MessageContents:
-        """Return what the next messages hold; they come in the order in which they were complete.
+        """Return the contents of the next messages; they come in the order in which they were complete.
 
         Args:
-            data: u8, holds the messages.
-            offset: i64 (n,), start of each.
-            length: i64 (n,), bytes of each.
-            forward: bool (n,), the direction of each; which of the two is which end is not known.
+            data: buffer with the messages, u8.
+            offset: start of each, i64 (n,).
+            length: bytes of each, i64 (n,).
+            forward: direction of each, bool (n,); which end is which is unknown.
         """
 
 
@@ -73,10 +73,10 @@ class Framing:
     """Cuts a byte stream into messages.
 
     Attributes:
-        head: bytes that are enough to know the length of any message.
+        head: number of bytes that are enough to know the length of any message.
         largest: bytes of the longest message.
-        sender: bytes of ``head`` that are the same in all messages that one end of a connection sends.
-        checked: whether a message that is ``likely`` surely is one, as with a check value.
+        sender: bytes of ``head`` that are the same in all messages of one end of a connection.
+        checked: whether a message that is ``likely`` surely is one, for example by a check value.
     """
 
     head: ClassVar[int] = 1
@@ -88,41 +88,41 @@ class Framing:
         """Return the bytes of the message that starts at each position.
 
         Args:
-            data: u8, contiguous; at least ``wire.arrays.window.PADDING`` bytes follow each ``end``.
-            at: i64 (n,), positions, at most ``end``.
-            end: one past the last byte that is there, for all or i64 (n,).
+            data: contiguous buffer, u8; at least ``wire.arrays.window.PADDING`` bytes follow each ``end``.
+            at: positions, i64 (n,), at most ``end``.
+            end: end of the present bytes, for all or i64 (n,).
 
         Returns:
-            i64 (n,), header included; ``NOT_YET`` where more bytes are needed to tell, and ``NOT_A_MESSAGE``
-            where none of this link starts.
+            Lengths, i64 (n,), header included; ``NOT_YET`` if more bytes are needed, and ``NOT_A_MESSAGE``
+            if no message of this link starts there.
         """
         raise NotImplementedError
 
     def length(self, data: memoryview, at: int, end: int) -> int:
-        """Return what ``lengths`` does for one position; override it where that is faster."""
+        """Return the same as ``lengths`` for one position; override it if that is faster."""
         return int(self.lengths(np.frombuffer(data, np.uint8), np.array([at], np.int64), end)[0])
 
     def likely(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Mask:
-        """Tell where a message probably starts, bool (n,): used to find the first one behind missing bytes.
+        """Return where a message probably starts, bool (n,): used to find the first one behind missing bytes.
 
-        The more it asks for, the better; ``lengths`` may accept what this does not.
+        The stricter it is, the better; ``lengths`` may accept positions that it does not.
         """
         return self.lengths(data, at, end) > 0
 
     def state(self) -> StreamState | None:
-        """Return a new object for a new connection; None where each message is its own content."""
+        """Return a new object for a new connection; None if each message is its own content."""
         return None
 
 
 def prefixed(
     head: NDArray[Any], size: NDArray[Any], room: Integers | int, needed: int, largest: int
 ) -> Integers:
-    """Return lengths as :meth:`Framing.lengths` does, for a header that states them.
+    """Return lengths like :meth:`Framing.lengths`, for a header that states them.
 
     Args:
-        head: bool (n,), whether the header can be one.
-        size: integer (n,), bytes of the message as its header states them, header included.
-        room: bytes that are there from each position on.
+        head: whether the header is possible, bool (n,).
+        size: bytes of the message by its header, header included, integer (n,).
+        room: number of present bytes from each position on.
         needed: bytes of the header.
         largest: see ``Framing``.
     """

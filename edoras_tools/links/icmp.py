@@ -1,6 +1,6 @@
 """ICMP errors about UDP datagrams: a closed port, a host or network that cannot be reached.
 
-No port carries them, so their port is 0, as that of stored packets. They are told by their content.
+No port carries them, so their port is 0, like that of stored packets. Their content identifies them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class IcmpLink(LinkProtocol):
     quotes = True
 
     def recognise(self, facts: Seen) -> Any:
-        """Return how sure it is: certain where the message quotes a UDP datagram."""
+        """Return the confidence: certain if the message quotes a UDP datagram."""
         fits: Any = sum(form.fits(facts.field) for form in FORMS)
         return CERTAIN * fits * (facts.destination_port == 0)
 
@@ -65,7 +65,7 @@ class IcmpLink(LinkProtocol):
         return owner[present], at[present] + shift[present]
 
     def quoted(self, datagram: Datagram) -> Datagram:
-        """Return the datagram that an error quotes, as far as it does; see :meth:`LinkProtocol.quoted`."""
+        """Return the quoted part of the datagram that an error quotes; see :meth:`LinkProtocol.quoted`."""
         data = datagram.payload
         form = _form_of(data)
         (_, header, _), at = form.headers, form.size - QUOTED_UDP.size
@@ -90,19 +90,19 @@ class IcmpLink(LinkProtocol):
         )
 
     def summary(self, decoded: Decoded) -> str:
-        """Return why it reached nobody."""
+        """Return the reason why the datagram reached nobody."""
         return next(field.text for field in decoded.layers[0].fields if field.name == "code").partition(" (")[
             0
         ]
 
 
 class QuotedRows(NamedTuple):
-    """The datagrams that errors quote, a row an error.
+    """The datagrams that errors quote, one row an error.
 
     Attributes:
-        datagrams: their endpoints; all else is that of the errors.
-        identification: u16, of IPv4; 0 for IPv6, which has none.
-        closed: bool, whether the host that it was for says that nobody listens on the port.
+        datagrams: batch with their endpoints; the other columns are those of the errors.
+        identification: IPv4 identification, u16; 0 for IPv6, which has none.
+        closed: whether the addressed host itself reports that nobody listens on the port, bool.
     """
 
     datagrams: PacketBatch
@@ -111,10 +111,10 @@ class QuotedRows(NamedTuple):
 
 
 def quoted_rows(batch: PacketBatch, rows: Places) -> QuotedRows:
-    """Return what the errors of a batch quote.
+    """Return the datagrams that the errors of a batch quote.
 
     Args:
-        rows: those of the errors.
+        rows: rows of the errors.
     """
     own = batch.take(rows)
     address = {name: np.zeros(len(rows), np.uint32) for name in ADDRESSED}
@@ -156,7 +156,7 @@ def quoted_rows(batch: PacketBatch, rows: Places) -> QuotedRows:
 
 
 def _form_of(data: bytes) -> ErrorForm:
-    """Return the form of an error that is whole."""
+    """Return the form of a complete error."""
     return next(form for form in FORMS if data[0] == form.constants[0]["type"])
 
 

@@ -2,10 +2,10 @@
 
 Rules that every link keeps:
 
-1. It is frozen: what is learnt from one stream is kept in the :class:`Site` that the caller passes.
+1. It is frozen: knowledge of one stream is kept in the :class:`Site` that the caller passes.
 2. :meth:`LinkProtocol.locate` (many datagrams, as columns) and :meth:`LinkProtocol.dissect` (one, for people)
    give the same packet offsets and the same findings for any bytes.
-3. Whatever the bytes, it raises nothing but ``WireError``, and only in ``dissect``.
+3. It raises nothing but ``WireError``, for any bytes, and only in ``dissect``.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ BY_PORT: Final = 1
 BY_CONTENT: Final = 2
 BY_ADDRESS: Final = 4
 CERTAIN: Final = 8
-"""How sure a link is that a datagram is its own; 0: it is not. The surest wins; of equals, the later one."""
+"""Confidence of a link that a datagram is its own; 0: it is not. The highest wins; of equals, the later."""
 
 SMALLEST_DOUBLE: Final = 1023 - 256
 LARGEST_DOUBLE: Final = 1023 + 63
@@ -62,10 +62,10 @@ class Form(NamedTuple):
     """One kind of datagram of a link, recognised by its length and by the doubles that it starts with.
 
     Attributes:
-        headers: the headers in front, in wire order.
-        port: the usual port that this form is sent to; 0 for any of them.
-        doubles: how many doubles it starts with, all in one byte order; a datagram where one of them is no
-            likely value is not of this form.
+        headers: headers at the beginning, in wire order.
+        port: usual destination port of this form; 0 for any of the link's.
+        doubles: number of doubles at the beginning, all in one byte order; if one of them is no likely value,
+            the datagram is not of this form.
     """
 
     headers: tuple[Layout, ...]
@@ -74,7 +74,7 @@ class Form(NamedTuple):
 
 
 class Seen(Protocol):
-    """What a link recognises a datagram by: numbers and bools for one datagram, or arrays for many.
+    """The facts by which a link recognises a datagram: values for one datagram, or arrays for many.
 
     The operators ``+ * & | == < >`` work on both; ``not``, ``~``, ``and`` and ``or`` do not.
     """
@@ -85,33 +85,33 @@ class Seen(Protocol):
 
     @property
     def destination_port(self) -> Any:
-        """The port that it is sent to."""
+        """The destination port."""
 
     @property
     def to_cfs(self) -> Any:
-        """Whether its destination is the address of a cFS that the mission names."""
+        """Whether its destination is the address of a cFS in the mission."""
 
     @property
     def from_cfs(self) -> Any:
-        """Whether its source is the address of a cFS that the mission names."""
+        """Whether its source is the address of a cFS in the mission."""
 
     @property
     def bound(self) -> Any:
-        """Whether it is as long as a C struct that is bound to the port that it is sent to."""
+        """Whether its length is that of a C struct bound to the destination port."""
 
     def field(self, layout: Layout, name: str, at: int = 0) -> Any:
-        """Return a number of a header that starts at byte ``at``; -1 where its bytes are not there."""
+        """Return a number of a header that starts at byte ``at``; -1 if the payload ends before it."""
 
 
 class Located:
-    """Where the space packets of some datagrams start, and what the headers in front of them say.
+    """The starts of the space packets in some datagrams, and the contents of the headers before them.
 
     Args:
-        count: datagrams.
+        count: number of datagrams.
 
     Attributes:
-        start: i32 (n,), first byte of the space packet in the payload; -1 where there is none.
-        findings: u32 (n,), a set of ``Finding`` bits.
+        start: first byte of the space packet in the payload, i32 (n,); -1 if there is none.
+        findings: set of ``Finding`` bits, u32 (n,).
         columns: further columns of ``Columns`` by name, (n,) each.
     """
 
@@ -121,14 +121,14 @@ class Located:
         self.columns: dict[str, NDArray[Any]] = {}
 
     def flag(self, finding: Finding, mask: Mask, rows: Places | None = None) -> None:
-        """Set a finding's bit where ``mask`` says so, of all datagrams or of some ``rows`` of them."""
+        """Set a finding's bit where ``mask`` is True, for all datagrams or for some ``rows`` of them."""
         if mask.any():
             at = np.flatnonzero(mask) if rows is None else rows[mask]
             self.findings[at] |= np.uint32(finding)
 
 
 class BatchRows(Protocol):
-    """Some datagrams of a batch that were decoded: arrays of one length."""
+    """Some decoded datagrams of a batch: arrays of one length."""
 
     @property
     def batch(self) -> PacketBatch:
@@ -136,7 +136,7 @@ class BatchRows(Protocol):
 
     @property
     def context(self) -> Site:
-        """What is known of the place."""
+        """The knowledge about the place of the capture."""
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one of ``Columns``."""
@@ -148,20 +148,21 @@ class BatchRows(Protocol):
 class LinkProtocol(Link):
     """A link whose datagrams can be read.
 
-    A link with fixed headers in front of a space packet, or with messages of fixed lengths, only sets the
+    A link with fixed headers before a space packet, or with messages of fixed lengths, only sets the
     attributes; a link whose headers depend on their content overrides the methods.
 
     Attributes:
-        layouts: its own headers, in wire order, in front of a space packet.
-        forms: the kinds of datagram, where the length tells them apart; other lengths are not this link's.
-        constants: fields of its first header with a fixed value; a datagram with another is not this link's.
-        port_sure: how sure it is by the port alone.
-        sender_port: whether the source port is enough where the destination port decides nothing.
-        wireshark: name of Wireshark's own dissector, which is left the link's datagrams; empty for ours.
-        framing: cuts its messages from TCP streams, where ``transport`` has them.
-        sends: whether the door ``send`` opens.
-        magic: how every datagram of it begins: it is recognised on any port that no other link has, and where
-            it is four bytes ``--set port=LINK:any`` captures it; empty where nothing tells so much.
+        layouts: its own headers before a space packet, in wire order.
+        forms: kinds of datagrams by their length; datagrams of other lengths are not this link's.
+        constants: fields of its first header with a fixed value; other datagrams are not this link's.
+        port_sure: confidence by the port alone.
+        sender_port: whether the source port is enough if the destination port decides nothing.
+        wireshark: name of Wireshark's own dissector, which gets the link's datagrams; empty for ours.
+        framing: framing of its messages in TCP streams, if ``transport`` has them.
+        sends: whether ``send`` is implemented.
+        magic: first bytes of every datagram; they are recognised on any port that no other link has, and if
+            there are four of them, ``--set port=LINK:any`` captures them; empty if no bytes identify the
+            link.
     """
 
     layouts: ClassVar[tuple[Layout, ...]] = ()
@@ -176,7 +177,7 @@ class LinkProtocol(Link):
 
     @classmethod
     def part(cls, place: str) -> Any:
-        """Import what a door needs, when it is opened.
+        """Import a class or function of the link when it is needed.
 
         Args:
             place: ``module:name``, in the folder of the link.
@@ -185,18 +186,18 @@ class LinkProtocol(Link):
 
     @property
     def port_decides(self) -> bool:
-        """Whether its port is enough where no other link claims that port."""
+        """Whether its port is enough if no other link claims that port."""
         return not self.forms and not self.constants
 
     @property
     def relayed(self) -> bool:
-        """Whether a relay can stand between its ends: they send to ports that are agreed on."""
+        """Whether a relay can stand between its ends, because both send to fixed ports."""
         return all(self.transport.ports) and not self.magic
 
     def recognise(self, facts: Seen) -> Any:
-        """Return how sure it is that a datagram to one of its ports is its own: a sum of the constants above.
+        """Return the confidence that a datagram to one of its ports is its own: a sum of the constants above.
 
-        A link with one direction prefers datagrams that go that way by address, then packets of that type. A
+        A link with one direction prefers datagrams in that direction by address, then packets of that type. A
         datagram without a packet is for cFS: Telemetry Output never sends one.
         """
         if self.forms:
@@ -222,10 +223,10 @@ class LinkProtocol(Link):
         )
 
     def locate(self, batch: PacketBatch, rows: Places, site: Site) -> Located:
-        """Find where space packets start in many datagrams.
+        """Find the start of the space packet in many datagrams.
 
         Args:
-            rows: those of this link, in the order they were captured.
+            rows: rows of this link, in the order they were captured.
         """
         located = Located(len(rows))
         if self.packets:
@@ -235,10 +236,10 @@ class LinkProtocol(Link):
         return located
 
     def dissect(self, reading: Reading, site: Site) -> int | None:
-        """Read the headers of one datagram; return where its space packet starts, None where there is none.
+        """Read the headers of one datagram; return the start of its space packet, None if there is none.
 
         Raises:
-            WireError: they are not whole. What was read before stays.
+            WireError: a header is incomplete; the layers read before it are kept.
         """
         at = 0
         form = self.forms.get(len(reading.data))
@@ -252,10 +253,10 @@ class LinkProtocol(Link):
         """Find one of ``layouts`` in decoded datagrams, for filters and tables.
 
         Args:
-            field: a field that must be present; datagrams whose header lacks it are left out.
+            field: field that must be present; datagrams whose header does not have it are left out.
 
         Returns:
-            which rows have it, and where in the data of the batch it starts.
+            The rows that have the layout, and its start in the data of the batch.
         """
         length = rows.datagram("length")
         present, at = rows.column("link") == self, 0
@@ -269,77 +270,77 @@ class LinkProtocol(Link):
         return owner, rows.datagram("offset")[owner] + at
 
     def kinds(self, length: NDArray[np.int32]) -> NDArray[np.int16]:
-        """Return the place in ``forms`` of datagrams of these lengths, i16 (n,); -1 for none."""
+        """Return the index in ``forms`` of datagrams of these lengths, i16 (n,); -1 for none."""
         kinds = np.full(len(length), -1, np.int16)
         for index, size in enumerate(self.forms):
             kinds[length == size] = index
         return kinds
 
     def message_name(self, kind: int) -> str:
-        """Return the name of a message that is not a space packet, as ``SBN_SUB``; empty where it has none.
+        """Return the name of a message that is not a space packet, e.g. ``SBN_SUB``; empty if it has none.
 
         Args:
-            kind: its place in ``forms``, or the link's own message type.
+            kind: index in ``forms``, or the link's own message type.
         """
         form = list(self.forms.values())[kind] if 0 <= kind < len(self.forms) else None
         return form.headers[-1].name.upper() if form else ""
 
     def kind_name(self, decoded: Decoded) -> str:
-        """Return what a datagram without a MsgId is, without its numbers; empty where it is unreadable."""
+        """Return the kind of a datagram without a MsgId, without its numbers; empty if it is unreadable."""
         return decoded.layers[-1].title if decoded.layers else ""
 
     def topics(self, space: TopicSpace) -> OwnTopics | None:
-        """Return what makes messages of its datagrams; None where routes and structs say all of them.
+        """Return a maker of messages from its datagrams; None if routes and structs cover all of them.
 
-        It is asked once a recording, at the first datagram of the link.
+        It is called once a recording, at the first datagram of the link.
         """
         return None
 
     def rows(self, site: Site) -> OwnRows | None:
-        """Return what puts its pieces together; None where each datagram is whole.
+        """Return a reassembler of its pieces; None if each datagram is whole.
 
-        It is asked once a stream, at the first datagram of the link.
+        It is called once a stream, at the first datagram of the link.
         """
         return None
 
     def unwrapper(self, site: Site) -> Unwrapper | None:
-        """Return what takes packets out of its datagrams; None where it carries none. Asked once a stream."""
+        """Return an extractor of packets in its datagrams; None if they carry none. Called once a stream."""
         return None
 
     def follow(self, site: Site) -> Follower | None:
-        """Return what counts in a stream, for ``info``; None: its rows say it all.
+        """Return a counter for ``info``; None: its rows are enough.
 
-        It is asked once a stream, at the first datagram of the link.
+        It is called once a stream, at the first datagram of the link.
         """
         return None
 
     def evidence(self, site: Site) -> LinkEvidence | None:
-        """Return what sees more in a stream than its rows say, for the doctor; else None. See ``follow``."""
+        """Return an observer for the doctor that sees more than rows; else None. See ``follow``."""
         return None
 
     def send(self, site: Site, *, up: bool) -> LinkSending | None:
-        """Return how its messages are sent again; None where nothing sends them.
+        """Return a sender that sends its messages again; None if there is none.
 
         Args:
-            site: what the mission says.
-            up: towards the flight software, or the other way.
+            site: knowledge of the mission.
+            up: direction: towards the flight software, or the other way.
         """
         return None
 
     def fields(self) -> Iterable[Any]:
-        """Return what filters may ask besides its layouts, each a ``decode.filters.field.FilterField``."""
+        """Return its filter fields besides its layouts, each a ``decode.filters.field.FilterField``."""
         return ()
 
     def engine_values(self) -> Mapping[str, Any]:
-        """Return what the engine of the Wireshark dissector reads of it besides layouts, as plain values."""
+        """Return its values for the engine of the Wireshark dissector besides layouts, as plain values."""
         return {}
 
     def sample_reader(self) -> SampleReader:
-        """Return what reads the samples in its datagrams, of a link with ``samples``."""
+        """Return the reader of the samples in its datagrams, for a link with ``samples``."""
         raise NotImplementedError(self.label)
 
     def claims(self, datagram: Datagram, site: Site) -> bool:
-        """Tell whether a datagram is its own whatever other links claim, as the mission says."""
+        """Return whether a datagram is its own by the mission, independent of other links' claims."""
         return False
 
     def claimed(self, batch: PacketBatch, site: Site) -> Places:
@@ -347,39 +348,39 @@ class LinkProtocol(Link):
         return np.zeros(0, np.intp)
 
     def framing_of(self, carried: Link, form: Any) -> Framing | None:
-        """Return how a TCP stream of frames is cut that carry packets of a link; None: another link's.
+        """Return the framing of a TCP stream of frames with packets of a link; None if it is another link's.
 
         Args:
-            form: as ``mission.FramedPort.format`` says it.
+            form: format of the frames, as in ``mission.FramedPort.format``.
         """
         return None
 
     def holds_units(self, column: Callable[[str], NDArray[Any]], site: Site) -> Mask:
-        """Tell which rows are packets that hold a unit of it behind their cFE header; if ``in_packets``.
+        """Return which rows are packets that hold a unit of it behind their cFE header; for ``in_packets``.
 
         Args:
-            column: gives one of ``Columns``.
+            column: returns one of ``Columns`` by name.
         """
         raise NotImplementedError(self.label)
 
     def judge_units(
         self, data: NDArray[np.uint8], offset: Integers, length: NDArray[np.int32]
     ) -> Iterator[tuple[Finding, Mask]]:
-        """Yield what is wrong with units in packets, and with which of them; if ``in_packets``."""
+        """Yield each finding about units in packets, and the units that have it; for ``in_packets``."""
         raise NotImplementedError(self.label)
 
     def read_unit(self, reading: Reading, at: int) -> None:
-        """Read the layers of a unit from a byte of a datagram on; if ``in_packets``.
+        """Read the layers of a unit from a byte of a datagram on; for ``in_packets``.
 
         Raises:
-            TruncatedError: it needs more bytes than there are.
+            TruncatedError: it needs more bytes than are present.
         """
         raise NotImplementedError(self.label)
 
     def quoted(self, datagram: Datagram) -> Datagram:
-        """Return the datagram whose beginning a message holds, of a link that ``quotes``.
+        """Return the datagram whose beginning a message contains, for a link that ``quotes``.
 
-        What is not there of it counts as cut off by the capture.
+        Its absent bytes count as cut off by the capture.
         """
         raise NotImplementedError(self.label)
 
@@ -389,7 +390,7 @@ class LinkProtocol(Link):
 
 
 def _likely_doubles(facts: Seen, count: int) -> Any:
-    """Tell whether the first doubles are likely values in one byte order; so is what was cut off."""
+    """Return whether the first doubles are likely values in one byte order; those cut off are likely."""
     likely: Any = count == 0
     for layout in _DOUBLES if count else ():
         fits: Any = True

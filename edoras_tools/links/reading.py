@@ -1,4 +1,4 @@
-"""One datagram that is being read: its bytes, the layers and the findings so far."""
+"""One datagram while it is read: its bytes, and its layers and findings so far."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
 
 class Reading:
-    """What was read of a datagram so far; an error later on does not remove it.
+    """The results of reading a datagram so far; a later error does not remove them.
 
     Attributes:
-        data: its payload.
-        layers: outermost first.
-        findings: those of the capture among them.
+        data: payload.
+        layers: layers, outermost first.
+        findings: findings, including those of the capture.
         detail: whether every value of a message gets its own bytes.
     """
 
@@ -33,11 +33,11 @@ class Reading:
         """Read a header, add its layer and return its values.
 
         Args:
-            at: its first byte, from the start of the payload.
-            extra: fields to show in front of its own.
+            at: first byte, from the start of the payload.
+            extra: fields to put before its own.
 
         Raises:
-            TruncatedError: it is not whole; ``TRUNCATED`` is noted.
+            TruncatedError: it is incomplete; ``TRUNCATED`` is set.
         """
         if len(self.data) - at < layout.size:
             self.truncated(layout.name, at, layout.size)
@@ -57,23 +57,23 @@ class Reading:
         return values
 
     def extend(self, field: LayerField) -> None:
-        """Add a field to the last layer, which ends not before the field does."""
+        """Add a field to the last layer, and extend the layer to the end of the field."""
         layer = self.layers[-1]
         end = max(layer.end, field.end)
         self.layers[-1] = Layer(layer.name, layer.title, layer.start, end, (*layer.fields, field))
 
     def described(self, kind: int, at: int, end: int) -> bool:
-        """Read what a packet holds by a dictionary of the link; tell whether there is one that does.
+        """Read the content of a packet by a dictionary of the link; return whether there is one for it.
 
         Args:
-            kind: what it is, by a number of the link.
-            at: the first byte behind that number.
-            end: one past the packet.
+            kind: kind of the content, as a number of the link.
+            at: first byte behind that number.
+            end: end of the packet.
         """
         return False
 
     def add(self, message: RosMessage, *layers: Layer) -> None:
-        """Take a message that was read, and the layers of its values."""
+        """Add a message that was read, and the layers of its values."""
         del message, layers
 
     def sample(self, topic: str, type_name: str, at: int, end: int) -> None:
@@ -83,12 +83,12 @@ class Reading:
             topic: ROS name of its topic.
             type_name: ROS name of its type.
             at: first byte of its encapsulation.
-            end: one past the sample.
+            end: end of the sample.
         """
         del topic, type_name, at, end
 
     def truncated(self, layer: str, at: int, need: int) -> None:
-        """Note that a layer is cut, and stop.
+        """Set ``TRUNCATED`` for a layer that is cut, and stop.
 
         Raises:
             TruncatedError: always.

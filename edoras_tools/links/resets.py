@@ -1,4 +1,4 @@
-"""The exception and reset log that cFS wrote: each of its entries as if it were a datagram."""
+"""The exception and reset log of cFS: each of its entries as if it were a datagram."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _KINDS: Final = {name: set(RESET_ENTRY.by_name[name].field.names) for name in ("
 
 
 class ResetsLink(LinkProtocol):
-    """The entries of a reset log; no wire carries them, so their port is 0, as that of stored packets.
+    """The entries of a reset log; no wire carries them, so their port is 0, like that of stored packets.
 
-    No stored packet is taken for one: what an entry begins with would be a packet of another length.
+    No stored packet is taken for one: the first bytes of an entry would be a packet of another length.
     """
 
     code = 11
@@ -28,7 +28,7 @@ class ResetsLink(LinkProtocol):
     forms: ClassVar = {RESET_ENTRY.size: Form((RESET_ENTRY,))}
 
     def recognise(self, facts: Seen) -> Any:
-        """Return how sure it is: certain where length and kinds are those of an entry."""
+        """Return the confidence: certain if length and kinds are those of an entry."""
         sure: Any = CERTAIN * (facts.length == RESET_ENTRY.size) * (facts.destination_port == 0)
         for name, kinds in _KINDS.items():
             value = facts.field(RESET_ENTRY, name)
@@ -36,7 +36,7 @@ class ResetsLink(LinkProtocol):
         return sure
 
     def summary(self, decoded: Decoded) -> str:
-        """Return what happened, as the log says."""
+        """Return the event that the log describes."""
         if not decoded.layers:
             return ""
         entry = {field.name: field for field in decoded.layers[0].fields}

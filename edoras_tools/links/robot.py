@@ -39,13 +39,13 @@ class RobotLink(LinkProtocol):
     }
 
     def send(self, site: Site, *, up: bool) -> LinkSending:
-        """Return how commands go to the robot, or its states to the flight app."""
+        """Return a sender of commands to the robot, or of its states to the flight app."""
         port = CFS_PORT if up else ROBOT_PORT
         layouts = [layout for layout, to in SENT_TO.items() if to == port]
         return self.part("sending:FormSending")(self, port, layouts)
 
     def recognise(self, facts: Seen) -> Any:
-        """Return how sure it is: certain where a struct of that length is bound to that port."""
+        """Return the confidence: certain if a struct of that length is bound to that port."""
         return super().recognise(facts) + CERTAIN * facts.bound
 
 

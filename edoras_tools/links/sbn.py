@@ -1,9 +1,9 @@
 """The Software Bus Network over UDP or TCP: a header that names the sender, then a packet or its own message.
 
-Its TCP module (``modules/protocol/tcp`` of nasa/SBN) sends the same messages end to end, without anything
-between them. There is no handshake: the peer with the smaller ProcessorID connects to the other, and each is
-known from its first message. It has one message of its own, the heartbeat: after 6 seconds without another
-message several at each wake-up, until there is one.
+Its TCP module (``modules/protocol/tcp`` of nasa/SBN) sends the same messages one after the other, without
+anything between them. There is no handshake: the peer with the smaller ProcessorID connects to the other, and
+each identifies itself by its first message. The only other message is the heartbeat: after 6 seconds without
+another message, several at each wake-up, until there is one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _KINDS: Final = {
 }
 """The message types of each layout behind the header."""
 _SHOWN: Final = 3
-"""The most MsgIds of a subscription that a summary line lists."""
+"""Most MsgIds of a subscription that a summary line lists."""
 
 
 class SoftwareBusNetworkFraming(Framing):
@@ -52,7 +52,7 @@ class SoftwareBusNetworkFraming(Framing):
     sender = slice(sbn.HEADER.by_name["processor_id"].start, sbn.HEADER.by_name["spacecraft_id"].end)
 
     def lengths(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Integers:
-        """Return header and payload; the size is signed, and a negative one is an error at the receiver."""
+        """Return the bytes of header and payload; the size is signed, and receivers reject a negative one."""
         size = sbn.HEADER.column("msg_size", gather(data, at, self.head)).astype(np.int64)
         return prefixed(size >= 0, size + self.head, end - at, self.head, self.largest)
 
@@ -63,7 +63,7 @@ class SoftwareBusNetworkFraming(Framing):
         return NOT_A_MESSAGE if data[at] & 0x80 else (data[at] << 8 | data[at + 1]) + self.head
 
     def likely(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Mask:
-        """Ask for a known type, and for a size that agrees with what the message holds."""
+        """Require a known type, and a size that agrees with the content."""
         head = gather(data, at, _WINDOW)
         size = sbn.HEADER.column("msg_size", head).astype(np.int64)
         kind = sbn.HEADER.column("msg_type", head)
@@ -76,13 +76,13 @@ class SoftwareBusNetworkFraming(Framing):
             [packet, np.int64(sbn.PROTO.size), listed],
             0,
         )
-        # Zeros, of which payloads are full, would be messages without content.
+        # Payloads are full of zeros, which would be messages without content.
         standard = _KNOWN_TYPES[kind] & (kind != sbn.MsgType.NO_MSG) & head[:, self.sender].any(axis=1)
         return standard & (size == expected) & (end - at >= self.head)
 
 
 class SoftwareBusNetworkLink(LinkProtocol):
-    """The link between SBN peers. Its ports identify it; that of either end is enough."""
+    """The link between SBN peers. Its ports identify it; the port of either end is enough."""
 
     code = 3
     name = "SBN"
@@ -153,7 +153,7 @@ SBN: Final = SoftwareBusNetworkLink()
 
 
 def _read_as_legacy(rows: BatchRows) -> Mask:
-    """Tell which headers are the older, shorter ones, without a SpacecraftID."""
+    """Return which headers are the older, shorter ones, without a SpacecraftID."""
     offset, spacecraft = rows.datagram("offset"), rows.column("spacecraft_id")
     slot = sbn.HEADER.by_name["spacecraft_id"]
     window = gather(rows.batch.data, offset + slot.start, slot.end - slot.start)
@@ -209,12 +209,12 @@ class _Columns:
         located.start[app] = header[app]
 
     def _streams(self) -> Mask | np.bool_:
-        """Tell which messages came over TCP, which no public bridge speaks."""
+        """Return which messages came over TCP, which no public bridge supports."""
         streams = self.batch.streams
         return np.False_ if streams is None else streams[self.rows]
 
     def _identities(self, members: Places, trusted: Mask) -> None:
-        """Compare every sender's identity with the one its endpoint is known by."""
+        """Compare every sender's identity with the first identity of its endpoint."""
         batch, peers, rows = self.batch, self.site.peers, self.rows[members]
         trusted = trusted[members]
         spacecraft, processor = (
@@ -268,7 +268,7 @@ class _Columns:
 
 
 def _legacy(head: NDArray[np.uint8], length: NDArray[np.int32]) -> Mask:
-    """Recognise the older 7-byte header: its size fits, and so does what follows it."""
+    """Return which headers are the older ones of 7 bytes: the size fits, and so does the content."""
     at = sbn.LEGACY_HEADER.size
     fits: Mask = (length >= at) & (sbn.HEADER.column("msg_size", head) == length - at)
     rows = np.flatnonzero(fits)
@@ -296,10 +296,10 @@ class _Message:
         self.reading, self.site, self.data = reading, site, reading.data
 
     def packet_start(self) -> int | None:
-        """Read the header and SBN's own message; return where a space packet starts, or None.
+        """Read the header and SBN's own message; return the start of the space packet, or None.
 
         Raises:
-            TruncatedError: a header is not whole.
+            TruncatedError: a header is incomplete.
         """
         reading, length = self.reading, len(self.data)
         layout = sbn.LEGACY_HEADER if self._legacy() else sbn.HEADER

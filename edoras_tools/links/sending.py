@@ -1,8 +1,8 @@
-"""What the door ``send`` of a link gives: how what a recording holds of it goes out again.
+"""The interface by which the recorded messages of a link are sent again.
 
-Bytes and times in, bytes out: the pipeline has the socket and the clock. A link says which rows it sends,
-what of them must be new (counts, checksums, transaction ids), what is said before, between and after
-(handshake, heartbeats, what is asked for again), and what it refuses, and why.
+Bytes and times in, bytes out: the pipeline has the socket and the clock. A link selects the rows to send,
+renews parts of them (counts, checksums, transaction ids), adds messages before, between and after them
+(handshake, heartbeats, retransmissions), and gives reasons for messages that it refuses.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ _NEVER: Final = 2**63 - 1
 
 
 class SendingSession:
-    """What is said besides the messages; times in ns, monotonic. This one is silent."""
+    """Messages sent besides the recorded ones; times in ns, monotonic. This session sends none."""
 
     connected = True
-    """Whether messages may go; else a second later it is asked again, up to ``--timeout``."""
+    """Whether messages may be sent; if not, it is checked again a second later, up to ``--timeout``."""
     next_ns = _NEVER
-    """When ``due`` has something to say."""
+    """Time at which ``due`` has something to send."""
     busy = False
     """Whether the receiver still needs something after the last message."""
 
     def due(self, *, now: int) -> Iterable[bytes]:
-        """Return what is due: a handshake, a heartbeat, what was not acknowledged."""
+        """Return the datagrams that are due: a handshake, a heartbeat, messages not acknowledged."""
         return ()
 
     def answer(self, data: bytes, *, now: int) -> Iterable[bytes]:
-        """Take what the receiver sends, any bytes; return what that asks for."""
+        """Take bytes from the receiver, any bytes; return the datagrams that answer them."""
         return ()
 
     def sent(self, *, now: int) -> None:
@@ -47,34 +47,36 @@ class SendingSession:
         del now
 
     def absence(self) -> str:
-        """Return why it is not connected, for the user; empty: nothing answered."""
+        """Return the reason why it is not connected, for the user; empty: nothing answered."""
         return ""
 
     def goodbye(self) -> Iterable[bytes]:
-        """Return what ends the session."""
+        """Return the datagrams that end the session."""
         return ()
 
     def notes(self) -> Iterable[str]:
-        """Return what became of it, for the user, a line each."""
+        """Return the results for the user, a line each."""
         return ()
 
 
 class LinkSending:
-    """How the messages of a link are sent again; what stands here is right for bare datagrams.
+    """Sends the messages of a link again; the defaults are right for bare datagrams.
 
     Args:
-        link: as given.
+        link: link of the messages.
 
     Attributes:
-        link: of the messages.
-        port: where the receiver usually listens; 0: it has to be named.
-        framing: cuts what the receiver answers; the messages then go over one TCP connection, else over UDP.
-        renews: whether ``renew`` makes others of the recorded messages.
-        packets: whether the messages are the space packets of the rows, without what is in front of them.
-        own_transport: whether ``transmitter`` gives what carries the messages.
-        instead: of a link without ``compose``, what can be done.
-        session: what is said besides the messages; None: nothing.
-        refusals: what is not sent, and why, a line each; known once all rows were asked for.
+        link: link of the messages.
+        port: usual port of the receiver; 0: the user has to name it.
+        framing: framing of the receiver's answers; the messages then go over one TCP connection, else over
+            UDP.
+        renews: whether ``renew`` replaces the recorded messages.
+        packets: whether the messages are the space packets of the rows, without the bytes before them.
+        own_transport: whether ``transmitter`` returns the carrier of the messages.
+        instead: alternative to suggest for a link without ``compose``.
+        session: session besides the messages; None: nothing.
+        refusals: messages that are not sent, with reasons, a line each; complete after all rows were
+            processed.
     """
 
     port: int = 0
@@ -90,29 +92,29 @@ class LinkSending:
         self.refusals: list[str] = []
 
     def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> Mask:
-        """Tell which rows go to the receiver, bool (n,)."""
+        """Return which rows go to the receiver, bool (n,)."""
         return np.asarray(columns.link == self.link)
 
     def keep(self, batch: PacketBatch) -> None:
-        """Note the rows that are sent, in their order, of the batch that ``outgoing_rows`` had last."""
+        """Note the rows that are sent, in order, of the batch that ``outgoing_rows`` had last."""
 
     def compose(self, name: str, values: Any, count: int, context: Any) -> list[bytes]:
-        """Return messages that are made up, for ``inject``; a link of ``packets`` is given those of routes.
+        """Return composed messages, for ``inject``; a link of ``packets`` gets those of routes.
 
         Args:
-            name: of the message, as the link's users call it.
-            values: plain values: by name, or in their order.
-            count: how many, for links that number their messages.
-            context: a ``decode.Context``: the mission, and what layouts and dictionaries say.
+            name: name of the message, as the link's users write it.
+            values: plain values: by name, or in order.
+            count: number of messages, for links that number them.
+            context: a ``decode.Context``: the mission, layouts and dictionaries.
 
         Raises:
-            ConfigError: there is no such message, or nothing makes messages of the link.
+            ConfigError: there is no such message, or messages of the link cannot be composed.
             FieldError: a value does not fit.
         """
         raise ConfigError(f"no message of {self.link.label} is made up: {self.instead}")
 
     def transmitter(self, target: Endpoint) -> Any:
-        """Return what carries the messages in place of a socket, with what ``io``'s ``Transmitter`` has.
+        """Return a carrier of the messages instead of a socket, with the interface of ``Transmitter``.
 
         Raises:
             EdorasError: it cannot be opened.
@@ -120,28 +122,28 @@ class LinkSending:
         raise NotImplementedError(self.link.label)
 
     def renew(self, messages: Sequence[bytes], time_ns: Integers) -> tuple[list[bytes], Integers]:
-        """Return what is sent for all messages, and when; for a link that ``renews``.
+        """Return the messages to send instead of the recorded ones, and their times; if it ``renews``.
 
         Raises:
-            ConfigError: nothing can be made of them; says what is missing.
+            ConfigError: they cannot be made; the text says what is missing.
         """
         return list(messages), time_ns
 
 
 class FormSending(LinkSending):
-    """Messages of one header and nothing else, as they are: those that are sent to one port."""
+    """Messages of one header and nothing else, unchanged: those that are sent to one port."""
 
     def __init__(self, link: Link, port: int, layouts: Sequence[Layout]) -> None:
         super().__init__(link)
         self.port, self._layouts = port, {item.name: item for item in layouts}
 
     def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> Mask:
-        """Tell which rows are as long as one of them."""
+        """Return which rows have the length of one of its messages."""
         lengths = [item.size for item in self._layouts.values()]
         return super().outgoing_rows(batch, columns) & np.isin(batch.length, lengths)
 
     def compose(self, name: str, values: Any, count: int, context: Any) -> list[bytes]:
-        """Return a message; what is not named is 0."""
+        """Return a message; fields without a value are 0."""
         layout = self._layouts.get(name.lower())
         if layout is None:
             raise ConfigError(f"{name!r} does not go this way; there are {', '.join(self._layouts)}")

@@ -1,4 +1,4 @@
-"""What is known of the place of a capture: what the mission says, and who announced or named itself."""
+"""The knowledge about the place of a capture: the mission, and the peers and endpoints in its datagrams."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
     from edoras_tools.wire.arrays.order import Integers, Mask
 
 MOST_ENDPOINTS: Final = 1 << 14
-"""Endpoints that are kept; those beyond stay unknown."""
+"""Most endpoints that are kept; others stay unknown."""
 _MOST_HEARD: Final = 1 << 14
 
 
 class Announced(Protocol):
-    """What an endpoint announced of itself."""
+    """The announcement of an endpoint."""
 
     @property
     def guid(self) -> bytes:
-        """What tells it from all others."""
+        """Its globally unique identifier."""
 
     @property
     def topic(self) -> str:
@@ -40,30 +40,30 @@ class Announced(Protocol):
 
 
 class Peers:
-    """The identity of each endpoint: the first one that it sends is taken as its own.
+    """The identity of each endpoint: the first one that it sends.
 
-    SBN tells peers apart by identity, never by address. It reports a second identity from one endpoint as an
-    unknown peer.
+    SBN distinguishes peers by identity, never by address. It reports a second identity from one endpoint as
+    an unknown peer.
     """
 
     def __init__(self) -> None:
         self._first: dict[tuple[str, int], tuple[tuple[int, int], int]] = {}
 
     def introduce(self, endpoint: tuple[str, int], identity: tuple[int, int], number: int) -> tuple[int, int]:
-        """Return the identity an endpoint is known by, which is this one if it has none yet.
+        """Return the identity of an endpoint, which is this one if it has none yet.
 
         Args:
-            endpoint: address as text and port.
+            endpoint: address as text, and port.
             identity: SpacecraftID and ProcessorID.
-            number: of the datagram that gives it.
+            number: number of the datagram that contains it.
         """
         return self._first.setdefault(endpoint, (identity, number))[0]
 
     def identity(self, endpoint: tuple[str, int], number: int) -> tuple[int, int] | None:
-        """Return the identity an endpoint was known by when a datagram came, or None.
+        """Return the identity that an endpoint had when a datagram came, or None.
 
-        Messages of one TCP segment have one number: ask for the number before it, so that what is beside the
-        first identity is not judged by it, whichever comes first.
+        Messages of one TCP segment have one number: ask for the number before it, so that messages beside the
+        first identity are not judged by it, whichever comes first.
         """
         identity, since = self._first.get(endpoint, ((0, 0), number + 1))
         return identity if since <= number else None
@@ -72,10 +72,10 @@ class Peers:
 class Endpoints:
     """Writers, readers and participants, as they announce themselves.
 
-    The first announcement of each counts, from the datagram on that has it.
+    The first announcement of each counts, from its datagram on.
 
     Attributes:
-        announced: by GUID what was announced, and the number of the datagram.
+        announced: announcement of each endpoint and the number of its datagram, by GUID.
     """
 
     def __init__(self) -> None:
@@ -83,7 +83,7 @@ class Endpoints:
         self._heard: set[bytes] = set()
 
     def is_new(self, payload: bytes) -> bool:
-        """Tell whether an announcement was not heard before: they come again and again."""
+        """Return whether an announcement is new: announcements are repeated."""
         if payload in self._heard:
             return False
         if len(self._heard) >= _MOST_HEARD:
@@ -92,7 +92,7 @@ class Endpoints:
         return True
 
     def learn(self, announcement: Announced, number: int) -> None:
-        """Take an announcement of a datagram."""
+        """Add an announcement in a datagram."""
         entry = self.announced.get(announcement.guid)
         if entry is None and len(self.announced) < MOST_ENDPOINTS:
             self.announced[announcement.guid] = announcement, number
@@ -100,48 +100,51 @@ class Endpoints:
             self.announced[announcement.guid] = entry[0], number
 
     def topics(self) -> dict[str, str]:
-        """Return the ROS names of all topics that were announced, each with its type."""
+        """Return the type of each announced topic, by ROS names."""
         return {item.ros_topic: item.ros_type for item, _ in self.announced.values() if item.topic}
 
     def find(self, guid: bytes, number: int | None = None) -> Announced | None:
-        """Return what an endpoint announced before a datagram came, or at any time; None: nothing."""
+        """Return the announcement of an endpoint before a datagram, or at any time; None: there is none."""
         entry = self.announced.get(guid)
         return entry[0] if entry and (number is None or entry[1] <= number) else None
 
     def since(self, guids: Sequence[bytes]) -> Integers:
-        """Return from which datagram on the topic of each endpoint is known, i64; the largest where never."""
+        """Return the number of the first datagram from which the topic of each endpoint is known, i64.
+
+        It is the largest i64 for an endpoint that is never known.
+        """
         never = np.iinfo(np.int64).max
         entries = [self.announced.get(guid) for guid in guids]
         return np.array([item[1] if item and item[0].topic else never for item in entries], np.int64)
 
 
 class Site(Protocol):
-    """What the mission says of the place of a capture, and what was learnt from its datagrams so far."""
+    """The knowledge about the place of a capture, from the mission and from its datagrams so far."""
 
     @property
     def bridge_ports(self) -> Mask:
-        """(65536,), ports where flight bridges listen."""
+        """Ports where flight bridges listen, bool (65536,)."""
 
     @property
     def identities(self) -> AbstractSet[tuple[int, int]]:
-        """(SpacecraftID, ProcessorID) that missions name."""
+        """Pairs (SpacecraftID, ProcessorID) in the mission."""
 
     @property
     def peers(self) -> Peers:
-        """Identities by endpoint; grows as datagrams are read, in order."""
+        """Identities by endpoint; they grow as datagrams are read, in order."""
 
     @property
     def endpoints(self) -> Endpoints:
-        """Writers and readers that announced themselves; grows as datagrams are read, in order."""
+        """Writers and readers that announced themselves; they grow as datagrams are read, in order."""
 
     @property
     def types(self) -> Any:
-        """The ROS types, a ``ros.TypeStore``; None where none are known."""
+        """The ROS types, a ``ros.TypeStore``; None if none are known."""
 
     @property
     def frames(self) -> Mapping[int, Any]:
-        """How packets are framed that come to a port, by port, as ``mission.FramedPort.format`` says it."""
+        """Format of the frames that carry packets to a port, by port; see ``mission.FramedPort.format``."""
 
     @property
     def pdu_msg_ids(self) -> NDArray[np.int32]:
-        """MsgIds of packets that hold a unit of a link which is ``in_packets`` each, i32."""
+        """MsgIds of packets that each hold a unit of a link which is ``in_packets``, i32."""

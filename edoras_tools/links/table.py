@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 State = TypeVar("State")
 _LABEL: Final = re.compile(r"[a-z][a-z0-9_]{0,15}")
 _CODES: Final = 256
-"""A code is a byte in recordings; 0 is for datagrams of no link."""
+"""Number of codes: a code is a byte in recordings; 0 is for datagrams of no link."""
 
 
 @cache
 def links() -> tuple[LinkProtocol, ...]:
-    """Return every link: those that ship by code, then the installed ones by label.
+    """Return every link: the shipped ones by code, then the installed ones by label.
 
-    A link of an add-on whose folder was deleted is left out: its datagrams are of no link.
+    A link of an add-on whose folder was deleted is left out: its datagrams belong to no link.
 
     Raises:
-        ConfigError: an installed link cannot be loaded, or its label or code is taken or is not allowed.
+        ConfigError: an installed link cannot be loaded, or its label or code is in use or is not allowed.
     """
     places = ROWS | {name: item.place for name, item in doors.shipped("links").items() if not item.absent}
     ships: list[LinkProtocol] = sorted(map(doors.imported, places.values()))
@@ -47,10 +47,10 @@ def links() -> tuple[LinkProtocol, ...]:
 
 
 def _checked(item: doors.Addition, link: Any, by_label: dict[str, LinkProtocol]) -> LinkProtocol:
-    """Return an installed link, checked against the rules of the table.
+    """Return an installed link after checking the rules of the table.
 
     Raises:
-        ConfigError: it does not.
+        ConfigError: it breaks one.
     """
     if not isinstance(link, LinkProtocol):
         raise item.error(f"{item.place} is not an object of a class made from LinkProtocol")
@@ -71,7 +71,7 @@ def _by_code() -> dict[int, LinkProtocol | Link]:
 
 
 def link(code: int) -> Link:
-    """Return the link that has a code; ``OTHER`` where there is none."""
+    """Return the link with a code; ``OTHER`` if there is none."""
     return _by_code().get(int(code), OTHER)
 
 
@@ -83,10 +83,10 @@ def protocol(link: Link) -> LinkProtocol:
 
 
 def framings(ports: Iterable[tuple[Link, int]] = ()) -> dict[int, Framing]:
-    """Return how TCP streams are cut, by port: the usual ports of every link, and some more.
+    """Return the framing of TCP streams, by port: of the usual ports of every link, and of some more.
 
     Args:
-        ports: further links and ports; those of links that do not travel over TCP are left out.
+        ports: further links and ports; those of links without TCP are left out.
     """
     usual = [(item, port) for item in links() for port in item.transport.ports]
     by_port: dict[int, Framing] = {}
@@ -99,7 +99,7 @@ def framings(ports: Iterable[tuple[Link, int]] = ()) -> dict[int, Framing]:
 
 @cache
 def link_of_label(name: str) -> Link:
-    """Return the link of a label, in any case; ``other`` is one.
+    """Return the link with a label, in any case; ``other`` is allowed.
 
     Raises:
         ConfigError: there is no such link.
@@ -115,7 +115,7 @@ def carrying(bridge: str, *, to_cfs: bool) -> Link:
 
     Args:
         bridge: ``ground`` or ``flight``.
-        to_cfs: towards cFS, or from it.
+        to_cfs: direction: towards cFS, or from it.
     """
     return next(
         item for item in links() if item.bridge == bridge and (item.to_cfs if to_cfs else item.from_cfs)
@@ -126,7 +126,7 @@ def message_kinds(columns: Columns, length: NDArray[np.int32]) -> NDArray[np.int
     """Return the link's own message type of each datagram, i16 (n,); -1 for none.
 
     Args:
-        length: (n,) bytes of the payloads.
+        length: bytes of the payloads, (n,).
     """
     kinds = columns.sbn_msg_type
     for item in links():
@@ -138,7 +138,7 @@ def message_kinds(columns: Columns, length: NDArray[np.int32]) -> NDArray[np.int
 
 
 def among(column: NDArray[np.integer[Any]], accepts: Callable[[Link], bool]) -> Mask:
-    """Tell which codes are of a link that a test accepts: ``among(rows.link, lambda link: link.to_cfs)``.
+    """Return which codes are of a link that a test accepts: ``among(rows.link, lambda link: link.to_cfs)``.
 
     Returns:
         bool (n,).
@@ -156,13 +156,13 @@ def accepted(accepts: Callable[[Link], bool]) -> Mask:
 
 
 class LinkStates(Generic[State]):
-    """The states that links keep of one stream, each begun with the first datagram of its link.
+    """The states of links in one stream; each begins with the first datagram of its link.
 
     Args:
-        begin: asks a link for its state; None where it keeps none.
+        begin: returns the state of a link; None if it has none.
 
     Attributes:
-        by_link: those that were begun.
+        by_link: states that have begun.
     """
 
     def __init__(self, begin: Callable[[LinkProtocol], State | None]) -> None:
@@ -170,13 +170,13 @@ class LinkStates(Generic[State]):
         self.by_link: dict[Link, State] = {}
 
     def of(self, columns: Columns) -> list[State]:
-        """Return the states for a batch, those that begin with it among them."""
+        """Return the states for a batch, including those that begin with it."""
         met = columns.link.tobytes()
         self.begin(link for link in self._waiting if link.in_packets or int(link) in met)
         return [*self.by_link.values()]
 
     def begin(self, some: Iterable[LinkProtocol] | None = None) -> None:
-        """Begin the states of some links, all by default; each once."""
+        """Begin the states of some links, by default of all; each is begun once."""
         for link in list(self._waiting if some is None else some):
             if link in self._waiting:
                 self._waiting.remove(link)
