@@ -1,8 +1,8 @@
-"""What follows the header of the commands of cFE and the usual applications: a layout for each, in one table.
+"""The arguments of the commands of cFE and the usual applications: a layout for each, in one table.
 
-From the public sources of cFE 6 and 7, CI_LAB, TO_LAB, SBN, SCH, CF and DS; where both have other types for a
-field, it takes the same bytes. File Services take no commands. Little-endian, as flight computers here are;
-:func:`arguments_of` reads the other order too.
+From the public sources of cFE 6 and 7, CI_LAB, TO_LAB, SBN, SCH, CF and DS; if both versions have different
+types for a field, the bytes are the same. File Services has no commands. Little-endian, like the flight
+computers here; :func:`arguments_of` reads the other order too.
 """
 
 from __future__ import annotations
@@ -245,7 +245,7 @@ SERVICES: Final[Mapping[int, tuple[str, str]]] = {
     DS_MSG_ID: ("ds", "DS"),
     sbn.COMMAND_MSG_ID: ("sbn", "SBN"),
 }
-"""Command MsgId to what commands there begin with: as people type them (``es-stop-app``), and in C."""
+"""Prefixes of command names by command MsgId: as people type them (``es-stop-app``), and in C."""
 DEFAULTS: Final[Mapping[tuple[int, str], Mapping[str, int]]] = {
     (executive_services.COMMAND_MSG_ID, "START_APP"): {
         "stack_size": executive_services.USUAL_STACK_BYTES,
@@ -264,16 +264,16 @@ DEFAULTS: Final[Mapping[tuple[int, str], Mapping[str, int]]] = {
     (CF_MSG_ID, "RESET_COUNTERS"): {"counters": 0},
     (sbn.COMMAND_MSG_ID, "RELOAD"): {"parameter": 0},
 }
-"""MsgId and command to the arguments that may be left out, with their values then."""
+"""Optional arguments with their default values, by MsgId and command."""
 TAILS: Final[Mapping[tuple[int, str], int]] = {
     (executive_services.COMMAND_MSG_ID, "START_APP"): 4,
     (telemetry_output.COMMAND_MSG_ID, "ENABLE_OUTPUT"): 4,
 }
-"""Bytes that may follow the arguments: alignment since cFE 7.0; a longer text of other senders."""
+"""Bytes that may follow the arguments: alignment since cFE 7.0, or a longer text of other senders."""
 
 
 BARE_TOO: Final = frozenset({(sbn.COMMAND_MSG_ID, sbn.RELOAD)})
-"""Commands that are also sent without what follows the header, so that nothing is said of their length."""
+"""Commands that are also sent without arguments, so that their length is not judged."""
 
 
 def _layouts() -> dict[tuple[int, int], Layout]:
@@ -287,7 +287,7 @@ def _layouts() -> dict[tuple[int, int], Layout]:
 
 
 ARGUMENTS: Final[Mapping[tuple[int, int], Layout]] = _layouts()
-"""Command MsgId of version 1 and function code to the layout of what follows the header.
+"""Layout of the arguments by command MsgId of version 1 and function code.
 
 A layout's title is the application's name for the command. A layout of no bytes is a bare header.
 """
@@ -301,7 +301,7 @@ APPLICATIONS: Final[Mapping[int, str]] = {
     CI_MSG_ID: "CI_LAB_APP",
     sbn.COMMAND_MSG_ID: sbn.NAME,
 }
-"""Command MsgId to the application that takes it, of those that a diagnosis follows."""
+"""Application that receives each command MsgId, among those that a diagnosis follows."""
 CHANGES: Final = frozenset(
     {(msg_id, 1) for msg_id in APPLICATIONS}
     | {(executive_services.COMMAND_MSG_ID, code) for code in (2, 4, 5, 6, 7)}
@@ -312,23 +312,24 @@ CHANGES: Final = frozenset(
     | {(telemetry_output.COMMAND_MSG_ID, code) for code in (2, 4, 5, 6)}
     | {(sbn.COMMAND_MSG_ID, code) for code in (sbn.RESET_PEER, sbn.RELOAD)}
 )
-"""Commands that change what a cFS does: MsgId and function code."""
+"""Commands that change the behaviour of a cFS: MsgId and function code."""
 
 
 def arguments_of(
     msg_id: int, function_code: int, payload: bytes, *, big_endian: bool = False, cut: bool = False
 ) -> dict[str, Any] | None:
-    """Read the arguments of a command that changes what a cFS does.
+    """Read the arguments of a command that changes the behaviour of a cFS.
 
     Args:
-        msg_id: of version 1.
-        payload: what follows the header; bytes behind the arguments are left out.
-        big_endian: the byte order of the flight computer that takes it.
-        cut: whether the capture has not all of it.
+        msg_id: MsgId of version 1.
+        function_code: function code of the command.
+        payload: bytes behind the header; bytes behind the arguments are ignored.
+        big_endian: whether the receiving flight computer is big-endian.
+        cut: whether the capture has only a part of the bytes.
 
     Returns:
-        argument to int or text, alignment left out, up to the first one that is not there; None where the
-        command is none of :data:`CHANGES`. A text is there with its NUL, or as it ends if nobody cut it.
+        Argument to int or text, without alignment, up to the first absent one; None if the command is not in
+        :data:`CHANGES`. A text is complete with its NUL, or at its end if nothing was cut.
     """
     if (msg_id, function_code) not in CHANGES:
         return None
@@ -345,7 +346,7 @@ def arguments_of(
 
 
 def argument_text(field: Field, value: Any) -> str:
-    """Return an argument as it is typed: a value's name, a number, a text; quoted where it has spaces."""
+    """Return an argument as it is typed: a value's name, a number, a text; quoted if it has spaces."""
     if field.kind == "text":
         return value if _PLAIN(value) else repr(value)
     if field.base == 16:
@@ -358,7 +359,7 @@ _PLAIN: Final = re.compile(r"\S+").fullmatch
 
 @cache
 def argument_words(msg_id: int, function_code: int) -> tuple[tuple[Slot, Callable[[Any], str]], ...]:
-    """Return the arguments of a command, and what says each: `` limit=4``; a usual zero is not said."""
+    """Return the arguments of a command, each with a function for its text: `` limit=4``, or empty."""
     layout = ARGUMENTS[msg_id, function_code]
     usual = DEFAULTS.get((msg_id, layout.title), {})
 
@@ -377,10 +378,10 @@ def argument_words(msg_id: int, function_code: int) -> tuple[tuple[Slot, Callabl
 def command_line(msg_id: int, function_code: int, values: Mapping[str, Any]) -> str:
     """Return a command with its arguments by name: ``ADD_PKT stream=0x0827 limit=4``.
 
-    An argument that is zero, as it is if nobody names it, is left out.
+    An argument that is zero by default and has this value is left out.
 
     Args:
-        values: of its arguments, all of them; others are left out.
+        values: values of all its arguments; others are ignored.
     """
     words = (word(values[slot.field.name]) for slot, word in argument_words(msg_id, function_code))
     return ARGUMENTS[msg_id, function_code].title + "".join(words)

@@ -16,7 +16,7 @@ HOUSEKEEPING_MSG_ID: Final = 0x0884
 RESET_COUNTERS: Final = 1
 """Function code."""
 PORT: Final = 1234
-"""Of the first processor; the next has the next."""
+"""UDP port on the first processor; each further processor has the next port."""
 
 INITIALIZED: Final = EventText(NAME, 3, "CI Lab Initialized. {version}")
 NOOP: Final = EventText(NAME, 5, "CI: NOOP command")
@@ -28,7 +28,7 @@ TOO_SHORT_7: Final = EventText(NAMES[1], 8, "CI: cmd dropped, bad packet length=
 CUT_7: Final = EventText(
     NAMES[1], 8, "CI: cmd dropped - length mismatch, {wanted:d} (hdr) / {length:d} (packet)", EventType.ERROR
 )
-"""What CI of cFS 7 says, which refuses a packet that is longer than its datagram, or than its buffer."""
+"""Events of CI in cFS 7, which refuses a packet that is longer than its datagram, or than its buffer."""
 NOT_SENT: Final = EventText(
     NAME, 10, "CI: L{line:d}, CFE_SB_TransmitBuffer() failed, status={status}\n", EventType.ERROR
 )

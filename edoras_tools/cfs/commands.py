@@ -1,7 +1,7 @@
-"""Commands that have a name: what ``edoras inject`` sends by it, and what the doctor tells to send.
+"""Commands with names: ``edoras inject`` sends them by name, and the doctor recommends them.
 
-A command has the name of its application and its own, as ``es-stop-app``, and takes its arguments by name or
-in order; :data:`NAMED` are those that are bare headers, and short forms of some that take one argument.
+A name consists of the application and the command, like ``es-stop-app``; arguments are given by name or in
+order. :data:`NAMED` has the commands that are bare headers, and short forms of some with one argument.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _RESETS: Final = {"processor": 1, "power_on": 2}
 
 
 class Argument(Enum):
-    """What follows the header of a command; the value says it to the user."""
+    """The argument of a command; the value is its description for the user."""
 
     NONE = "no argument"
     MSG_ID = "a MsgId"
@@ -41,9 +41,9 @@ class NamedCommand(NamedTuple):
     """A command.
 
     Attributes:
-        msg_id: of its application.
+        msg_id: MsgId of its application.
         function_code: its number there.
-        argument: what it takes.
+        argument: argument that it takes.
     """
 
     msg_id: int
@@ -52,20 +52,21 @@ class NamedCommand(NamedTuple):
 
     @property
     def has_limit(self) -> bool:
-        """Whether it also takes how many messages of its MsgId may wait."""
+        """Whether it also takes a message limit of its MsgId."""
         return (self.msg_id, self.function_code) == (
             telemetry_output.COMMAND_MSG_ID,
             telemetry_output.ADD_PACKET,
         )
 
     def payload(self, text: str, limit: int) -> bytes:
-        """Return the bytes that follow the header, little-endian.
+        """Return the bytes of the arguments, little-endian.
 
         Args:
-            limit: how many messages may wait, where it takes that.
+            text: text of the argument.
+            limit: message limit, if it takes one.
 
         Raises:
-            ConfigError: the argument is none that it takes.
+            ConfigError: the argument is not allowed.
         """
         if self.argument is Argument.NONE:
             if text:
@@ -146,7 +147,7 @@ NAMED: Final[dict[str, NamedCommand]] = {
     "es-restart-app": NamedCommand(_ES, executive_services.RESTART_APP, Argument.APP),
     "es-restart": NamedCommand(_ES, executive_services.RESTART, Argument.RESET),
 }
-"""By name; ``to-enable`` and ``noop`` are read apart: their arguments are of more than one kind."""
+"""Commands by name; ``to-enable`` and ``noop`` are handled separately: their arguments differ in kind."""
 ENABLE_OUTPUT: Final = "to-enable"
 
 
@@ -157,17 +158,17 @@ CALLS: Final[dict[str, tuple[int, int]]] = {
 """Every command of the table of arguments by name: MsgId of version 1 and function code."""
 _TAIL: Final = "tail"
 _MOST: Final = {"microseconds": 999_999}
-"""What cFE takes at most, where its field holds more."""
+"""Largest value that cFE accepts, if its field can hold more."""
 
 
 class CommandArgument(NamedTuple):
     """One argument of a command, as it is typed.
 
     Attributes:
-        name: what stands in front of ``=``.
+        name: name before ``=``.
         takes: its range, or its values.
-        doc: one line, with its unit.
-        default: what it is where it is left out; None where it has to be named.
+        doc: description with its unit, one line.
+        default: value if it is left out; None if it is required.
     """
 
     name: str
@@ -199,13 +200,13 @@ def arguments_taken(name: str) -> list[CommandArgument]:
 
 
 def call(name: str, words: Sequence[str]) -> bytes:
-    """Return the bytes that follow the header of a command of :data:`CALLS`, little-endian.
+    """Return the bytes of the arguments of a command of :data:`CALLS`, little-endian.
 
     Args:
-        words: arguments as ``NAME=VALUE``, or values alone: of those without a default, in order.
+        words: arguments as ``NAME=VALUE``, or values alone, in the order of the arguments without a default.
 
     Raises:
-        ConfigError: one is missing or unknown, or its value is none that it takes.
+        ConfigError: an argument is missing or unknown, or its value is not allowed.
     """
     key = CALLS[name]
     layout, arguments = ARGUMENTS[key], arguments_taken(name)
@@ -226,7 +227,7 @@ def call(name: str, words: Sequence[str]) -> bytes:
 def _split(
     command: str, arguments: Sequence[CommandArgument], missing: list[str], word: str
 ) -> tuple[str, str]:
-    """Return the argument that a word is of, and its value; it is taken from those that are missing."""
+    """Return the argument of a word, and its value; the argument is removed from the missing ones."""
     label, equals, text = word.partition("=")
     if not equals:
         if not missing:
@@ -269,7 +270,7 @@ def _range(field: Field) -> tuple[int, int]:
 
 
 def _value(command: str, field: Field, text: str) -> int | str:
-    """Return a value of an argument; refuse one that its application would not take."""
+    """Return a value of an argument; refuse one that its application would not accept."""
     name = field.name
     if field.kind == "text":
         if not 0 < len(text.encode()) < field.bits // 8 or not text.isascii() or not text.isprintable():
@@ -311,7 +312,7 @@ def _whole(command: str, name: str, text: str, low: int, high: int) -> int:
 
 
 def inject_line(name: str, *arguments: str) -> str:
-    """Return what to type to send a command.
+    """Return the command line that sends a command.
 
     Raises:
         KeyError: no command has this name.

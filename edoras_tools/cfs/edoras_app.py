@@ -1,4 +1,4 @@
-"""The EDORAS flight applications: their name and pipe, what they take, their events."""
+"""The EDORAS flight applications: their name and pipe, their commands, their events."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from edoras_tools.cfs.event_services import EventText, EventType
 NAME: Final = "EDORAS_APP"
 PIPE: Final = "EDORAS_APP_PIPE"
 NO_OP, SET = 0, 1
-"""Function codes. The length of a SET is not looked at."""
+"""Function codes. The application does not check the length of a SET."""
 
 INITIALIZED: Final = EventText(NAME, 1, "Edoras App Initialized. {version}")
 BAD_FUNCTION_CODE: Final = EventText(NAME, 2, "Invalid ground command code: CC = {code:d}", EventType.ERROR)
@@ -21,6 +21,6 @@ BAD_LENGTH: Final = EventText(
     EventType.ERROR,
 )
 UNREADABLE: Final = "edoras_core: Failed to apply rmw_deserialize"
-"""On the console only."""
+"""Text on the console, not an event."""
 PORT_TAKEN: Final = "Error in binding  socket to talk to robot: Address already in use"
-"""Printed, not an event: the application was stopped and started, and its old socket is still open."""
+"""Text on the console, not an event: the application was restarted, and its old socket is still open."""

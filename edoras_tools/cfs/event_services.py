@@ -1,4 +1,4 @@
-"""cFE Event Services: its name, how severe events are, and events as data.
+"""cFE Event Services: its name, the severities of events, and events as data.
 
 The emulator writes events by their texts; the doctor and the sweep read them.
 """
@@ -29,8 +29,8 @@ class EventText(msgspec.Struct, frozen=True, dict=True):
 
     Attributes:
         app: name of the application.
-        event_id: its number for it.
-        text: as for ``str.format``: ``{name}`` is text, ``{name:d}`` decimal, ``{name:x}`` hexadecimal.
+        event_id: number of the event in the application.
+        text: format for ``str.format``: ``{name}`` is text, ``{name:d}`` decimal, ``{name:x}`` hexadecimal.
         event_type: severity.
     """
 
@@ -41,14 +41,14 @@ class EventText(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def pattern(self) -> re.Pattern[str]:
-        """What reads the text: a group for each value."""
+        """Regular expression that reads the text; it has a group for each value."""
         *parts, last = [_group(part) if part.startswith("{") else re.escape(part) for part in self._parts]
-        # re.split ends with the text behind the last value; without any, that value reaches to the end.
+        # re.split ends with the text behind the last value; if that is empty, the value extends to the end.
         return re.compile("".join(parts) + (last or "$"))
 
     @cached_property
     def phrase(self) -> str:
-        """The longest part without values: it tells the event even where the values are cut."""
+        """The longest part without values: it identifies the event even if the values are cut off."""
         return max((part for part in self._parts if not part.startswith("{")), key=len)
 
     @property
@@ -60,7 +60,7 @@ def _group(value: str) -> str:
     name, _, form = value.strip("{}").partition(":")
     if form.endswith("d"):
         return f"(?P<{name}>[0-9]+)"
-    # Names may be empty, and hold anything: the text behind them ends them, or the end of the event.
+    # Names may be empty, and contain anything: they end at the text behind them, or at the end of the event.
     return f"(?P<{name}>[0-9a-fA-F]+)" if form else f"(?P<{name}>.*?)"
 
 
@@ -92,7 +92,7 @@ DONE: Final = {
         (RESET_ALL_FILTERS, 29, "Reset All Filters", "AppName = {app}"),
     )
 }
-"""Function code to the event of a command that was obeyed; debug events, so usually unseen."""
+"""Event of each command that was obeyed, by function code; debug events, so usually unseen."""
 BAD_MASK: Final = EventText(NAME, 40, "Bit Mask = 0x{mask:08x} out of range: CC = {code:d}", EventType.ERROR)
 UNKNOWN_APP: Final = EventText(
     NAME, 9, "{prefix}Unable to retrieve application ID for {app}: CC = {code:d}", EventType.ERROR
@@ -101,4 +101,4 @@ UNKNOWN_APP_PREFIX: Final = {
     DISABLE_APP: "Disable App Events Command: ",
     RESET_APP_COUNTER: "Reset Event Counter Command: ",
 }
-"""Function code to how its event about an unknown application begins."""
+"""Beginning of the event about an unknown application, by function code."""

@@ -12,7 +12,7 @@ RESET_COUNTERS = 1
 COUNTERS_RESET: Final = EventText(NAME, 4, "Reset Counters command")
 RESTART, START_APP, STOP_APP, RESTART_APP, RELOAD_APP = 2, 4, 5, 6, 7
 ENDS_APP: Final = frozenset({STOP_APP, RESTART_APP, RELOAD_APP})
-"""Function codes after which an application does not read on."""
+"""Function codes after which an application stops reading."""
 STARTED, STOPPED, RESTARTED, RELOADED = 6, 8, 10, 12
 """Events: ``Started NAME from FILE``, ``Stop Application NAME Completed.``, ``Restart Application NAME``."""
 APP_NAME_BYTES: Final = 20
@@ -26,18 +26,18 @@ STARTS: Final = {
     "SBN": ("/cf/sbn.so", "SBN_AppMain"),
     "EDORAS_APP": ("/cf/edoras_app.so", "EdorasAppMain"),
 }
-"""Application to its file and its entry point, as the usual ``cfe_es_startup.scr`` names them.
+"""File and entry point of each application in the usual ``cfe_es_startup.scr``.
 
 CI_LAB and TO_LAB are names of cFS 7.
 """
 SCHEDULERS: Final = frozenset({"SCH_LAB_APP", "SCH_LAB", "SCH"})
-"""Applications that ask for all housekeeping, and take no topic."""
+"""Applications that request all housekeeping, and receive no topic."""
 TICK_MSG_ID: Final = 0x1811
-"""What wakes them once a second."""
+"""MsgId that wakes them once a second."""
 USUAL_STACK_BYTES: Final = 65536
 USUAL_PRIORITY: Final = 50
 RESTART_TYPES: Final = frozenset({1, 2})
-"""Of the processor: a processor reset, a power-on reset."""
+"""Types of a processor restart: a processor reset, a power-on reset."""
 MARKERS: Final = {
     1: "CFE_ES",
     2: "CFE_EVS",
@@ -52,7 +52,7 @@ MARKERS: Final = {
     11: "CFE_TIME tone task",
     27: "CFE_SB pipe overflow",
 }
-"""The markers of the performance log that cFE itself sets; the others are a mission's own."""
+"""Names of the performance log's markers that cFE itself sets; the others are a mission's own."""
 
 NOT_VALID: Final = 0xC4000001
 """``CFE_ES_ERR_RESOURCEID_NOT_VALID``: a core application, or one that does not run."""
@@ -66,7 +66,7 @@ RESTART_VERB: Final = "Restart"
 RELOAD_VERB: Final = "Reload"
 
 BUILD: Final = EventText(NAME, 92, "Build {date} by {user}@{host}, config {config}")
-"""It comes before the event of a no-op."""
+"""Build information, reported before the event of a no-op."""
 VERSIONS: Final = EventText(NAME, 2, "cFS Versions: {version}. cFE chksm {checksum:d}")
 MISSION: Final = EventText(NAME, 91, "Version Info: Mission {mission}, version {version}")
 MODULE: Final = EventText(NAME, 91, "Version Info: Module {module}, version {version}")
@@ -74,7 +74,7 @@ MODULES: Final = (
     *("CORE_API", "ES", "EVS", "FS", "SB", "TBL", "TIME", "OSAL", "PSP", "MSG", "SBR", "RESOURCEID"),
     "CONFIG",
 )
-"""Of which modules it says the versions at the start, in order."""
+"""Modules whose versions it reports at the start, in order."""
 BAD_RESTART_TYPE: Final = EventText(NAME, 24, "Invalid cFE restart type: {kind:d}", EventType.ERROR)
 STARTED_APP: Final = EventText(NAME, STARTED, "Started {name} from {file}, AppID = {number:d}")
 NOT_STARTED: Final = EventText(
@@ -89,7 +89,7 @@ class Ending(NamedTuple):
     """A command that ends an application.
 
     Attributes:
-        verb: what is done, as events say it.
+        verb: word for the action in events.
         refused_id: number of the event for an application that does not run, or is part of the core.
         unknown_id: number of the event for a name that no application has.
     """
@@ -116,4 +116,4 @@ ENDING_COMMANDS: Final = {
     RESTART_APP: Ending(RESTART_VERB, 38, 39),
     RELOAD_APP: Ending(RELOAD_VERB, 42, 43),
 }
-"""Function code to what it does."""
+"""The commands that end an application, by function code."""

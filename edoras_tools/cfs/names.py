@@ -1,6 +1,7 @@
 """The MsgIds that every cFS of this kind has, and the commands that its apps obey.
 
-From the cFE, CI_LAB, TO_LAB and SBN sources; only what they fix is listed. ``None`` as a length: it varies.
+From the cFE, CI_LAB, TO_LAB and SBN sources; only values that they fix are listed. A length that varies is
+absent.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ class Command(NamedTuple):
     """One function code of an app.
 
     Attributes:
-        name: the app's name for it.
-        lengths: total packet lengths that the app accepts; empty where it varies or is not fixed.
+        name: name in the app.
+        lengths: total packet lengths that the app accepts; empty if it varies or is not fixed.
     """
 
     name: str
@@ -35,7 +36,7 @@ def _numbered(names: str, first: int = 0) -> dict[int, str]:
 
 
 ENABLE_OUTPUT_LENGTHS: Final = (24, 28)
-"""TO_LAB's enable carries char[16]; the 20-byte string of some senders is accepted too."""
+"""TO_LAB's enable has a char[16]; the 20-byte string of some senders is accepted too."""
 
 MSG_ID_NAMES: Final[dict[int, str]] = {
     0x0800: "ES_HK",
@@ -157,7 +158,7 @@ COMMANDS: Final[dict[int, dict[int, Command]]] = {
     ),
     0x1884: _commands("NOOP", "RESET_COUNTERS"),
 }
-"""Function codes by command MsgId. An app listed here refuses every other code."""
+"""Commands by function code, by command MsgId; an app in this table refuses every other code."""
 _OTHERS: Final[dict[int, dict[int, str]]] = {
     0x1895: _numbered(
         "NOOP RESET_COUNTERS ENABLE DISABLE ENABLE_GROUP DISABLE_GROUP ENABLE_SYNC SEND_DIAGNOSTIC"
@@ -179,7 +180,7 @@ _OTHERS: Final[dict[int, dict[int, str]]] = {
         110: "RELOAD",
     },
 }
-"""Those of applications that may have more codes in another release; nothing is said of these."""
+"""Names of commands of applications that may have more codes in another release; others are not judged."""
 
 _APPS: Final = "start, stop or replace an application"
 _FILES: Final = "write a file on the flight computer"
@@ -197,10 +198,10 @@ PRIVILEGED: Final[dict[tuple[int, int], str]] = {
     **dict.fromkeys(((0x1805, code) for code in (3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14)), "set the clock"),
     (0x1880, 5): "stop all telemetry",
 }
-"""Command MsgId and function code to what it can do, of commands that change the flight software itself."""
+"""Effects of commands that change the flight software itself, by command MsgId and function code."""
 
 ROUTE_COMMANDS: Final[dict[int, Command]] = {0: Command("NOOP", (8,)), 1: Command("SET")}
-"""What an EDORAS flight app takes on the command MsgIds of its topics."""
+"""Commands of an EDORAS flight app on the command MsgIds of its topics."""
 
 
 def message_name(msg_id: int) -> str:

@@ -1,7 +1,7 @@
 """Every constant of the flight side in one frozen value: rates, depths, limits, ports, time-outs.
 
-The defaults are what was read in the sources and measured on a running cFS (draco-rc4, CI_LAB, TO_LAB, SBN
-over UDP). Times are integer nanoseconds.
+The defaults come from the sources and from measurements on a running cFS (draco-rc4, CI_LAB, TO_LAB, SBN over
+UDP). Times are integer nanoseconds.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 FLIGHT_BRIDGE: Final = Peer(0x42, 3)
-"""The flight bridge of the demos, as it calls itself."""
+"""Identity of the demos' flight bridge."""
 TO_TABLE: Final = {
     **dict.fromkeys((0x0800, 0x0801, 0x0803, 0x0804, 0x0805, 0x0806, 0x080A, 0x080B, 0x080C, 0x0810), 4),
     **dict.fromkeys((0x0827, 0x0880, 0x0881, 0x0884, 0x08FA), 4),
     0x0808: 32,
 }
-"""Telemetry Output's table: MsgId to how many of it may wait. An application's own MIDs are added."""
+"""Telemetry Output's table: message limit of each MsgId. An application's own MIDs are added."""
 
 
 class SbnPeerConfig(msgspec.Struct, frozen=True):
-    """A peer as SBN's configuration table names it.
+    """A peer in SBN's configuration table.
 
     Attributes:
-        peer: its spacecraft and processor.
+        peer: spacecraft and processor.
         port: UDP port at which it listens.
-        address: IPv4 address in text form.
+        address: IPv4 address as text.
     """
 
     peer: Peer
@@ -47,13 +47,13 @@ class SbnPeerConfig(msgspec.Struct, frozen=True):
 
 
 class Ports(NamedTuple):
-    """The UDP ports of one cFS and of the two bridges that it talks to.
+    """The UDP ports of one cFS and of its two bridges.
 
     Attributes:
-        ci: Command Ingest.
-        to: the ground bridge, where Telemetry Output sends.
-        sbn: the Software Bus Network.
-        peer: the flight bridge.
+        ci: port of Command Ingest.
+        to: port of the ground bridge, to which Telemetry Output sends.
+        sbn: port of the Software Bus Network.
+        peer: port of the flight bridge.
     """
 
     ci: int
@@ -67,7 +67,7 @@ GENERATOR_MSG_ID: Final = 0x18F0
 
 
 class SimProfile(msgspec.Struct, frozen=True):
-    """What a cFS instance is made of.
+    """The constants of a cFS instance.
 
     Attributes:
         spacecraft_id: spacecraft of this instance.
@@ -76,58 +76,58 @@ class SimProfile(msgspec.Struct, frozen=True):
         ci_port: UDP port of Command Ingest.
         ci_buffer: bytes of a datagram that Command Ingest keeps.
         ci_wake_ns: Command Ingest's time-out on its pipe; every wake-up also reads the socket.
-        ci_datagrams_per_wake: the most it reads at once.
-        ci_read_ns: processor time of reading one datagram and putting it on the bus.
-        socket_queue: datagrams that the operating system keeps for a socket that nobody reads: Linux allows
-            212,992 bytes and charges 1,024 for a short one.
+        ci_datagrams_per_wake: most datagrams that it reads at once.
+        ci_read_ns: processor time for reading one datagram and putting it on the bus.
+        socket_queue: datagrams that the operating system keeps for an unread socket: Linux allows 212,992
+            bytes and charges 1,024 for a short one.
         to_port: UDP port at which the ground receives.
         to_source_port: UDP port that telemetry comes from; 0 lets the operating system choose.
         to_wake_ns: Telemetry Output's delay between two rounds.
-        to_pipe_depth: of its telemetry pipe.
-        to_limits: its table: MsgId to the messages of it that may wait; the application's are added.
-        to_default_limit: limit of a MsgId that the table or an add-packet command leaves open.
-        msg_max: the host's ``fs.mqueue.msg_max``, which cuts every pipe to so many packets; 0 for no cut.
-        app_pipe_depth: of an application's pipe.
-        app_msg_limit: messages of one MsgId that may wait in it.
-        robot_port: UDP port at which its robot listens, 8585 in flight; 0: none is sent anything.
+        to_pipe_depth: depth of its telemetry pipe.
+        to_limits: its table: message limit of each MsgId; the application's MsgIds are added.
+        to_default_limit: limit of a MsgId without one in the table or the add-packet command.
+        msg_max: the host's ``fs.mqueue.msg_max``, which limits the depth of every pipe; 0 for no limit.
+        app_pipe_depth: depth of an application's pipe.
+        app_msg_limit: most messages of one MsgId that may wait in it.
+        robot_port: UDP port at which its robot listens, 8585 in flight; 0: nothing is sent to a robot.
         sbn_port: UDP port of the Software Bus Network.
-        sbn_peers: who it may talk to.
-        sbn_table: what an image of SBN's table names, this cFS too; nothing where none was given.
+        sbn_peers: peers that it may connect to.
+        sbn_table: peers in an image of SBN's table, including this cFS; empty without an image.
         sbn_heartbeat_s: whole seconds without sending, after which it sends a heartbeat.
         sbn_timeout_s: whole seconds of silence, after which a peer is disconnected.
         sbn_announce_s: whole seconds between announcements to a peer that is not connected.
-        sbn_wake_ns: period at which peer pipes are served and time-outs looked at.
-        sbn_pipe_depth: of a peer's pipe.
-        sbn_msg_limit: messages of one MsgId that may wait in it.
-        sbn_says_start: report what SBN loads and configures at its start: more than Telemetry Output takes,
-            so that a few events are lost and counted at each boot, as in flight.
-        sbn_tcp: 1: SBN speaks TCP, as its other module does.
-        sbn_polls: receive in the main loop too, each ``sbn_wake_ns``, instead of in a task of its own.
-        bus_max_bytes: longest message that the software bus takes.
-        bus_loss_events: how often a loss event is reported before its filter stops it.
-        bus_no_subscribers_events: the same for "No subscribers".
+        sbn_wake_ns: period at which it serves peer pipes and checks time-outs.
+        sbn_pipe_depth: depth of a peer's pipe.
+        sbn_msg_limit: most messages of one MsgId that may wait in it.
+        sbn_says_start: whether it reports its modules and configuration at the start: more events than
+            Telemetry Output can take, so that a few are lost and counted at each boot, as in flight.
+        sbn_tcp: 1: SBN uses its TCP module.
+        sbn_polls: whether it receives in the main loop too, each ``sbn_wake_ns``, instead of in its own task.
+        bus_max_bytes: longest message that the software bus accepts.
+        bus_loss_events: number of reports of a loss event before its filter stops it.
+        bus_no_subscribers_events: number of reports of "No subscribers" before its filter stops it.
         event_burst: events that an application may send at once before it is squelched.
         event_rate: events per second that it may send in the long run.
         housekeeping_ns: period of the housekeeping requests.
-        wakeup_ns: period of the wake-up that the two-robot application sends its commands on.
-        generator_msg_id: MsgId of the telemetry generator's commands; 0 where there is no generator.
-        big_endian: 1: counters and events have the highest byte first.
-        headers: of packets on the links. MsgIds of this profile are those of version 1 also where these have
-            version 2; ``wire.msg_id`` says what they are on the links.
-        time: how telemetry has mission time; with an epoch, it is the clock's from the start.
-        boot_ns: from the start of the processor until all applications run.
-        app_start_ns: from the start of an application until it runs.
-        app_kill_ns: how long an application may take to end that is told to.
-        boot_met_s: mission elapsed time at start, s.
+        wakeup_ns: period of the wake-up at which the two-robot application sends its commands.
+        generator_msg_id: MsgId of the telemetry generator's commands; 0 without a generator.
+        big_endian: 1: counters and events are big-endian.
+        headers: headers of packets on the links. MsgIds of this profile are those of version 1 even if these
+            headers have version 2; ``wire.msg_id`` converts them.
+        time: format of mission time in telemetry; its epoch, if set, is the clock's from the start.
+        boot_ns: time from the start of the processor until all applications run.
+        app_start_ns: time from the start of an application until it runs.
+        app_kill_ns: longest time that an application may take to end on request.
+        boot_met_s: mission elapsed time at the start, s.
         epoch_offset_s: correction from mission elapsed time to mission time, s.
-        cores: processors that the tasks share.
+        cores: number of processors that the tasks share.
         latency_ns: shortest and longest time from "may run" to "runs" of a task.
-        work_ns: processor time of handling one message.
-        housekeeping_work_ns: processor time of a core application's housekeeping packet.
-        obey_work_ns: processor time of a command that goes on to a robot: decoded, printed, sent.
-        work_jitter: how much of ``work_ns`` a piece of work may take more or less, 0 to 1.
-        seed: of the latencies: a seed, a run.
-        stated: names of the constants that somebody said, and MsgIds whose limits; the others are assumed.
+        work_ns: processor time for one message.
+        housekeeping_work_ns: processor time for a core application's housekeeping packet.
+        obey_work_ns: processor time for a command that is decoded, printed, and sent to a robot.
+        work_jitter: largest relative deviation of a piece of work from ``work_ns``, 0 to 1.
+        seed: seed of the latencies; each seed gives another run.
+        stated: names of constants, and MsgIds of limits, that a user stated; the others are assumed.
     """
 
     spacecraft_id: int = 0x42
@@ -211,14 +211,14 @@ class SimProfile(msgspec.Struct, frozen=True):
             )
 
     def stating(self, constants: Mapping[str, Any], limits: Mapping[int, int] | None = None) -> Self:
-        """Return the same with constants that somebody says, by name, and limits at Telemetry Output."""
+        """Return the profile with constants that a user states, by name, and limits at Telemetry Output."""
         limits = limits or {}
         whole = replace(self, **constants)
         names = {*self.stated, *constants, *constants.get("to_limits", ()), *limits}
         return replace(whole, to_limits={**whole.to_limits, **limits}, stated=frozenset(names))
 
     def on(self, ports: Ports) -> Self:
-        """Return the same on other ports, with the flight bridge its only SBN peer."""
+        """Return the profile on other ports, with the flight bridge as its only SBN peer."""
         bridge = SbnPeerConfig(FLIGHT_BRIDGE, ports.peer, self.address)
         return replace(self, ci_port=ports.ci, to_port=ports.to, sbn_port=ports.sbn, sbn_peers=(bridge,))
 
@@ -229,11 +229,11 @@ class SimProfile(msgspec.Struct, frozen=True):
 
     @property
     def peer(self) -> Peer:
-        """This instance as its SBN peers know it."""
+        """Identity of this instance for its SBN peers."""
         return Peer(self.spacecraft_id, self.processor_id)
 
 
 def constant_names() -> tuple[str, ...]:
-    """Return the names of the constants that are whole numbers, which users can say."""
+    """Return the names of the constants that are integers, which users can state."""
     values = zip(SimProfile.__struct_fields__, SimProfile.__struct_defaults__, strict=True)
     return tuple(name for name, value in values if type(value) is int)

@@ -1,12 +1,12 @@
-"""The queues of cFS, sockets and pipes: what enters, what is lost and when it leaves.
+"""The queues of cFS, sockets and pipes: which messages enter, which are lost, and when they leave.
 
-A queue is filled when messages arrive and read at wake-ups. Its rules, of one message as of columns:
+A queue is filled when messages arrive and read at wake-ups. Its rules, for one message and for columns:
 
-1. cFE looks at the limit of the MsgId first, then at the depth.
+1. cFE checks the limit of the MsgId first, then the depth.
 2. A message that arrives at the time of a wake-up is still read by it.
 3. A wake-up reads the oldest messages first, and at most ``reads`` of them.
 
-What leaves one queue arrives at the next: ``pass_queue`` is called again with their times.
+Messages that leave one queue arrive at the next: ``pass_queue`` is called again with their times.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ NO_LIMIT: Final = 1 << 62
 
 
 class QueueEnd(IntEnum):
-    """What becomes of a message at one queue."""
+    """The outcome of a message at one queue."""
 
     DELIVERED = 0
     WAITING = 1
@@ -44,13 +44,13 @@ class QueueEnd(IntEnum):
 
 
 def admission(waiting: int, limit: int, length: int, depth: int) -> QueueEnd:
-    """Tell whether a message may enter a queue: ``WAITING``, ``MSG_LIMIT`` or ``PIPE_OVERFLOW``.
+    """Return whether a message may enter a queue: ``WAITING``, ``MSG_LIMIT`` or ``PIPE_OVERFLOW``.
 
     Args:
-        waiting: messages of its MsgId in the queue.
-        limit: the most of them.
-        length: messages in the queue.
-        depth: the most of them.
+        waiting: number of messages of its MsgId in the queue.
+        limit: most messages of its MsgId.
+        length: number of messages in the queue.
+        depth: most messages in the queue.
     """
     if waiting >= limit:
         return QueueEnd.MSG_LIMIT
@@ -61,14 +61,14 @@ class Queue(msgspec.Struct, frozen=True):
     """The constants of one queue.
 
     Attributes:
-        round_ns: time between two wake-ups of its reader; 0 where each message is read at once.
-        depth: messages that fit.
-        usual_limit: messages of one MsgId that may wait.
-        limits: MsgId to its limit where it is another one.
-        reads: the most messages that one wake-up reads.
+        round_ns: time between two wake-ups of its reader; 0 if each message is read at once.
+        depth: most messages in the queue.
+        usual_limit: most messages of one MsgId that may wait.
+        limits: limit of each MsgId that has another one.
+        reads: most messages that one wake-up reads.
         phase_ns: time of one of the wake-ups.
-        is_socket: whether it is a socket, which knows no MsgIds: ``SOCKET_FULL`` is then the loss.
-        keeps_newest: whether a message over its limit takes the place of the oldest one of its MsgId.
+        is_socket: whether it is a socket, which has no MsgIds: ``SOCKET_FULL`` is then the loss.
+        keeps_newest: whether a message over its limit replaces the oldest one of its MsgId.
     """
 
     round_ns: int
@@ -82,19 +82,19 @@ class Queue(msgspec.Struct, frozen=True):
 
     @property
     def full(self) -> QueueEnd:
-        """What becomes of a message that finds it full."""
+        """The outcome of a message that arrives while the queue is full."""
         return QueueEnd.SOCKET_FULL if self.is_socket else QueueEnd.PIPE_OVERFLOW
 
     def limit(self, msg_id: int) -> int:
-        """Return how many messages of a MsgId may wait."""
+        """Return the number of messages of a MsgId that may wait."""
         return self.limits.get(msg_id, self.usual_limit)
 
     def with_limit(self, msg_id: int, limit: int | None) -> Queue:
-        """Return the same with another limit of a MsgId, where there is one."""
+        """Return the queue with another limit for a MsgId, or unchanged if ``limit`` is None."""
         return self if limit is None else replace(self, limits={**self.limits, msg_id: limit})
 
     def rate_hz(self, count: int) -> float:
-        """Return how many messages a second are ``count`` a round."""
+        """Return the rate in Hz of ``count`` messages a round."""
         return count * SECOND / self.round_ns
 
     def wakes(self, first_ns: int, last_ns: int) -> NDArray[np.int64]:
@@ -104,17 +104,17 @@ class Queue(msgspec.Struct, frozen=True):
 
 
 def ci_socket(profile: SimProfile) -> Queue:
-    """Return the queue in front of Command Ingest."""
+    """Return the queue before Command Ingest."""
     return Queue(
         profile.ci_wake_ns, profile.socket_queue, reads=profile.ci_datagrams_per_wake, is_socket=True
     )
 
 
 def application_pipe(profile: SimProfile, *, over_network: bool = False) -> Queue:
-    """Return an application's pipe as its sender fills it: the application reads it after each burst.
+    """Return an application's pipe, by the rounds of its sender: the application reads it after each burst.
 
     Args:
-        over_network: SBN fills it, at each of its wake-ups where it polls; else Command Ingest.
+        over_network: whether SBN fills it, at each of its wake-ups if it polls; else Command Ingest.
     """
     period_ns = profile.sbn_wake_ns if over_network else profile.ci_wake_ns
     return Queue(period_ns, profile.app_pipe_depth, profile.app_msg_limit)
@@ -131,13 +131,13 @@ def peer_pipe(profile: SimProfile) -> Queue:
 
 
 class Passage(NamedTuple):
-    """What became of the messages that arrived at one queue, an element for each.
+    """The outcomes of the messages that arrived at one queue; one element for each.
 
     Attributes:
-        time_ns: i64, arrival.
-        outcome: u8, an ``QueueEnd``.
-        left_ns: i64, the wake-up that read it; -1 of a message that was not read.
-        superseded_ns: i64, when a newer one took its place; -1 where none did.
+        time_ns: time of arrival, i64.
+        outcome: a ``QueueEnd``, u8.
+        left_ns: time of the wake-up that read it, i64; -1 for a message that was not read.
+        superseded_ns: time at which a newer one replaced it, i64; -1 if none did.
     """
 
     time_ns: NDArray[np.int64]
@@ -147,12 +147,12 @@ class Passage(NamedTuple):
 
     @property
     def delivered(self) -> NDArray[np.int64]:
-        """Places of the messages that were read, in the order in which they left: they go on from here."""
+        """Indices of the messages that were read, in the order in which they left for the next queue."""
         rows = np.flatnonzero(self.outcome == QueueEnd.DELIVERED)
         return rows[np.argsort(self.left_ns[rows], kind="stable")]
 
     def depth(self, at_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return how many messages wait at some times, after the arrivals and wake-ups of that moment."""
+        """Return the number of waiting messages at some times, after the arrivals and wake-ups then."""
         entered = self.time_ns[self.outcome <= QueueEnd.SUPERSEDED]
         exit_ns = np.where(self.outcome == QueueEnd.SUPERSEDED, self.superseded_ns, self.left_ns)
         exit_ns = np.sort(exit_ns[exit_ns >= 0])
@@ -165,16 +165,16 @@ def pass_queue(
     msg_id: NDArray[np.integer],
     wakes_ns: NDArray[np.int64] | None = None,
 ) -> Passage:
-    """Return what becomes of messages at a queue that is empty at first.
+    """Return the outcomes of messages at a queue that is empty at first.
 
     Args:
-        time_ns: (n,), arrivals, ns, in order.
-        msg_id: (n,), what the limits go by.
-        wakes_ns: when the queue is read, in order, where that is known; by default in its rounds, until it
-            is empty.
+        time_ns: times of arrival, (n,), ns, in order.
+        msg_id: MsgIds, to which the limits apply, (n,).
+        wakes_ns: times at which the queue is read, in order, if they are known; by default its rounds, until
+            it is empty.
 
     Returns:
-        elements in the order of the arrivals. ``WAITING`` is what is not read any more.
+        Elements in the order of the arrivals. ``WAITING`` messages are never read.
     """
     count = len(time_ns)
     reads = max(1, min(queue.reads, count))
@@ -192,7 +192,7 @@ def pass_queue(
     first = np.flatnonzero(np.diff(wake, prepend=-1))
     rounds_at, arrivals = wake[first], np.diff(first, append=count)
     ahead = _ahead(rounds_at, arrivals, reads, queue.depth)
-    is_free = limit.min(initial=NO_LIMIT) > queue.depth  # only the depth counts, so that ``ahead`` is exact
+    is_free = limit.min(initial=NO_LIMIT) > queue.depth  # only the depth counts, so ``ahead`` is exact
     at_once = is_free | ((ahead == 0) & (arrivals <= reads))
     rows = np.flatnonzero(np.repeat(at_once, arrivals))
     place = (np.repeat(ahead - first, arrivals) + np.arange(count))[rows]
@@ -215,11 +215,11 @@ def pass_queue(
 
 
 def _ahead(rounds_at: Integers, arrivals: Integers, reads: int, depth: int) -> Integers:
-    """Return how many wait at the most before the arrivals of each round; as many, where no limit counts.
+    """Return the most messages that wait before the arrivals of each round; exact if no limit applies.
 
     Args:
-        rounds_at: numbers of the rounds in which something arrives.
-        arrivals: how much.
+        rounds_at: numbers of the rounds in which messages arrive.
+        arrivals: number of messages that arrive.
     """
     read = reads * np.diff(rounds_at, prepend=0)
     grown = np.cumsum(np.append(0, arrivals)[:-1] - read)
@@ -234,18 +234,21 @@ def _ahead(rounds_at: Integers, arrivals: Integers, reads: int, depth: int) -> I
 
 
 def _read(waiting: Integers, left_ns: Integers, wakes_ns: Integers, reads: int) -> Integers:
-    """Write when messages leave at some wake-ups, and return those that stay."""
+    """Set the times at which messages leave at some wake-ups, and return those that stay."""
     leaving = waiting[: reads * len(wakes_ns)]
     left_ns[leaving] = wakes_ns[np.arange(len(leaving)) // reads]
     return waiting[len(leaving) :]
 
 
 class _Messages(NamedTuple):
-    """The messages of one call, and how they enter.
+    """The messages of one call, with the rules for entering.
 
     Attributes:
-        kind: (n,), number of the MsgId. limit: (n,), its limit.
-        superseded_ns: (n,), written by ``enter``.
+        queue: constants of the queue.
+        time_ns: time of arrival, (n,).
+        kind: number of the MsgId, (n,).
+        limit: limit of the MsgId, (n,).
+        superseded_ns: time of replacement, (n,), set by ``enter``.
     """
 
     queue: Queue
@@ -257,12 +260,15 @@ class _Messages(NamedTuple):
     def enter(self, rows: NDArray[np.int64], batch: NDArray[np.int64] | None = None) -> NDArray[np.uint8]:
         """Return the outcome of messages that arrive, in order, between two wake-ups.
 
-        The same as ``admission`` one after another. Nothing leaves in between, so the first ones of a MsgId
-        up to its limit may enter until the queue is full; from then on nothing changes any more.
+        The result is the same as that of ``admission`` for one after another. Nothing leaves in between, so
+        the first messages of a MsgId up to its limit may enter until the queue is full; from then on none
+        enters.
 
         Args:
-            rows: places of the messages; those that wait from before stand first.
-            batch: (rows,), ascending, between which wake-ups; the queue is empty before each. None: the same.
+            rows: indices of the messages; those that wait from before come first.
+            batch: number of the interval between wake-ups, (rows,), ascending; the queue is empty before
+                each.
+                None: all are in the same interval.
         """
         limit, group = self.limit[rows], self.kind[rows]
         if batch is not None:
@@ -285,7 +291,7 @@ class _Messages(NamedTuple):
         enters: NDArray[np.bool_],
         outcome: NDArray[np.uint8],
     ) -> None:
-        """Let the newest of each MsgId stay; each older one is superseded by the one that took its place."""
+        """Keep the newest messages of each MsgId; each older one is superseded by its replacement."""
         order = np.flatnonzero(enters)
         order = order[np.argsort(group[order], kind="stable")]
         later = np.arange(len(order)) + np.minimum(self.limit[rows[order]], len(order))
@@ -297,7 +303,7 @@ class _Messages(NamedTuple):
 
 
 def _rank(group: NDArray[np.int64], among: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
-    """Return how many elements of the same group stand before each one; only those ``among`` count."""
+    """Return the number of earlier elements in the same group for each one; only those ``among`` count."""
     order = np.argsort(in_16_bits(group), kind="stable")
     ones = np.ones(len(group), np.int64) if among is None else among[order].astype(np.int64)
     before = np.cumsum(ones) - ones

@@ -1,7 +1,7 @@
 """Software Bus Network (SBN over UDP): its name in events, its MsgIds, its times, its events.
 
-The sources name 5, 10 and 10 seconds and compare whole seconds with "greater than": what happens, happens a
-second later. What is measured is what stands here.
+The sources have 5, 10 and 10 seconds and compare whole seconds with "greater than", so each event comes a
+second later. The values here are the measured ones.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ COMMAND_MSG_ID: Final = 0x18FA
 HOUSEKEEPING_MSG_ID: Final = 0x08FA
 TABLE: Final = "SBN.SBN_ConfTbl"
 RESET_PEER, HOUSEKEEPING, RELOAD = 2, 10, 110
-"""Function codes; Table Services send the last one, with 4 bytes, when the table has a new image."""
+"""Function codes; Table Services sends the last one, with 4 bytes, when the table has a new image."""
 
 HEARTBEAT_S: Final = 6
-"""Whole seconds without sending, after which a connected peer is sent a heartbeat."""
+"""Whole seconds without sending, after which a heartbeat is sent to a connected peer."""
 TIMEOUT_S: Final = 11
 """Whole seconds of silence, after which a peer is disconnected."""
 ANNOUNCE_S: Final = 11
 """Whole seconds between announcements to a peer that is not connected."""
 WAKE_NS: Final = 200 * MILLISECOND
-"""Period at which peer pipes are served and times looked at.
+"""Period at which peer pipes are served and times checked.
 
-What comes is read by a task of its own that does not wait: 400 datagrams at once all arrived."""
+Incoming datagrams are read by a separate task that does not wait: 400 datagrams at once all arrived."""
 PIPE_DEPTH: Final = 32
 PEER_MSG_LIMIT: Final = 8
-"""Messages of one MsgId that may wait in a peer's pipe."""
+"""Most messages of one MsgId that may wait in a peer's pipe."""
 PEER_PIPE: Final = re.compile(r"SBN_[0-9]+_[0-9]+_Pipe")
 
 VERSION_MATCH: Final = EventText(NAME, 1, "SBN protocol version match with peer {peer}")
@@ -56,9 +56,9 @@ STARTING: Final = (
     *(EventText(NAME, 4, text) for text in _LOADED),
     EventText(NAME, 4, "{kind} module initialized"),
 )
-"""What it says of a module that it loads; a filter's own line comes before the last one."""
+"""Events about a module that it loads; a filter's own event comes before the last one."""
 RESTARTING: Final = (STARTING[0], EventText(NAME, 4, "symbol already loaded ({symbol})"), *STARTING[4:])
-"""The same after a reload."""
+"""Events about a module after a reload."""
 MODULES: Final = (
     {"name": "UDP", "symbol": "SBN_UDP_Ops", "file": "sbn_udp", "kind": "protocol"},
     {"name": "Remap", "symbol": "SBN_F_Remap", "file": "sbn_f_remap", "kind": "filter"},
@@ -86,7 +86,7 @@ PEER_CONFIGURED: Final = EventText(
     NAME, 258, "configured peer (SC={spacecraft_id:d}, CPU={processor_id:d}, Address={address}:{port:d})"
 )
 STARTS_AFTER_NS: Final = 100 * MILLISECOND
-"""From its first event until it says these."""
+"""Time from its first event to these events."""
 SUBSCRIBED_TO_COMMANDS: Final = EventText(
     NAME, 2, "SBN subscribed to command pipe SBN_CMD_MID 0x{msg_id:04X}"
 )
@@ -133,7 +133,7 @@ WITHOUT_PIPE: Final = (
     EventText(NAME, 3, "err from rcvmsg on sub pipe", EventType.ERROR),
     EventText(NAME, 5, "SBN_CheckSubscriptionPipe failed.", EventType.ERROR),
 )
-"""What each wake-up says after a reload that failed: its pipes are gone."""
+"""Events of each wake-up after a failed reload: its pipes are gone."""
 NOT_SUBSCRIBED: Final = EventText(
     NAME, 8, "cannot process unsubscription from ProcessorID {processor_id:d}, msg 0x{msg_id:04X} not found"
 )
@@ -153,7 +153,7 @@ UNKNOWN_PEER: Final = EventText(
     NAME, 259, "ERROR: unknown peer {spacecraft_id:d}:{processor_id:d}", EventType.ERROR
 )
 UNKNOWN_PROCESSOR: Final = EventText(NAME, 10, "unknown peer (ProcessorID={processor_id:d})")
-"""What the newest public SBN says instead."""
+"""Event of the newest public SBN instead."""
 NOT_UNPACKED: Final = EventText(NAME, 259, "ERROR: could not unpack message", EventType.ERROR)
 BAD_MSG_ID: Final = EventText(NAME, 4097, "unable to set msgid", EventType.ERROR)
 

@@ -1,4 +1,4 @@
-"""cFE Software Bus: what its calls return, and what it says about messages that it did not deliver.
+"""cFE Software Bus: the results of its calls, and its events about messages that it did not deliver.
 
 The texts are cFE's own, word for word.
 """
@@ -17,10 +17,10 @@ INVALID_MSG_ID: Final = 21
 PIPE_OVERFLOW: Final = 25
 
 ENABLE_ROUTE, DISABLE_ROUTE = 4, 5
-"""Function codes: an application gets a MsgId again, or no more."""
+"""Function codes: an application gets a MsgId again, or no longer."""
 
 STOPS_AFTER: Final = 16
-"""How often cFS repeats a loss event before its filter stops it."""
+"""Number of loss events that cFS reports before its filter stops them."""
 
 SUCCESS: Final = 0
 BAD_ARGUMENT: Final = -905969661
@@ -53,4 +53,4 @@ NOTHING_TO_UNSUBSCRIBE: Final = EventText(
     NAME, 12, "Unsubscribe Err:No subs for Msg 0x{msg_id:x} on {pipe},app {app}"
 )
 EVENTS: Final = {item.event_id: item for item in _TEXTS}
-"""Event number to the event; each has ``msg_id`` and ``sender``, and ``pipe`` where one is full."""
+"""Events by number; each has ``msg_id`` and ``sender``, and ``pipe`` if one is full."""

@@ -1,4 +1,4 @@
-"""cFE Table Services: its name in events, and the commands that replace a table, as a real cFS answers."""
+"""cFE Table Services: its name in events, its commands that replace a table, and a real cFS's answers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ LOAD, VALIDATE, ACTIVATE, ABORT_LOAD = 2, 4, 5, 9
 CODES: Final = frozenset({LOAD, VALIDATE, ACTIVATE, ABORT_LOAD})
 TABLE_NAME_BYTES: Final = 40
 TABLE_OF: Final = {"/cf/to_lab_sub.tbl": "TO_LAB_APP.TO_LAB_Subs", "/cf/sbn_conf_tbl.tbl": "SBN.SBN_ConfTbl"}
-"""The files of a cFS, and the table that each is an image of; its name begins with its application."""
+"""Table of each file of a cFS that is its image; the table's name begins with its application."""
 
 LOADED: Final = EventText(NAME, 12, "Successful load of '{file}' into '{table}' working buffer")
 ABORTED: Final = EventText(NAME, 21, "Table Load Aborted for '{table}'")

@@ -19,9 +19,9 @@ DATA_TYPES_MSG_ID: Final = 0x0881
 
 NOOP, RESET, ADD_PACKET, SEND_DATA_TYPES, REMOVE_PACKET, REMOVE_ALL, ENABLE = range(7)
 USUAL_LIMIT: Final = 4
-"""Messages of one MsgId that may wait, in the usual table."""
+"""Message limit of each MsgId in the usual table."""
 STOPS: Final = frozenset({REMOVE_PACKET, REMOVE_ALL})
-"""Function codes after which it does not send a MsgId, or any."""
+"""Function codes after which it no longer sends a MsgId, or any."""
 
 INITIALIZED: Final = EventText(NAME, 1, "TO Lab Initialized. {version}, Awaiting enable command.")
 NOTHING_DONE: Final = EventText(NAME, 18, "No-op command")
@@ -43,4 +43,4 @@ ALL_REMOVED: Final = EventText(NAME, 17, "L{line:d} TO Unsubscribed to all Comma
 SUPPRESSED: Final = EventText(
     NAME, 7, "L{line:d} TO sendto error {error}. Tlm output suppressed", EventType.ERROR
 )
-"""After it Telemetry Output drops what comes until it is enabled again. Versions differ in its number."""
+"""Event after which Telemetry Output drops all messages until it is enabled again; its number varies."""

@@ -8,7 +8,7 @@ from edoras_tools.cfs.event_services import EventText, EventType
 
 NAME: Final = "CFE_TIME"
 START_S: Final = 1_001_000
-"""Mission time when it begins after a power-on, as cFE is configured unless a mission says otherwise."""
+"""Mission time, in s, at which it begins after a power-on, in cFE's default configuration."""
 LEAP_SECONDS: Final = 37
 MICROSECONDS: Final = 1_000_000
 SET_TIME, SET_MET, SET_STCF, SET_LEAP_SECONDS = 7, 8, 9, 10
@@ -20,10 +20,10 @@ class Setting(NamedTuple):
     """A command that sets or adjusts the time.
 
     Attributes:
-        name: as events call it.
-        done_id: number of the event for a command that is taken.
+        name: name in events.
+        done_id: number of the event for an accepted command.
         refused_id: number of the event for a command whose microseconds are a second or more.
-        sign: of an adjustment; 0 where it is none.
+        sign: sign of an adjustment; 0 if it is none.
         each_second: whether it applies again each second.
     """
 
@@ -40,7 +40,7 @@ class Setting(NamedTuple):
 
     @property
     def accepted(self) -> EventText:
-        """Return the event for a command that is taken."""
+        """Return the event for an accepted command."""
         if self.each_second:
             text = f"{self.name} -- secs = {{seconds:d}}, ssecs = 0x{{subseconds:X}}"
         else:
@@ -67,5 +67,5 @@ SETTING: Final = {
     ADD_ONE_HZ: Setting("STCF 1Hz Adjust", 16, sign=1, each_second=True),
     SUB_ONE_HZ: Setting("STCF 1Hz Adjust", 16, sign=-1, each_second=True),
 }
-"""Function code to what it does; leap seconds apart."""
+"""The commands by function code, without leap seconds."""
 SETS: Final = frozenset({*SETTING, SET_LEAP_SECONDS})

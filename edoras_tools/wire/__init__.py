@@ -1,5 +1,5 @@
-"""Bytes to values and back, one file a layer; the standard library, numpy and a checksum library only.
+"""Bytes to values and back, one file a layer; uses only the standard library, numpy and a checksum library.
 
-``layout`` is the one description of a header that every reader is made from. ``ccsds``, ``cfe``, ``sbn``,
-``envelope`` and ``cdr`` hold the tables of their layer and the strict half that emits it.
+``layout`` is the description of a header from which every reader is made. ``ccsds``, ``cfe``, ``sbn``,
+``envelope`` and ``cdr`` hold the tables of their layer and the strict functions that emit it.
 """

@@ -9,7 +9,7 @@ from edoras_tools.wire.layout import Field, Layout
 TELEMETRY_TYPE: Final = 0
 TELECOMMAND_TYPE: Final = 1
 UNSEGMENTED: Final = 3
-"""Sequence flags of a packet that is whole in itself; what cFE sends."""
+"""Sequence flags of an unsegmented packet; cFE sends this value."""
 
 PRIMARY: Final = Layout(
     "ccsds",
@@ -34,12 +34,12 @@ PRIMARY: Final = Layout(
     Field("packet_sequence_count", 14, "counts the packets of one APID", clause="133.0-B 4.1.3.4.3"),
     Field("packet_data_length", 16, "bytes of the whole packet, less 7", clause="133.0-B 4.1.3.5"),
 )
-"""The primary header; its first word whole is cFE's MsgId."""
+"""The primary header; its whole first word is cFE's MsgId."""
 
 IDLE_APID: Final = 0x7FF
 """CCSDS 133.0-B 4.1.3.3.4.4: a packet without content, which fills a frame."""
 LENGTH_BIAS: Final = 7
-"""``packet_data_length`` is the whole packet's length less this."""
+"""``packet_data_length`` is the length of the whole packet minus this."""
 
 
 def msg_id(fields: dict[str, int]) -> int:

@@ -1,4 +1,4 @@
-"""cFE's headers behind the primary header, its checksum, and the core telemetry that tells of loss.
+"""cFE's headers behind the primary header, its checksum, and the core telemetry with loss counters.
 
 Headers are big-endian; telemetry payloads are in the flight processor's order, little-endian here.
 """
@@ -133,7 +133,7 @@ COMMAND_INGEST_HOUSEKEEPING_7: Final = Layout(
     Field("ingest_errors", 32, "datagrams refused"),
     byte_order="little",
 )
-"""The same of cFS 7: told by its length."""
+"""The same payload in cFS 7, which is recognised by its length."""
 TELEMETRY_OUTPUT_HOUSEKEEPING: Final = Layout(
     "to_lab_housekeeping",
     "TO_LAB Housekeeping",
@@ -146,12 +146,12 @@ TELEMETRY_OUTPUT_HOUSEKEEPING: Final = Layout(
 
 
 class MissionTime(msgspec.Struct, frozen=True):
-    """How the headers of telemetry have mission time; what is None is not known, and read as usual.
+    """The format of mission time in telemetry headers; a part that is None is unknown, and read as usual.
 
     Attributes:
-        byte_order: of both words; big as a rule.
-        ticks: subseconds in a second; 65,536 as a rule.
-        epoch_s: where it begins, s since 1970 UTC; :data:`EPOCH_S` as a rule.
+        byte_order: byte order of both words; usually big.
+        ticks: subseconds in a second; usually 65,536.
+        epoch_s: begin of mission time, s since 1970 UTC; usually :data:`EPOCH_S`.
     """
 
     byte_order: Literal["big", "little"] | None = None
@@ -163,7 +163,7 @@ class MissionTime(msgspec.Struct, frozen=True):
         """Read ``little, 1/1000 s, since 2000-01-01T12:00``, or some of its parts.
 
         Raises:
-            ConfigError: it is not of that form.
+            ConfigError: the text has another form.
         """
         match, moment = re.fullmatch(_MISSION_TIME, text), None
         parts: Any = match.groups() if match else (None, "0", None)
@@ -184,7 +184,7 @@ class MissionTime(msgspec.Struct, frozen=True):
         return ", ".join(filter(None, parts))
 
     def layout(self, telemetry: Layout) -> Layout:
-        """Return the table of a telemetry header with such a time."""
+        """Return the layout of a telemetry header with this format of time."""
         return telemetry if self == MissionTime() else _timed(telemetry, self)
 
     def ns(self, seconds: Any, subseconds: Any) -> Any:
@@ -192,14 +192,14 @@ class MissionTime(msgspec.Struct, frozen=True):
         return seconds * 1_000_000_000 + subseconds * 1_000_000_000 // (self.ticks or USUAL_TICKS)
 
     def words(self, time_ns: int) -> dict[str, int]:
-        """Return the fields of a time in ns since 1970; of one before the epoch 0."""
+        """Return the fields for a time in ns since 1970; 0 for a time before the epoch."""
         epoch_s = EPOCH_S if self.epoch_s is None else self.epoch_s
         seconds, rest = divmod(max(time_ns - epoch_s * 1_000_000_000, 0), 1_000_000_000)
         return {"seconds": seconds, "subseconds": rest * (self.ticks or USUAL_TICKS) // 1_000_000_000}
 
 
 class _Moments(dict[int, str]):
-    """The moment of each number of seconds since an epoch."""
+    """The date and time of each number of seconds since an epoch."""
 
     def __init__(self, epoch_s: int) -> None:
         self.epoch_s = epoch_s
@@ -221,11 +221,11 @@ class Headers(msgspec.Struct, frozen=True):
     """The headers of one build of cFE, behind the primary header.
 
     Attributes:
-        name: shown to users.
+        name: name for users.
         extended: whether the extended header comes first.
-        command: what follows in a command.
-        telemetry: what follows in telemetry.
-        msg_ids: how MsgIds are built from the headers.
+        command: layout behind it in a command.
+        telemetry: layout behind it in telemetry.
+        msg_ids: rule that builds MsgIds from the headers.
     """
 
     name: str
@@ -236,25 +236,25 @@ class Headers(msgspec.Struct, frozen=True):
 
     @property
     def start(self) -> int:
-        """Where the command or telemetry header starts in the packet."""
+        """Offset of the command or telemetry header in the packet."""
         return ccsds.PRIMARY.size + (EXTENDED.size if self.extended else 0)
 
     @property
     def command_bytes(self) -> int:
-        """All header bytes of a command."""
+        """Bytes of all headers of a command."""
         return self.start + self.command.size
 
     @property
     def telemetry_bytes(self) -> int:
-        """All header bytes of telemetry."""
+        """Bytes of all headers of telemetry."""
         return self.start + self.telemetry.size
 
     def size(self, msg_id: int) -> int:
-        """Return all header bytes of what a MsgId names."""
+        """Return the bytes of all headers of packets with a MsgId."""
         return self.command_bytes if self.msg_ids.is_command(msg_id) else self.telemetry_bytes
 
     def emit(self, msg_id: int, total: int, sequence_flags: int, sequence_count: int) -> bytes:
-        """Write the headers in front of the command or telemetry header, of a packet of ``total`` bytes."""
+        """Write the headers before the command or telemetry header, of a packet of ``total`` bytes."""
         word, subsystem = self.msg_ids.words(msg_id)
         head = ccsds.emit(word, total, sequence_flags=sequence_flags, sequence_count=sequence_count)
         return head + (EXTENDED.emit({"subsystem_id": subsystem}) if self.extended else b"")
@@ -267,13 +267,13 @@ WITH_EXTENDED_2: Final = replace(
     WITH_EXTENDED, name="extended header and MsgIds of version 2", msg_ids=VERSION_2
 )
 TOLD: Final = (STANDARD, SHORT, WITH_EXTENDED)
-"""The kinds of build that the bytes tell apart, the usual one first."""
+"""The kinds of build that can be detected from the bytes, the usual one first."""
 HEADERS: Final = (*TOLD, WITH_EXTENDED_2)
 """Every kind of build."""
 
 _SECOND: Final = HEADERS.index(WITH_EXTENDED_2)
 CHECKSUM_BYTE: Final = 1
-"""Place of the checksum in the command header."""
+"""Offset of the checksum in the command header."""
 COMMAND_HEADER_BYTES: Final = ccsds.PRIMARY.size + COMMAND.size
 TELEMETRY_HEADER_BYTES: Final = ccsds.PRIMARY.size + TELEMETRY.size
 EVENT_MSG_ID: Final = 0x0808
@@ -282,19 +282,19 @@ SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: Final = 0x0803
 
 
 def known_ids(msg_id: NDArray[np.int32], headers: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """Return the MsgIds of many packets as of version 1 (see :mod:`edoras_tools.wire.msg_id`).
+    """Return the MsgIds of many packets, converted to version 1 (see :mod:`edoras_tools.wire.msg_id`).
 
     Args:
-        msg_id: of each, or a negative number.
-        headers: u8, place in ``HEADERS`` of the headers of each.
+        msg_id: MsgId of each packet, or a negative number.
+        headers: index in ``HEADERS`` of the headers of each, u8.
     """
     second = headers == _SECOND
     return np.where(second, VERSION_2.standard(msg_id), msg_id) if np.count_nonzero(second) else msg_id
 
 
 def checksum(packet: bytes | memoryview) -> int:
-    """Return 0xFF XOR every byte: the checksum of a packet whose field is 0; 0 for a packet that is right."""
-    # XOR is blind to order, so whole words fold first.
+    """Return 0xFF XOR every byte: the checksum of a packet whose field is 0; 0 for a correct packet."""
+    # XOR does not depend on order, so whole words are folded first.
     data = bytes(packet) + bytes(-len(packet) % 8)
     word = 0
     for at in range(0, len(data), 8):
@@ -314,7 +314,7 @@ def emit_command(
     with_checksum: bool = True,
     headers: Headers = STANDARD,
 ) -> bytes:
-    """Write a whole command packet: 8 header bytes, or 16 of an extended header, and the payload.
+    """Write a whole command packet: 8 header bytes (16 with an extended header), and the payload.
 
     The EDORAS bridges send ``sequence_flags=0`` and ``with_checksum=False``.
 
@@ -357,10 +357,10 @@ def emit_telemetry(
 
 
 def with_headers(packet: bytes, old: Headers, new: Headers) -> bytes:
-    """Return a packet with the headers of another build: function code or time and what follows stay.
+    """Return a packet with the headers of another build; function code or time, and the payload, stay.
 
-    A MsgId becomes that of the other version (:mod:`edoras_tools.wire.msg_id`). A checksum that was right is
-    right again. A packet shorter than its headers is returned as it is.
+    The MsgId becomes that of the other version (:mod:`edoras_tools.wire.msg_id`). A correct checksum is
+    correct again. A packet shorter than its headers is returned unchanged.
     """
     msg_id = old.msg_ids.standard(old.msg_ids.of(packet)) if len(packet) > 1 else 0
     command = VERSION_1.is_command(msg_id)
@@ -387,7 +387,7 @@ def msg_id_of(packet: bytes) -> int:
 
 
 def length_of(packet: bytes) -> int:
-    """Return the length that a packet states, header included; its buffer may hold more or less."""
+    """Return the length in a packet's header, header included; its buffer may hold more or less."""
     return (packet[4] << 8 | packet[5]) + ccsds.LENGTH_BIAS
 
 

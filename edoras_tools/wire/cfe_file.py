@@ -1,7 +1,7 @@
-"""Files of cFE: the header that all have, and what its core services and Data Storage write behind it.
+"""cFE files: the header that all have, and the contents that core services and Data Storage write behind it.
 
-The headers of files and tables are big-endian on every processor. What follows is in the flight processor's
-order, little-endian here.
+The headers of files and tables are big-endian on every processor. The contents are in the flight processor's
+byte order, little-endian here.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ STORAGE_HEADER: Final = Layout(
     Field("file_name", 512, "on board", kind="text"),
     byte_order="little",
 )
-"""Behind the header of a file of stored packets."""
+"""The header behind the file header of stored packets."""
 OF_PACKETS: Final = {EVENT_LOG: FILE_HEADER.size, STORED_PACKETS: FILE_HEADER.size + STORAGE_HEADER.size}
-"""Subtypes of files of packets, and where the first packet is."""
+"""Subtypes of files of packets, with the offset of the first packet."""
 ON_TIME_LINE: Final = frozenset({*OF_PACKETS, RESET_LOG})
 """Subtypes of files whose packets or entries have times."""
 TABLE_HEADER: Final = Layout(
@@ -70,7 +70,7 @@ TABLE_HEADER: Final = Layout(
     Field("load_bytes", 32, "bytes that are loaded"),
     Field("table_name", 320, "application and table", kind="text"),
 )
-"""Behind the header of a table image."""
+"""The header behind the file header of a table image."""
 TO_SUBSCRIPTION: Final = Layout(
     "to_lab_subscription",
     "TO_LAB Subscription",
@@ -82,9 +82,9 @@ TO_SUBSCRIPTION: Final = Layout(
 )
 """An entry of Telemetry Output's table."""
 SBN_MODULES, SBN_PEERS = 8, 16
-"""Entries of SBN's table, used or not, as SBN is configured unless a mission says otherwise."""
+"""Number of entries in SBN's table, used or not, in SBN's default configuration."""
 SBN_FILTERS: Final = 8
-"""Names of filters of a peer."""
+"""Number of filter names of a peer."""
 SBN_NAME_BYTES: Final = 16
 SBN_MODULE: Final = Layout(
     "sbn_module",
@@ -121,7 +121,7 @@ SBN_PEER: Final = Layout(
 SBN_COUNT: Final = Layout(
     "sbn_count", "SBN Count", Field("modules", 8, "in use"), Field("spare", 8, "alignment")
 )
-"""Behind the protocols, and behind the filters."""
+"""The count behind the protocols, and behind the filters."""
 SBN_PEER_COUNT: Final = Layout(
     "sbn_peer_count",
     "SBN Peer Count",
@@ -129,7 +129,7 @@ SBN_PEER_COUNT: Final = Layout(
     Field("spare", 16, "alignment"),
     byte_order="little",
 )
-"""Behind the peers."""
+"""The count behind the peers."""
 RESET_ENTRY: Final = Layout(
     "cfe_reset",
     "cFE Exception or Reset",
@@ -191,9 +191,9 @@ MARKER: Final = Layout(
     byte_order="little",
 )
 EXIT: Final = 1 << 31
-"""Bit of ``marker``: the code between entry and exit was left."""
+"""Bit of ``marker`` for an exit: the code that the marker measures was left."""
 
 
 def kind_of(subtype: int) -> str:
-    """Return what a file is by its subtype, as ``table image``."""
+    """Return the kind of a file by its subtype, such as ``table image``."""
     return _SUBTYPES.get(subtype, f"file of subtype {subtype}")

@@ -1,8 +1,8 @@
-"""The EDORAS envelope: two lengths in front of the CDR, in the sender's native word size and order.
+"""The EDORAS envelope: two lengths before the CDR, in the sender's native word size and order.
 
 A bridge copies ``buffer_length`` and ``buffer_capacity`` of an ``rcutils_uint8_array_t`` (two ``size_t``) and
 then the CDR. A 64-bit little-endian sender makes 8 + 8 bytes; a 32-bit one 4 + 4; the EDORAS paper describes
-1 + 1. A mission may say an envelope of its own: other words, and a CRC behind the CDR.
+1 + 1. A mission may define its own envelope: other words, and a CRC behind the CDR.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class EnvelopeFormat(msgspec.Struct, frozen=True):
 
     Attributes:
         width: bytes of each of the two lengths of a bridge: 8, 4, 2 or 1.
-        byte_order: of every word.
-        own: words in place of the two lengths, each ``length``, ``capacity`` or ``spare`` with its bytes.
-        crc: bytes of a CRC behind the CDR, over envelope and CDR: of CRC-16 (as CCSDS has it) or CRC-32 (as
-            Ethernet); 0 for none.
+        byte_order: byte order of every word.
+        own: words instead of the two lengths: name (``length``, ``capacity`` or ``spare``) and bytes.
+        crc: bytes of a CRC behind the CDR, over envelope and CDR: 2 for CRC-16 (CCSDS), 4 for CRC-32
+            (Ethernet); 0 for none.
     """
 
     width: Literal[1, 2, 4, 8] = 8
@@ -44,27 +44,27 @@ class EnvelopeFormat(msgspec.Struct, frozen=True):
 
     @property
     def words(self) -> tuple[tuple[str, int], ...]:
-        """Each word with its bytes."""
+        """Name and bytes of each word."""
         return self.own or (("length", self.width), ("capacity", self.width))
 
     @property
     def size(self) -> int:
-        """Bytes in front of the CDR."""
+        """Bytes before the CDR."""
         return sum(size for _, size in self.words)
 
     @property
     def most(self) -> int:
-        """The longest CDR that its length can say."""
+        """Bytes of the longest CDR that the length word can state."""
         return (1 << 8 * dict(self.words)["length"]) - 1
 
     @property
     def layout(self) -> Layout:
-        """The table of this format."""
+        """The layout of the words."""
         return _layout(self.words, self.byte_order)
 
     @property
     def trailer(self) -> Layout | None:
-        """The table of what is behind the CDR, where there is a CRC."""
+        """The layout of the CRC behind the CDR; None if there is none."""
         return _trailer(self.crc, self.byte_order) if self.crc else None
 
     def __str__(self) -> str:
@@ -78,10 +78,10 @@ class EnvelopeFormat(msgspec.Struct, frozen=True):
 
     @classmethod
     def of_name(cls, text: str) -> EnvelopeFormat:
-        """Return the format with a name such as ``8/8`` or ``4/4 be``, or ``length: u16be, spare: u8``.
+        """Return the format of a text such as ``8/8``, ``4/4 be``, or ``length: u16be, spare: u8``.
 
         Raises:
-            ConfigError: it names none.
+            ConfigError: the text is not a format.
         """
         if ":" in text:
             return cls._of_words(text)
@@ -118,16 +118,17 @@ class EnvelopeFormat(msgspec.Struct, frozen=True):
         )
 
     def parse(self, data: bytes | memoryview, offset: int = 0) -> tuple[int, int]:
-        """Return ``buffer_length`` and ``buffer_capacity`` at ``offset``; without a capacity, the length.
+        """Return ``buffer_length`` and ``buffer_capacity`` at ``offset``; the capacity is the length if
+        absent.
 
         Raises:
-            TruncatedError: the envelope is not whole.
+            TruncatedError: the envelope is incomplete.
         """
         values = self.layout.parse(data, offset)
         return values["buffer_length"], values.get("buffer_capacity", values["buffer_length"])
 
     def emit(self, cdr: bytes, *, capacity: int | None = None) -> bytes:
-        """Write an envelope, its CDR and what is behind it.
+        """Write an envelope, its CDR, and the CRC if it has one.
 
         Raises:
             FieldError: a length does not fit its word.
@@ -143,10 +144,10 @@ class EnvelopeFormat(msgspec.Struct, frozen=True):
         return crc16(data) if self.crc == CRC16_BYTES else crc32(data)
 
     def intact(self, data: bytes | memoryview, offset: int, length: int) -> bool:
-        """Tell whether the CRC behind a CDR is right, or none is asked for.
+        """Return whether the CRC behind a CDR is right; True if the format has no CRC.
 
         Args:
-            offset: where the envelope starts; all of it and its CDR are there.
+            offset: start of the envelope; it and its CDR must be complete.
             length: bytes of the CDR.
         """
         end = offset + self.size + length
@@ -187,15 +188,15 @@ ENVELOPE_FORMATS: Final[Sequence[EnvelopeFormat]] = (
     EnvelopeFormat(2, "big"),
     EnvelopeFormat(1, "little"),
 )
-"""Every format that is told from the bytes, the likeliest first."""
+"""Every format that can be detected from the bytes, the likeliest first."""
 DEFAULT: Final = ENVELOPE_FORMATS[0]
 
 
 def detect(data: bytes | memoryview, offset: int = 0) -> EnvelopeFormat | None:
-    """Detect the format: the one whose lengths fit and whose CDR begins with an encapsulation.
+    """Detect the format whose lengths fit and whose CDR begins with an encapsulation.
 
     Returns:
-        the format, or None where none fits.
+        The format, or None if none fits.
     """
     for item in ENVELOPE_FORMATS:
         try:
@@ -216,11 +217,11 @@ def detect(data: bytes | memoryview, offset: int = 0) -> EnvelopeFormat | None:
 def capacity_column(
     envelope: EnvelopeFormat, head: NDArray[np.uint8], length: NDArray[np.uint64]
 ) -> NDArray[np.uint64]:
-    """Return the capacities of many envelopes; their lengths where they have none.
+    """Return the capacities of many envelopes; their lengths if the format has no capacity.
 
     Args:
-        head: (n, size or more) their first bytes.
-        length: (n,) their lengths.
+        head: first bytes of the envelopes, (n, size or more).
+        length: lengths in the envelopes, (n,).
     """
     if "buffer_capacity" not in envelope.layout.by_name:
         return length
@@ -230,11 +231,11 @@ def capacity_column(
 def holds(
     head: NDArray[np.uint8], have: NDArray[np.integer[Any]], envelope: EnvelopeFormat
 ) -> NDArray[np.bool_]:
-    """Tell for many payloads whether an envelope of this format fits; the same test as :func:`detect`.
+    """Return whether an envelope of this format fits each of many payloads; the test of :func:`detect`.
 
     Args:
-        head: (n, 20) first bytes of what may be an envelope.
-        have: (n,) bytes from there to the end of the packet.
+        head: first bytes of the possible envelopes, (n, 20).
+        have: bytes from there to the end of the packet, (n,).
     """
     size = envelope.size
     start = head[:, size : size + 4]
@@ -252,11 +253,11 @@ def holds(
 def intact_rows(
     data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], envelope: EnvelopeFormat
 ) -> NDArray[np.bool_]:
-    """Tell for many envelopes whether the CRC behind their CDR is right; see ``EnvelopeFormat.intact``.
+    """Return whether the CRC behind each of many CDRs is right; see ``EnvelopeFormat.intact``.
 
     Args:
-        offset: i64 (n,), where each starts in ``data``; envelope, CDR and CRC are inside.
-        length: i32 (n,), bytes of each CDR, 4 or more.
+        offset: start of each envelope in ``data``, i64 (n,); envelope, CDR and CRC are inside.
+        length: bytes of each CDR, i32 (n,), 4 or more.
     """
     trailer = envelope.trailer
     if trailer is None:

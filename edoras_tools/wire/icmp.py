@@ -1,7 +1,7 @@
-"""ICMP errors that say that a datagram reached nobody, and the beginning of that datagram in them.
+"""ICMP errors about a datagram that reached nobody, and the beginning of that datagram in them.
 
-RFC 792 and RFC 4443: destination unreachable. Only errors about UDP are read, and only where the header of
-the IP packet that they quote has no options (IPv4) and no extension headers (IPv6).
+RFC 792 and RFC 4443: destination unreachable. Only errors about UDP are read, and only if the header of the
+quoted IP packet has no options (IPv4) and no extension headers (IPv6).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class _AddressField(Field, frozen=True):
-    """An IP address; as a value its bytes, in network byte order."""
+    """An IP address; its value is its bytes, in network byte order."""
 
     def text(self, value: Any) -> str:
         """Return the address as people write it."""
@@ -99,11 +99,11 @@ class ErrorForm(msgspec.Struct, frozen=True):
     """One of the two forms of an error.
 
     Attributes:
-        protocol: its number in an IP header.
-        version: of IP, also of the packet that it quotes.
-        headers: in wire order; the quoted payload follows.
-        constants: fields with fixed values, by the place in ``headers``.
-        port_unreachable: the code that says that nobody listens on the port.
+        protocol: number of the protocol in an IP header.
+        version: version of IP, also of the quoted packet.
+        headers: headers in wire order; the quoted payload follows.
+        constants: fields with fixed values, by index in ``headers``.
+        port_unreachable: code for a port on which nobody listens.
     """
 
     protocol: int
@@ -118,15 +118,15 @@ class ErrorForm(msgspec.Struct, frozen=True):
         return sum(layout.size for layout in self.headers)
 
     def start(self, layout: Layout) -> int:
-        """Return where one of the headers begins."""
+        """Return the offset of one of the headers."""
         return sum(item.size for item in self.headers[: self.headers.index(layout)])
 
     def fits(self, field: Callable[[Layout, str, int], Any]) -> Any:
-        """Tell whether a message has this form, all headers whole.
+        """Return whether a message has this form, with all headers complete.
 
         Args:
             field: reads a number of a header that starts at a byte of the message: of one message, or an
-                array for many; -1 where its bytes are not there.
+                array for many; -1 if the message ends before it.
         """
         last = self.headers[-1]
         fit: Any = field(last, "udp_checksum", self.start(last)) >= 0

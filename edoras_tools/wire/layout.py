@@ -1,4 +1,4 @@
-"""One table per header, and the readers and the writer that are made from it.
+"""One table for each header, and the readers and the writer that are made from it.
 
 A :class:`Layout` states a header once: names, widths, signs, byte order, enumerations, a line of
 documentation and the clause. From it come the scalar :meth:`Layout.parse` and :meth:`Layout.emit`, the column
@@ -30,14 +30,14 @@ class Field(msgspec.Struct, frozen=True):
     """One field of a header.
 
     Attributes:
-        name: the standard's name, in snake case.
-        bits: width. ``text`` and ``bytes`` are whole bytes.
+        name: name in the standard, in snake case.
+        bits: width in bits; ``text`` and ``bytes`` are whole bytes.
         doc: one line of documentation.
         kind: ``uint``, ``int`` (two's complement), ``float`` (IEEE 754), ``text`` (NUL-terminated ASCII) or
             ``bytes``.
-        names: what values mean, where they are enumerated.
-        base: how people read the number: 10 or 16.
-        clause: where the standard or the source says so.
+        names: meanings of values, if they are enumerated.
+        base: base in which people read the number: 10 or 16.
+        clause: clause of the standard or source.
     """
 
     name: str
@@ -60,14 +60,14 @@ class Field(msgspec.Struct, frozen=True):
 
 
 class Slot(msgspec.Struct, frozen=True):
-    """Where a field lies in its header.
+    """The place of a field in its header.
 
     Attributes:
         field: the field.
-        start: its first byte, from the start of the header.
-        end: one past its last byte.
+        start: first byte, from the start of the header.
+        end: offset after the last byte.
         shift: bits to the right of it in the word ``start:end``.
-        mask: its bits, after the shift.
+        mask: mask of its bits, after the shift.
     """
 
     field: Field
@@ -81,12 +81,12 @@ class Layout:
     """The single description of a header.
 
     Attributes:
-        name: the layer's short name, as ``ccsds``.
-        title: the layer's name for people.
-        slots: the fields with their places, in wire order.
-        size: the header's length in bytes.
+        name: short name of the layer, such as ``ccsds``.
+        title: name of the layer for people.
+        slots: fields with their places, in wire order.
+        size: length of the header in bytes.
         byte_order: ``big`` or ``little``; bit fields are packed from the most significant bit of a big-endian
-            word, so a little-endian layout holds whole bytes only.
+            word, so a little-endian layout holds only whole bytes.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class Layout:
 
     @cached_property
     def big(self) -> Layout:
-        """The same header as a flight computer writes it that has the highest byte first."""
+        """The same header in big-endian byte order, as some flight computers write it."""
         return Layout(self.name, self.title, *(slot.field for slot in self.slots))
 
     @cached_property
@@ -126,17 +126,17 @@ class Layout:
         """Read every field at ``offset``.
 
         Returns:
-            field name to int, str (``text``, cut at the first NUL) or bytes.
+            Field name to int, str (``text``, cut at the first NUL) or bytes.
 
         Raises:
-            TruncatedError: fewer than ``size`` bytes are there.
+            TruncatedError: there are fewer than ``size`` bytes.
         """
         if len(data) - offset < self.size:
             raise TruncatedError(self.name, offset, self.size, max(0, len(data) - offset))
         return {slot.field.name: self.read(slot, data, offset) for slot in self.slots}
 
     def read(self, slot: Slot, data: bytes | memoryview, offset: int = 0) -> Any:
-        """Read one field of a header that starts at ``offset``; its bytes must be there."""
+        """Read one field of a header that starts at ``offset``; its bytes must exist."""
         raw = bytes(data[offset + slot.start : offset + slot.end])
         if slot.field.kind == "bytes":
             return raw
@@ -151,7 +151,7 @@ class Layout:
         return (">" if self.byte_order == "big" else "<") + _FLOATS[slot.end - slot.start]
 
     def emit(self, values: Mapping[str, Any]) -> bytes:
-        """Write a header; fields that are not named are zero.
+        """Write a header; fields without a value are zero.
 
         Raises:
             FieldError: a name is not in this layout, or a value does not fit its field.
@@ -186,11 +186,11 @@ class Layout:
         """Read one numeric field of many headers.
 
         Args:
-            window: u8 (n, w), a row a header.
-            at: where in a row the header starts; its bytes must be inside the row.
+            window: u8 (n, w), one row a header.
+            at: offset of the header in a row; its bytes must be inside the row.
 
         Returns:
-            (n,) of the smallest type of its sign that holds the field; float32 or float64 of a float.
+            (n,) of the smallest type of its sign that holds the field; float32 or float64 for a float.
         """
         slot = self.by_name[name]
         size = slot.end - slot.start

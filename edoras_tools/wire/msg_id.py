@@ -1,11 +1,11 @@
-"""MsgIds: by which a software bus knows a packet, and which cFE builds from its headers in one of two ways.
+"""MsgIds, which identify packets on a software bus; cFE builds them from the headers in one of two ways.
 
 1. Version 1, the default: the first word of the packet.
-2. Version 2, only with the extended header: the low byte of its subsystem, the bit that tells commands, and
-   the low 7 bits of the APID. The first word has its type bit too, which tells commands in both versions.
-3. Where this project knows a MsgId of cFE or of an app, that is one of version 1. With version 2 a mission
-   chooses its own; taken are those of cFE's sample missions for the services (0x1806 becomes 0x0086, 0x0808
-   becomes 0x0008). Of the lab apps, whose APIDs have bit 7, commands keep their numbers (0x1880), telemetry
+2. Version 2, only with the extended header: the low byte of its subsystem, the bit that marks commands, and
+   the low 7 bits of the APID. The first word has its type bit too, which marks commands in both versions.
+3. The MsgIds of cFE and of apps that this project knows are of version 1. With version 2 a mission chooses
+   its own; here those of cFE's sample missions are used for the services (0x1806 becomes 0x0086, 0x0808
+   becomes 0x0008). The APIDs of the lab apps have bit 7: commands keep their numbers (0x1880), telemetry
    loses that bit (0x0884 becomes 0x0804), which would make commands of it. No two MsgIds become one.
 """
 
@@ -30,16 +30,16 @@ _COMMAND_2: Final = 0x80
 _SECONDARY: Final = 0x0800
 """Bit of the first word: a secondary header follows, as in every cFE packet."""
 _SUBSYSTEM_AT: Final = MSG_ID_BYTES - 1
-"""Where the low byte of the subsystem is."""
+"""Offset of the low byte of the subsystem."""
 
 
 class MsgIds:
     """MsgIds of version 1: the first word of the packet.
 
     Attributes:
-        version: as cFE numbers it.
-        made_of: what of the headers.
-        command_bit: set in the MsgId of a command; it, not the link, decides which header follows.
+        version: number of the version in cFE.
+        made_of: parts of the headers that it is made of.
+        command_bit: bit that is set in the MsgId of a command; it, not the link, decides the next header.
     """
 
     version = 1
@@ -47,19 +47,19 @@ class MsgIds:
     command_bit = 0x1000
 
     def is_command(self, msg_id: Any) -> Any:
-        """Tell whether a MsgId's packet is a command: bool of one, an array of bool of many."""
+        """Return whether a MsgId's packet is a command: bool for one, an array of bool for many."""
         return (msg_id & self.command_bit) != 0
 
     def of(self, packet: bytes, at: int = 0) -> int:
-        """Return the MsgId of the packet that starts at a place; its first word must be there."""
+        """Return the MsgId of the packet that starts at byte ``at``; its first word must exist."""
         return packet[at] << 8 | packet[at + 1]
 
     def column(self, head: NDArray[np.uint8], length: NDArray[Any]) -> NDArray[np.int32]:
         """Return the MsgIds of many packets.
 
         Args:
-            head: u8 (n, ``MSG_ID_BYTES`` or more), first bytes of each.
-            length: bytes of each that are there.
+            head: first bytes of each, u8 (n, ``MSG_ID_BYTES`` or more).
+            length: number of existing bytes of each.
         """
         return _first_words(head)
 
@@ -68,16 +68,16 @@ class MsgIds:
         return msg_id, 0
 
     def of_known(self, standard: _Ids) -> _Ids:
-        """Return what a MsgId that the project knows, one of version 1, is in this version."""
+        """Return the MsgId in this version of a MsgId of version 1 that the project knows."""
         return standard
 
     def standard(self, msg_id: _Ids) -> _Ids:
-        """Return the MsgId of version 1 of what has this one: the reverse of :meth:`of_known`."""
+        """Return the MsgId of version 1 for one of this version: the reverse of :meth:`of_known`."""
         return msg_id
 
 
 class _Version2(MsgIds):
-    """MsgIds of version 2: subsystem, type bit, 7 bits of the APID. Bytes that are not there count as 0."""
+    """MsgIds of version 2: subsystem, type bit, 7 bits of the APID. Absent bytes count as 0."""
 
     version = 2
     made_of = "subsystem, type and APID"

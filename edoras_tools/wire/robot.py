@@ -1,6 +1,6 @@
-"""What the public flight apps and their robots send each other: bare doubles, without a header.
+"""The messages between the public flight apps and their robots: bare doubles, without a header.
 
-The sender's native order, which is little-endian in practice.
+They have the sender's native byte order, which is little-endian in practice.
 """
 
 from __future__ import annotations
@@ -38,4 +38,4 @@ ROBOT_STATE: Final = Layout(
     byte_order="little",
 )
 SENT_TO: Final = {ROBOT_COMMAND: ROBOT_PORT, ROBOT_POSE: ROBOT_PORT, ROBOT_STATE: CFS_PORT}
-"""The messages, each told by its length, and the port that it is sent to."""
+"""Destination port of each message; a message is recognised by its length."""

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 PROTOCOL_VERSION: Final = 11
 IDENT: Final = "$Id: dccf6239093d99c4c9351e140c15b61a95d8fc37 $"
-"""What SUB and UNSUB carry: a literal of the SBN sources; a peer that sends another is refused."""
+"""Text in SUB and UNSUB, a literal of the SBN sources; a peer that sends another is refused."""
 IDENT_BYTES: Final = 48
 LARGEST_PAYLOAD: Final = 32767
-"""MsgSz is signed: more is an error at the receiver."""
+"""Largest MsgSz, which is signed: a larger payload is an error at the receiver."""
 
 
 class MsgType(IntEnum):
-    """SBN MsgType. The UDP module's own begin at 0xA0."""
+    """SBN MsgType; types of the UDP module begin at 0xA0."""
 
     NO_MSG = 0x00
     SUB = 0x01
@@ -109,11 +109,11 @@ class MessageHead:
         self._behind_size = emit(MsgType.APP, sender)[_SIZE_BYTES:]
 
     def fits(self, data: bytes) -> bool:
-        """Tell whether a datagram (any bytes) is an APP message of this sender with a size of 0 or more."""
+        """Return whether a datagram (any bytes) is an APP message of this sender with a size of 0 or more."""
         return data[_SIZE_BYTES : HEADER.size] == self._behind_size and data[0] < 0x80
 
     def emit(self, packet: bytes) -> bytes:
-        """Write the datagram of a space packet of 32,767 bytes at the most.
+        """Write the datagram of a space packet, which has at most 32,767 bytes.
 
         Raises:
             OverflowError: the packet is longer.
@@ -131,10 +131,10 @@ def parse_subscriptions(payload: bytes | memoryview) -> tuple[str, tuple[Subscri
     """Read the payload of a SUB or UNSUB.
 
     Returns:
-        the $Id and the entries.
+        The $Id and the entries.
 
     Raises:
-        TruncatedError: fewer entries are there than the count says.
+        TruncatedError: there are fewer entries than the count says.
     """
     head = SUBSCRIPTIONS.parse(payload)
     need = SUBSCRIPTIONS.size + head["count"] * SUBSCRIPTION.size

@@ -1,6 +1,6 @@
 """CCSDS transfer frames: TM (132.0-B-3), AOS (732.0-B-4), TC (232.0-B-4); big-endian.
 
-Their headers, and what a mission lays down of them.
+The headers of the frames, and the parameters that a mission defines.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
 
 NO_PACKET_STARTS: Final = 0x7FF
-"""First header pointer: no packet starts in this frame."""
+"""First header pointer of a frame in which no packet starts."""
 ONLY_IDLE_DATA: Final = 0x7FE
-"""First header pointer: there is no packet in this frame."""
+"""First header pointer of a frame with only idle data."""
 OCF_BYTES: Final = 4
-"""The operational control field, behind the data of a TM or AOS frame."""
+"""Bytes of the operational control field, behind the data of a TM or AOS frame."""
 AOS_IDLE_CHANNEL: Final = 63
-"""The virtual channel of AOS frames that are only sent so that the link is not silent."""
+"""Virtual channel of AOS frames that are sent only to keep the link busy."""
 HEADER_ERROR_CONTROL_BYTES: Final = 2
-"""What may follow the header of an AOS frame; Reed-Solomon, not checked here."""
+"""Bytes of an optional field behind the header of an AOS frame; its Reed-Solomon code is not checked."""
 
 _VERSION: Final = "transfer_frame_version_number"
 _CRAFT: Final = "of the spacecraft"
@@ -114,9 +114,9 @@ TC_SEGMENT: Final = Layout(
     ),
     Field("map_id", 6, "parts of one packet have the same", clause="232.0-B 4.1.3.2.2.3"),
 )
-"""The segment header, which a mission's TC frames have or not."""
+"""The segment header, which is optional in a mission's TC frames."""
 TC_LENGTH_BIAS: Final = 1
-"""``frame_length`` is the whole frame's length less this."""
+"""``frame_length`` is the length of the whole frame minus this."""
 
 
 FrameKind = Literal["tm", "aos", "tc"]
@@ -124,25 +124,25 @@ FRAME_LAYOUTS: Final[Mapping[str, Layout]] = {"tm": TM, "aos": AOS, "tc": TC}
 FRAME_VERSIONS: Final = {"tm": 0, "aos": 1, "tc": 0}
 """The transfer frame version number of each kind."""
 FIRST_PART: Final = 1
-"""The bit of a segment's sequence flags that says that a packet starts in it."""
+"""Bit of a segment's sequence flags that marks the start of a packet."""
 LATE: Final = 32
-"""How many counts of 8 bits back a frame is late, and not ahead."""
+"""Most counts of 8 bits by which a frame is late, not ahead."""
 NO_FIRST: Final = -1
 """``FrameFields.first`` of a frame in which no packet starts."""
 
 
 class FrameFormat(msgspec.Struct, frozen=True):
-    """What the bytes of a frame do not say themselves.
+    """Parameters of frames that are not in their bytes.
 
     Attributes:
         kind: ``tm``, ``aos`` or ``tc``.
-        length: bytes of a whole TM or AOS frame; 0 for TC frames, which say theirs.
-        fecf: the last two bytes are a CRC-16 of the frame.
-        ocf: TM, AOS: an operational control field is behind the data; read TM frames say so themselves.
-        insert_zone: AOS: bytes of the insert zone behind the header.
-        header_error_control: AOS: two bytes of it are behind the header.
-        segment_header: TC: the data begins with a segment header.
-        stream: they follow each other in TCP streams, either way; if not, each is a datagram.
+        length: bytes of a whole TM or AOS frame; 0 for TC frames, which state their length.
+        fecf: whether the last two bytes are a CRC-16 of the frame.
+        ocf: whether an operational control field is behind the data (TM, AOS); received TM frames state it.
+        insert_zone: bytes of the insert zone behind the header (AOS).
+        header_error_control: whether two bytes of header error control are behind the header (AOS).
+        segment_header: whether the data begins with a segment header (TC).
+        stream: whether frames follow each other in TCP streams; if not, each is a datagram.
     """
 
     kind: FrameKind
@@ -161,7 +161,7 @@ class FrameFormat(msgspec.Struct, frozen=True):
 
     @property
     def data_start(self) -> int:
-        """Bytes in front of the data, and of what a TM secondary header adds."""
+        """Bytes before the data, without a TM secondary header."""
         return self.layout.size + HEADER_ERROR_CONTROL_BYTES * self.header_error_control + self.insert_zone
 
     @property
@@ -173,6 +173,6 @@ class FrameFormat(msgspec.Struct, frozen=True):
 
 
 def count_modulus(kind: str) -> int:
-    """Return how many values the count of a virtual channel has."""
+    """Return the number of values of a virtual channel's count."""
     name = "frame_sequence_number" if kind == "tc" else "virtual_channel_frame_count"
     return FRAME_LAYOUTS[kind].by_name[name].mask + 1

@@ -1,13 +1,13 @@
-"""Cyclic redundancy checks: CRC-32 as zlib, MCAP and Ethernet have it, CRC-32C, and CRC-16 as CCSDS has it.
+"""Cyclic redundancy checks: CRC-32 as in zlib, MCAP and Ethernet, CRC-32C, and CRC-16 as in CCSDS.
 
-CRC-32 comes by the ``isal`` library, at ten times the speed of zlib's; by zlib's on machines that it is not
-made for. CRC-16 (polynomial 0x1021, preset to ones, 132.0-B 4.1.6.2) is the standard library's for one range
-of bytes; over many ranges it goes on by two bytes of each at once. CRC-32C (Castagnoli, RFC 3720 B.4) is made
-of the CRCs of short rows, all at once.
+CRC-32 uses the ``isal`` library, which is ten times as fast as zlib, or zlib on machines without it. CRC-16
+(polynomial 0x1021, preset to ones, 132.0-B 4.1.6.2) uses the standard library for one range of bytes; for
+many ranges it advances by two bytes of each at once. CRC-32C (Castagnoli, RFC 3720 B.4) is combined from the
+CRCs of short rows, which are computed all at once.
 
-A CRC without its preset and its last inversion is a polynomial in x modulo P: that of bytes one behind the
-other is the sum of theirs, each times x to the power of the bits behind it. So the CRC of a file can be added
-up from its pieces in any order (``FileCrc``).
+A CRC without its preset and its last inversion is a polynomial in x modulo P: the CRC of consecutive pieces
+is the sum of theirs, each times x to the power of the number of bits behind it. So the CRC of a file can be
+added up from its pieces in any order (``FileCrc``).
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
 CRC16_BYTES: Final = 2
 _ONES: Final = 0xFFFF
 _FEW: Final = 32
-"""Up to this many ranges, one call for each is faster."""
+"""Most ranges for which one call each is faster."""
 _BLOCK: Final = 4 << 20
-"""Bytes that are laid out at once, at the most."""
+"""Most bytes that are laid out at once."""
 _INVERTED: Final = 0xFFFFFFFF
 """Preset and last inversion of both CRCs of 32 bits."""
 _CRC32: Final = 0xEDB88320
 _CRC32C: Final = 0x82F63B78
-"""The polynomials, x^31 in the lowest bit; 1 is the highest bit."""
+"""The polynomials of 32 bits; x^31 is the lowest bit, and 1 is the highest bit."""
 _ONE: Final = 1 << 31
 _ROW: Final = 64
-"""Bytes of a row of CRC-32C."""
+"""Bytes of a row for CRC-32C."""
 
 
 @cache
@@ -52,18 +52,18 @@ def _fastest() -> Callable[[Buffer, int], int]:
 
 
 def crc32(octets: Buffer, value: int = 0) -> int:
-    """Return the CRC-32 of some bytes, going on from that of the bytes in front of them."""
+    """Return the CRC-32 of some bytes; ``value`` is the CRC of the bytes before them."""
     return _fastest()(octets, value)
 
 
 def crc16(octets: bytes | memoryview) -> int:
-    """Return the CRC-16 of some bytes; with their own CRC-16, big-endian, behind them it is 0."""
+    """Return the CRC-16 of some bytes; it is 0 if their own CRC-16, big-endian, follows them."""
     return crc_hqx(octets, _ONES)
 
 
 @cache
 def _words() -> NDArray[np.uint16]:
-    """Return what two bytes, as a big-endian number, make of a remainder of 0; u16 (65536,)."""
+    """Return the remainder that two bytes, a big-endian number, make from 0; u16 (65536,)."""
     word = np.arange(1 << 16, dtype=np.uint32)
     for _ in range(16):
         word = (word << np.uint32(1)) ^ (word >> np.uint32(15)) * np.uint32(0x11021)
@@ -76,9 +76,9 @@ def crc16_rows(
     """Return the CRC-16 of each range ``offset : offset + length``, u16 (n,).
 
     Args:
-        data: u8, contiguous.
-        offset: i64 (n,); the ranges lie inside ``data``.
-        length: i32 (n,), at least 2.
+        data: contiguous buffer, u8.
+        offset: starts of the ranges, i64 (n,); the ranges lie inside ``data``.
+        length: bytes of the ranges, i32 (n,), at least 2.
     """
     count = len(offset)
     if count <= _FEW:
@@ -100,9 +100,9 @@ def crc16_rows(
 def _preset_rows(
     data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], preset: int
 ) -> NDArray[np.uint8]:
-    """Lay ranges out as rows of the same even length, their first bytes inverted, as a preset to ones does.
+    """Copy ranges into rows of one even length, with their first bytes inverted, which is a preset to ones.
 
-    Zeros in front change nothing where the remainder is 0.
+    Zeros before a range change nothing while the remainder is 0.
     """
     count, width = len(offset), (int(length.max()) + 1) & ~1
     rows = np.zeros((count, width), np.uint8)
@@ -119,7 +119,7 @@ def crc32_rows(
     """Return the CRC-32 of each range ``offset : offset + length``, u32 (n,); see ``crc16_rows``.
 
     Args:
-        length: i32 (n,), at least 4.
+        length: bytes of the ranges, i32 (n,), at least 4.
     """
     count = len(offset)
     if count > 1 and count * int(length.max()) > _BLOCK:
@@ -151,7 +151,7 @@ def _power(polynomial: int, doublings: int, *, inverse: bool = False) -> int:
         return int(_times(half, half, polynomial))
     value = _ONE
     for _ in range(8):
-        if inverse:  # by x: to the left; where 1 would leave, P is taken out first
+        if inverse:  # by x: shift to the left; if 1 would be lost, P is subtracted first
             carry = value >> 31
             value = ((value ^ polynomial * carry) << 1 & _INVERTED) | carry
         else:
@@ -169,7 +169,7 @@ def _shifted(value: int, octets: int, polynomial: int, *, inverse: bool = False)
 
 @cache
 def _octets(polynomial: int) -> NDArray[np.uint32]:
-    """Return what a byte makes of a remainder of 0; u32 (256,)."""
+    """Return the remainder after one byte from a remainder of 0; u32 (256,)."""
     value = np.arange(256, dtype=np.uint32)
     for _ in range(8):
         value = (value >> np.uint32(1)) ^ (value & np.uint32(1)) * np.uint32(polynomial)
@@ -177,7 +177,7 @@ def _octets(polynomial: int) -> NDArray[np.uint32]:
 
 
 def crc32c(octets: bytes, value: int = 0) -> int:
-    """Return the CRC-32C of some bytes, going on from that of the bytes in front of them."""
+    """Return the CRC-32C of some bytes; ``value`` is the CRC of the bytes before them."""
     value ^= _INVERTED
     if not octets:
         return value ^ _INVERTED
@@ -187,7 +187,7 @@ def crc32c(octets: bytes, value: int = 0) -> int:
     for column in np.ascontiguousarray(rows.T):
         remainder = table[(remainder ^ column) & np.uint32(0xFF)] ^ (remainder >> np.uint32(8))
     doublings = _ROW.bit_length() - 1
-    while len(remainder) > 1:  # two and two: the front one times x to the power of the bits of the other
+    while len(remainder) > 1:  # in pairs: the first one times x to the power of the bits of the second
         if len(remainder) % 2:
             remainder = np.insert(remainder, 0, 0)
         factor = np.uint32(_power(_CRC32C, doublings))

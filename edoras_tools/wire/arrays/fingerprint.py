@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 HASHED_BYTES: Final = 4096
 """Bytes of a packet that are hashed; longer packets differ within these bytes."""
 _BLOCK: Final = 2048
-"""Rows taken together: few enough to stay in the second-level cache."""
+"""Rows that are handled together: few enough to stay in the second-level cache."""
 MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 """An odd number without a pattern: multiplying by it spreads the bits of a word over the product."""
 
@@ -58,7 +58,7 @@ _LAST_WORD: Final = np.array([[0xFF] * (size or 8) + [0] * (-size % 8) for size 
 def matches(
     first: NDArray[np.uint64], second: NDArray[np.uint64]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the places of the keys that are there once in each, and not 0."""
+    """Return the indices of keys that occur exactly once in each array, and are not 0."""
     sides = []
     for keys in (first, second):
         values, at, count = np.unique(keys, return_index=True, return_counts=True)

@@ -15,24 +15,24 @@ if TYPE_CHECKING:
 Integers: TypeAlias = "NDArray[np.int64]"
 """Times in ns, or counts."""
 Mask: TypeAlias = "NDArray[np.bool_]"
-"""Which elements of others are meant."""
+"""A selection of the elements of another array."""
 Places: TypeAlias = "NDArray[np.intp]"
-"""Where elements of others are."""
+"""Indices of the elements of another array."""
 Prints: TypeAlias = "NDArray[np.uint64]"
-"""Fingerprints; 0 tells nothing."""
+"""Fingerprints; 0 is unknown."""
 _Item = TypeVar("_Item")
 _Key = TypeVar("_Key")
 _MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 _WIDE: Final = 1 << 31
-"""Two numbers below it are one that fits."""
+"""Limit of numbers of which a pair fits into 63 bits."""
 _SLOTS: Final = 18
 """Most bits of the lookup table that is used while distinct values are few."""
 _SLOTS_EACH: Final = 3
-"""Bits of it beyond those that number the rows: few rows do not pay for a large table."""
+"""Bits of the table beyond those that number the rows: a large table is too slow for few rows."""
 
 
 def order_by(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Return the stable order that puts equal keys side by side; keys are u8, u16 or u32, radix sorted."""
+    """Return the stable order that groups equal keys; keys are u8, u16 or u32, radix sorted."""
     digits: list[NDArray[np.uint16]] = []
     room = 0  # the largest factor for the last digit; a sort costs the same for each digit
     for key in keys:
@@ -51,12 +51,12 @@ def order_by(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
 
 
 def in_16_bits(values: NDArray[Any]) -> NDArray[Any]:
-    """Return numbers, none negative, in 16 bits if they fit: radix sorts those several times as fast."""
+    """Return non-negative numbers in 16 bits if they fit: radix sort is then several times as fast."""
     return values.astype(np.uint16) if values.max(initial=0) <= 0xFFFF else values
 
 
 def changes(rows: NDArray[np.intp], *columns: NDArray[Any]) -> NDArray[np.bool_]:
-    """Tell for each of some rows whether a column changes there; True for the first."""
+    """Return whether a column changes at each of some rows; True for the first row."""
     out = np.zeros(len(rows), np.bool_)
     out[:1] = True
     for column in columns:
@@ -67,12 +67,12 @@ def changes(rows: NDArray[np.intp], *columns: NDArray[Any]) -> NDArray[np.bool_]
 
 
 def numbered(*keys: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Number the distinct rows of some columns of whole numbers, in the order they first come.
+    """Number the distinct rows of some columns of integers, in order of first occurrence.
 
-    Nothing is sorted while there are few distinct rows, as there are few kinds of traffic.
+    Nothing is sorted while there are few distinct rows, as is usual for kinds of traffic.
 
     Returns:
-        the first row of each, and the number of each row: ``numpy.unique``'s index and inverse.
+        The first row of each, and the number of each row: ``numpy.unique``'s index and inverse.
     """
     if len(keys) == 1:
         return _numbered(keys[0])
@@ -96,7 +96,7 @@ def _numbered(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]
         return first, rows[first_rows]
     place, size = _from_zero(values)
     table = np.full(size, -1)
-    table[place[::-1]] = rows[::-1]  # of several the last one stays: the first row
+    table[place[::-1]] = rows[::-1]  # numpy keeps the last of several values: the first row
     first = np.sort(table[table >= 0])
     table[place[first]] = np.arange(len(first))
     return first, table[place]
@@ -107,7 +107,7 @@ def _bounds(values: NDArray[Any]) -> tuple[int, int]:
 
 
 def _from_zero(values: NDArray[Any]) -> tuple[NDArray[np.intp], int]:
-    """Return whole numbers less the least of them, and how many there may be; wide ones as ``numbered``."""
+    """Return integers minus the smallest, and the size of their range; a wide range is numbered."""
     least, most = _bounds(values)
     if most - least >= _WIDE:
         return _numbered(values)[1], len(values)
@@ -116,10 +116,10 @@ def _from_zero(values: NDArray[Any]) -> tuple[NDArray[np.intp], int]:
 
 
 def _first_rows(values: NDArray[Any], mix: int = int(_MIX)) -> NDArray[np.intp]:
-    """Return the first row with the value of each, by hashes; values that share one go by another."""
+    """Return the first row with the value of each row, by hashes; on a collision another hash is used."""
     bits = min(_SLOTS, len(values).bit_length() + _SLOTS_EACH)
     place = ((values.astype(np.uint64) * np.uint64(mix)) >> np.uint64(64 - bits)).astype(np.intp)
-    table = np.empty(1 << bits, np.intp)  # what is written is read, and nothing else
+    table = np.empty(1 << bits, np.intp)  # only written elements are read
     table[place[::-1]] = np.arange(len(values))[::-1]
     met = table[place]
     if len(others := np.flatnonzero(values[met] != values)):
@@ -130,11 +130,11 @@ def _first_rows(values: NDArray[Any], mix: int = int(_MIX)) -> NDArray[np.intp]:
 def perhaps_in(
     values: Prints, others: Prints, kinds: NDArray[np.uint8] | None = None, fits: Prints | None = None
 ) -> Mask:
-    """Tell which fingerprints are among others, and perhaps a few more: nothing is sorted.
+    """Return which fingerprints are among others, and perhaps a few more: nothing is sorted.
 
     Args:
-        kinds: below 64, what each of the others is.
-        fits: a bit for each kind that a fingerprint may be the same as; by default any.
+        kinds: kind of each of the others, below 64.
+        fits: bit mask of the kinds that each fingerprint may match; by default any.
     """
     bits = min(_SLOTS, len(others).bit_length() + _SLOTS_EACH)
     table, shift = np.zeros(1 << bits, np.uint64), np.uint64(64 - bits)
@@ -148,7 +148,7 @@ def perhaps_in(
 def distinct_rows(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.intp], NDArray[np.intp]]:
     """Return ``numpy.unique`` of one column with its index and inverse.
 
-    That function loads ``numpy.ma``, which takes longer than a short command's work.
+    ``numpy.unique`` imports ``numpy.ma``, which takes longer than the work of a short command.
     """
     first, which = numbered(values)
     order = np.argsort(values[first])
@@ -159,14 +159,14 @@ def distinct_rows(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.intp],
 
 
 def distinct(values: NDArray[Any]) -> NDArray[Any]:
-    """Return ``numpy.unique`` of one column, sixty times as fast where many values differ."""
+    """Return ``numpy.unique`` of one column; it is sixty times as fast if many values differ."""
     ranked = np.sort(values)
     new: NDArray[np.bool_] = np.append(True, ranked[1:] != ranked[:-1])
     return np.asarray(ranked[new[: len(ranked)]])
 
 
 def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Yield each distinct value with the indices that hold it, so that rows of one length go together."""
+    """Yield each distinct value with the indices of its elements."""
     least, most = _bounds(values)
     if least == most:
         if len(values):
@@ -180,13 +180,13 @@ def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
 
 
 def groups(values: NDArray[Any], rows: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Yield each distinct value of a column among some rows, with those of the rows that hold it."""
+    """Yield each distinct value of a column among some rows, with the rows that have it."""
     for value, at in by_value(values[rows]):
         yield value, rows[at]
 
 
 def by_key(items: Iterable[_Item], key: Callable[[_Item], _Key]) -> dict[_Key, list[_Item]]:
-    """Return items of any kind by a key of theirs; keys and items in the order in which they come."""
+    """Group items by key; keys and items are in their original order."""
     groups: dict[_Key, list[_Item]] = {}
     for item in items:
         groups.setdefault(key(item), []).append(item)
@@ -194,7 +194,7 @@ def by_key(items: Iterable[_Item], key: Callable[[_Item], _Key]) -> dict[_Key, l
 
 
 def quantiles(values: NDArray[Any], *shares: float) -> list[float]:
-    """Return ``numpy.quantile`` of at least one value, several times as fast while values are few."""
+    """Return ``numpy.quantile`` of at least one value; it is several times as fast for few values."""
     ranked = np.sort(values)
     values_at = []
     for share in shares:

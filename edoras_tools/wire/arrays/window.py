@@ -1,4 +1,4 @@
-"""Many short stretches of a byte buffer read, copied and folded at once.
+"""Reads, copies and folds many short ranges of a byte buffer at once.
 
 A numpy ``V{n}`` view with a stride of one byte has an element at *every* offset of a buffer, so one indexed
 operation moves n bytes for each of many rows: a memcpy a row, and no Python.
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from numpy.typing import DTypeLike, NDArray
 
 _LARGE: Final = 1 << 16
-"""With fewer rows than this, one step of Python for each row is faster."""
+"""Fewest rows for which numpy is faster than one step of Python for each row."""
 _FEW: Final = 16
-"""Up to this many different lengths, each length is a group of its own."""
+"""Most different lengths for which each length is its own group."""
 _BITS: Final = np.frexp(np.arange(_LARGE + 1.0))[1].astype(np.uint8)
-"""How many bits a length up to ``_LARGE`` has."""
+"""Number of bits of each length up to ``_LARGE``."""
 _WASTE: Final = 4
-"""Limit for the bytes moved, as a multiple of the bytes asked for."""
+"""Most bytes to move, as a multiple of the bytes requested."""
 _BLOCK: Final = 2048
-"""Rows moved together: few enough to stay in the first-level cache."""
+"""Rows that are moved together: few enough to stay in the first-level cache."""
 
 PADDING = 64
 """Bytes that must be readable behind the last byte in use, so that header windows never leave a buffer."""
@@ -48,7 +48,7 @@ def read_at(data: NDArray[np.uint8], positions: NDArray[np.integer[Any]], dtype:
     Args:
         data: u8, contiguous.
         positions: byte positions; each value must lie inside ``data``.
-        dtype: what to read, with its byte order; a structured type reads a whole header.
+        dtype: type of the value, with its byte order; a structured type reads a whole header.
 
     Returns:
         A fresh array of ``dtype``, one element a position.
@@ -93,9 +93,9 @@ def copy_rows(
 ) -> None:
     """Copy ``lengths[i]`` bytes from ``source[offsets[i]]`` to ``target[positions[i]]``, for every i.
 
-    Messages of a type mostly have one length, or few: rows go in groups of one length each. Where there are
-    many, lengths that share their highest bit make a group: the first ``width`` bytes of a row and its last
-    ``width`` cover it, so the number of moves does not grow with that of lengths.
+    Rows are copied in groups of equal length, because messages of a type mostly have few lengths. If there
+    are many, lengths that share their highest bit make a group: the first ``width`` bytes of a row and its
+    last ``width`` cover it, so the number of moves does not grow with the number of lengths.
     """
     for width, rows in _widths(lengths):
         to, start = positions[rows], offsets[rows]
@@ -119,14 +119,14 @@ def spill_rows(
     offsets: NDArray[np.int64],
     lengths: NDArray[np.integer[Any]],
 ) -> None:
-    """Copy rows as ``copy_rows`` does, in a third of the time; the gaps behind them are overwritten.
+    """Copy rows like ``copy_rows``, in a third of the time; the gaps behind them are overwritten.
 
-    Almost all rows are moved at one length, that of the longest among them; the next row overwrites the
-    excess. The few longer rows are moved last.
+    Almost all rows are moved with one length, the longest among them; the next row overwrites the excess. The
+    few longer rows are moved last.
 
     Args:
-        target: the gaps between rows, and what follows the last one, are to be written after this.
-        positions: rising.
+        target: buffer; write the gaps between rows, and the bytes after the last one, only afterwards.
+        positions: increasing positions in ``target``.
         source: as for ``copy_rows``.
         offsets: as for ``copy_rows``.
         lengths: as for ``copy_rows``.
@@ -135,7 +135,7 @@ def spill_rows(
         return
     most = _WASTE * int(lengths.sum()) // len(lengths)
     width = int(lengths[lengths <= most].max())
-    large = width >= _LARGE  # those of one width are copied once more on their way
+    large = width >= _LARGE  # such views copy twice: too slow for large rows
     apart = large | (lengths > most) | (positions > len(target) - width) | (offsets > len(source) - width)
     if width:
         writable, readable = at_every_byte(target, width), at_every_byte(source, width)
@@ -168,7 +168,7 @@ def xor_bytes(
 ) -> NDArray[np.uint8]:
     """Return the XOR of the bytes of each range ``offset : offset + length``, u8 (n,).
 
-    What lies between two ranges is read too, and forgotten: so they are taken in their order in ``data``.
+    Bytes between two ranges are read too, and ignored: so the ranges are handled in their order in ``data``.
     """
     if not len(data) or not len(offset):
         return np.zeros(len(offset), np.uint8)
@@ -191,7 +191,7 @@ def xor_bytes(
 def any_nonzero(
     data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
 ) -> NDArray[np.bool_]:
-    """Tell of each range ``offset : offset + length`` whether it holds a byte that is not 0, bool (n,)."""
+    """Return whether each range ``offset : offset + length`` holds a byte that is not 0, bool (n,)."""
     out = np.zeros(len(offset), bool)
     for size, rows in by_value(length):
         if size > 0:
@@ -202,9 +202,9 @@ def any_nonzero(
 def word_sums(
     data: NDArray[np.uint8], start: NDArray[np.int64], length: NDArray[np.integer[Any]]
 ) -> NDArray[np.int64]:
-    """Return the sum of the big-endian 16-bit words of each stretch, modulo 0xFFFF; i64 (n,).
+    """Return the sum of the big-endian 16-bit words of each range, modulo 0xFFFF; i64 (n,).
 
-    Behind an odd last byte is a zero. Bytes of 64 or more are behind the last stretch.
+    An odd last byte is followed by a zero. The buffer has at least 64 bytes behind the last range.
     """
     base = int(start.min(initial=len(data))) & ~3
     data, start = data[base : int((start + length).max(initial=0)) + 4], start - base
