@@ -26,15 +26,16 @@ if TYPE_CHECKING:
 
 
 class Bindings:
-    """The structs of some layouts bound to packets, each named once.
+    """The structs of some layouts, each bound to the packets that hold it and named once.
 
-    The shipped ones, no two of which want one name, are bound when they are asked for.
+    The built-in structs are bound only when they are used: no two of them have the same name.
 
     Args:
-        layouts: where several name the same packets, the first applies.
+        layouts: the layouts; if several bind the same MsgId, the first one applies.
 
     Attributes:
-        keys: of a MsgId's packets, by function code, rising; then the one of all others, by None.
+        keys: the keys of each MsgId, by function code in rising order; the key for all other codes is under
+            None.
 
     Raises:
         ConfigError: a struct cannot become a message.
@@ -62,17 +63,17 @@ class Bindings:
         self._names: dict[tuple[int, str, bool], str] = {}
         self._used: set[str] = set()
         if any(layout.origin != SHIPPED for layout in layouts):
-            _ = self.all  # so that mistakes are found
+            _ = self.all  # this raises the ConfigError of a wrong layout now
 
     def under(self, prefix: str) -> Bindings:
-        """Return these with topics that begin with something; the definitions are the same."""
+        """Return these structs with ``prefix`` in front of their topics; the definitions are the same."""
         other = copy(self)
         other._prefix, other._bound = prefix, {}  # noqa: SLF001  of its own kind
         return other
 
     @property
     def all(self) -> tuple[Bound, ...]:
-        """Every struct that is bound, by MsgId and function code."""
+        """Every bound struct, by MsgId and function code."""
         return tuple(map(self.bound, self._owners))
 
     def of(self, msg_id: int) -> list[Bound]:
@@ -81,23 +82,23 @@ class Bindings:
 
     @property
     def definitions(self) -> Mapping[str, Definition]:
-        """The definitions of all messages, and of all that these use, by type."""
+        """The definitions of all messages and of all types that these use, by type name."""
         _ = self.all
         return self._definitions
 
     @property
     def texts(self) -> Mapping[str, str]:
-        """The ``.msg`` file of each of these."""
+        """The ``.msg`` text of each of these definitions, by type name."""
         _ = self.all
         return self._texts
 
     def text(self, name: str) -> str | None:
-        """Return a message's complete ``ros2msg`` text; None if no struct that is bound has this type."""
+        """Return the complete ``ros2msg`` text of a message type; None if no bound struct has this type."""
         is_bound = name in self._definitions
         return complete_text(with_used(name, self._definitions.__getitem__)) if is_bound else None
 
     def bound(self, key: Key) -> Bound:
-        """Return the struct of one of ``keys``."""
+        """Return the bound struct of a key, one of ``keys``."""
         if key not in self._bound:
             self._bound[key] = self._new(key, self._owners[key])
         return self._bound[key]
@@ -115,7 +116,7 @@ class Bindings:
         return Bound(key, layout, struct, self._prefix + topic, type_name)
 
     def define(self, layout: StructLayout, struct: Struct, *, whole: bool) -> str:
-        """Make the definition of a struct's message, and of all that it uses; return its type in full."""
+        """Define the message of a struct, and every type that it uses; return its full type name."""
         return self._define(layout, struct, whole, ())
 
     def _define(self, layout: StructLayout, struct: Struct, whole: bool, within: tuple[str, ...]) -> str:

@@ -1,4 +1,4 @@
-"""One struct and the packets that hold it: their bytes as messages, one or many."""
+"""One struct and the packets that hold it: converts their bytes to messages, one or many at a time."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 
 class Encoded(NamedTuple):
-    """Messages one after the other.
+    """Encoded messages, one after the other in one buffer.
 
     Attributes:
-        data: u8, their CDR, encapsulation included.
-        start: i64 (n,), where each starts.
-        size: i64 (n,), its bytes.
-        width: bytes of each where all have as many and nothing is between them, else 0.
+        data: u8, the CDR of the messages, encapsulation included.
+        start: i64 (n,), offset of each message.
+        size: i64 (n,), bytes of each message.
+        width: bytes of a message if all have the same size and no bytes are between them, else 0.
     """
 
     data: NDArray[np.uint8]
@@ -39,23 +39,25 @@ class Encoded(NamedTuple):
 
 
 class Bound:
-    """A struct that lies in the packets of a MsgId.
+    """A struct and the packets of one key that hold it.
 
     Args:
-        key: which packets.
-        topic: where its messages go.
-        type: their type, in full.
+        key: key of the packets.
+        layout: the layout that the struct belongs to.
+        struct: the struct.
+        topic: topic of the messages.
+        type: full type name of the messages.
 
     Attributes:
-        key: which packets.
-        struct: what lies in them.
-        topic: where its messages go.
-        type: their type, in full.
-        size: bytes of the payload, where it is not open to the end.
-        repeats: whether a packet may hold several.
+        key: key of the packets.
+        struct: the struct that the packets hold.
+        topic: topic of the messages.
+        type: full type name of the messages.
+        size: bytes of the payload; without the last array if that is open to the end.
+        repeats: whether a packet may hold several of these structs.
 
     Raises:
-        ConfigError: the struct spells out too many values.
+        ConfigError: the struct has more than ``MOST_VALUES`` values.
     """
 
     repeats = False
@@ -81,22 +83,22 @@ class Bound:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What is told of its topic: the MsgId or the port, and the struct's name."""
+        """The metadata of the struct's topic: the MsgId or the port, and the struct's name."""
         place = {"msg_id": f"0x{self.key.msg_id:04x}"} if self.key.port is None else {"port": str(self.key)}
         return {**place, "struct": self.struct.name}
 
     @property
     def shipped(self) -> bool:
-        """Whether it is one of the built-in structs of cFE."""
+        """Whether this is one of the built-in structs of cFE."""
         return self.layout.origin == SHIPPED
 
     @property
     def command(self) -> bool:
-        """Whether it is what follows the header of one of the built-in commands."""
+        """Whether this struct holds the arguments of one of the built-in commands."""
         return self.shipped and self.key.function_code is not None and self.key.port is None
 
     def fits(self, length: NDArray[np.integer[Any]] | int) -> NDArray[np.bool_]:
-        """Tell which payload lengths fit this struct, with or without the padding at its end."""
+        """Return which payload lengths fit this struct, with or without the padding at its end."""
         length = np.asarray(length)
         fits: NDArray[np.bool_] = length >= self._least
         most = self.size + self.struct.tail
@@ -107,7 +109,7 @@ class Bound:
 
     @property
     def extent(self) -> tuple[int, int, int]:
-        """Bytes of the shortest payload that fits, of the longest (65,535: any), and of a step between."""
+        """Bytes of the shortest and longest payload that fit (65,535: no limit), and of the step between."""
         return self._least, 0xFFFF if self._step else self.size + self.struct.tail, self._step
 
     @property
@@ -116,7 +118,7 @@ class Bound:
         return f"{self._least} + n x {self._step}" if self._step else str(self.size)
 
     def plan(self, length: int) -> StructPlan:
-        """Return the plan for payloads of one length, which must fit."""
+        """Return the plan for payloads of one length, which must fit the struct."""
         if length not in self._plans:
             self._plans[length] = StructPlan(self.layout, self.struct, length)
         return self._plans[length]
@@ -128,13 +130,13 @@ class Bound:
         length: NDArray[np.integer[Any]],
         heads: NDArray[np.void],
     ) -> Encoded:
-        """Return the messages of many packets.
+        """Encode the payloads of many packets as messages.
 
         Args:
-            data: u8, the buffer that holds them.
-            offset: i64 (n,), where each payload starts.
-            length: (n,) their bytes; all fit.
-            heads: (n,) of ``HEAD``.
+            data: u8, the buffer that holds the payloads.
+            offset: i64 (n,), start of each payload.
+            length: (n,), bytes of each payload; all of them fit the struct.
+            heads: (n,), header values of each message, of dtype ``HEAD``.
         """
         if len(offset) and length.min() == length.max():
             one = int(length[0])
@@ -153,8 +155,8 @@ class Bound:
         """Return the message of one packet.
 
         Args:
-            payload: what follows the header; its length fits.
-            origin: the values of ``HEADER_FIELDS``.
+            payload: the bytes after the header; their length fits the struct.
+            origin: values of ``HEADER_FIELDS``.
         """
         head = np.array(origin, HEAD).tobytes()
         window = np.frombuffer(head + payload, np.uint8).reshape(1, -1)
@@ -164,8 +166,8 @@ class Bound:
         """Yield every value of a message as (dotted path, value, start, end, member).
 
         Args:
-            values: the message.
-            length: bytes of the payload; places count from its start.
+            values: decoded values of the message.
+            length: bytes of the payload; start and end count from the payload's start.
         """
         for leaf in self.plan(length).leaves:
             value: Any = values
@@ -176,7 +178,7 @@ class Bound:
             yield path.removeprefix("."), value, leaf.start, leaf.end, leaf.member
 
     def member(self, path: Sequence[str]) -> Member | None:
-        """Return what a field of the message is, by its path without indices; None for the header's."""
+        """Return the member of a field, by the path without indices; None for a field of the header."""
         struct, whole, match = self.struct, True, None
         for name in path:
             match = next((p.member for p in parts(self.layout, struct, whole=whole) if p.name == name), None)
@@ -187,7 +189,7 @@ class Bound:
 
     @cached_property
     def limited(self) -> dict[str, Member]:
-        """The numbers with limits, by the dotted path of their field."""
+        """The numbers that have limits, by the dotted path of their field."""
         leaves = self.plan(self._least + self._step if self._step else self.size).leaves
         numbers = [
             leaf for leaf in leaves if (leaf.member.yellow or leaf.member.red) and not leaf.member.text
@@ -197,12 +199,12 @@ class Bound:
         }
 
     def values(self, member: Member) -> Mapping[int, str]:
-        """Return the names of the values of a member."""
+        """Return the names of a member's values; empty if it is no enumeration."""
         enum = self.layout.enumeration(member)
         return enum.names if enum else {}
 
     def text(self, member: Member, value: Any) -> str:
-        """Return a value as text for users."""
+        """Return a member's value as text for users, with its name, its unit or its calibrated value."""
         if isinstance(value, list):
             return "[" + ", ".join(self.text(member, item) for item in value) + "]"
         name = self.values(member).get(value) if isinstance(value, int) else None
@@ -221,7 +223,7 @@ class Bound:
         return (self.layout.size(member) if member.array or not member.text else 1) * member.row
 
     def _limit(self) -> int | None:
-        """Return the payload length above which there are too many values; None: there is none."""
+        """Return the longest payload that has at most ``MOST_VALUES`` values; None if no length has more."""
         counter = Counter(self.layout)
         spare = MOST_VALUES - counter.fixed(self.struct) - len(HEADER_FIELDS) - 1
         if spare < 0:
@@ -242,15 +244,16 @@ class Held:
     """The packets of a batch that hold one struct.
 
     Args:
-        payloads: of these packets; at least one.
-        columns: gives the decoder's by name, an element a packet of the batch.
-        data: u8, what they point into.
+        bound: the struct.
+        payloads: payloads of these packets; at least one.
+        columns: returns a column of the decoder by name, one element a packet of the batch.
+        data: u8, the buffer that the offsets of ``payloads`` point into.
 
     Attributes:
         bound: the struct.
-        rows: which packets.
-        repeats: whether a packet may be there more than once: it holds several.
-        size: bytes of each message if all have the same known size; else 0.
+        rows: rows of the packets in the batch.
+        repeats: whether ``rows`` may name a packet several times, since a packet may hold several structs.
+        size: bytes of each message if all payloads have one length and their messages one size; else 0.
     """
 
     def __init__(
@@ -270,11 +273,11 @@ class Held:
         self.size = bound.plan(most).size if least == most else 0
 
     def encode(self) -> Encoded:
-        """Return the messages."""
+        """Return the messages of all packets."""
         return self.bound.encode(self._data, self._offset, self._length, self._heads())
 
     def fill(self, rows: NDArray[np.uint8]) -> None:
-        """Write the messages, where all have one ``size``, into u8 (n, size) that is zero."""
+        """Write the messages into ``rows``, u8 (n, size), which holds zeros; only if ``size`` is not 0."""
         length = int(self._length[0])
         self.bound.plan(length).fill(rows, _window(self._data, self._offset, length, self._heads()))
 
@@ -294,7 +297,7 @@ def headed(payloads: NDArray[np.uint8], heads: NDArray[np.void]) -> NDArray[np.u
 def _window(
     data: NDArray[np.uint8], offset: NDArray[np.int64], length: int, heads: NDArray[np.void]
 ) -> NDArray[np.uint8]:
-    """Return each packet's head and payload side by side, u8 (n, HEAD and length)."""
+    """Return each packet's head and payload side by side, u8 (n, bytes of ``HEAD`` + ``length``)."""
     front = HEAD.itemsize
     if len(offset) and offset.min() >= front:  # the bytes in front are copied too, and overwritten
         window = gather(data, offset - front, front + length)

@@ -1,9 +1,9 @@
 """What cFE's core services and the usual applications send and take, so that it decodes without an ELF file.
 
-Only what follows the header is described, little-endian, telemetry in the order and with the widths that were
-measured on a flight; names are in the words of this package. Events and the software bus's counters come from
-the tables of :mod:`edoras_tools.wire.cfe`, which the sessions write them with, and commands from the table of
-their arguments, :mod:`edoras_tools.cfs.arguments`.
+Each struct describes the bytes after the packet's header. Numbers are little-endian; the order and widths of
+telemetry members were measured on a flight. Names follow this package's words, not cFE's. Events and the
+counters of the software bus come from the tables of :mod:`edoras_tools.wire.cfe`, with which the sessions
+write them; commands come from the table of their arguments, :mod:`edoras_tools.cfs.arguments`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from edoras_tools.wire import layout as wire
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
 LAYOUT_NAME: Final = SHIPPED
-"""What the command line calls these layouts."""
+"""Name of this layout on the command line."""
 _COUNTERS: Final = {
     "command_counter": ("uint8", "ground commands accepted"),
     "command_error_counter": ("uint8", "ground commands refused"),
@@ -242,12 +242,12 @@ _WIRE_LAYOUTS: Final = {
     cfe.EVENT_MSG_ID: cfe.EVENT,
     cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
 }
-"""Packets that the wire's own tables describe, by MsgId of version 1; so are ``DATAGRAMS``."""
+"""Packets that the tables of ``wire`` describe, by MsgId of version 1; so do those of ``DATAGRAMS``."""
 
 
 @cache
 def shipped_layout(msg_ids: MsgIds = VERSION_1) -> StructLayout:
-    """Return the layout of what cFE itself sends, with MsgIds of a version."""
+    """Return the layout of the packets that cFE itself sends and takes, with MsgIds of a version."""
     raw = {
         "enums": _ENUMS,
         "bind": {
@@ -286,17 +286,17 @@ def shipped_layout(msg_ids: MsgIds = VERSION_1) -> StructLayout:
 
 
 def command_type(msg_id: int, title: str) -> str:
-    """Return the struct of a command: ``CFE_ES_StopAppCmd``.
+    """Return the struct name of a command, as ``CFE_ES_StopAppCmd``.
 
     Args:
-        msg_id: of version 1.
-        title: the application's name for it.
+        msg_id: MsgId of version 1.
+        title: name of the command in its application.
     """
     return f"{SERVICES[msg_id][1]}_{title.title().replace('_', '')}Cmd"
 
 
 def _of_header(name: str, header: wire.Layout, enums: dict[str, Enumeration]) -> Struct:
-    """Return a header's table, or that of a command's arguments, as a struct; what fills up is left out."""
+    """Return the table of a header, or of a command's arguments, as a struct, without spare bytes."""
     members = []
     for slot in header.slots:
         item, size = slot.field, slot.end - slot.start

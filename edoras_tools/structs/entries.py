@@ -1,7 +1,7 @@
-"""Dictionaries: layouts whose structs stand behind an ID of a link's own, not behind a cFE header.
+"""Dictionaries: layouts whose structs follow an ID of their link, not a cFE header.
 
-An add-on or a package that reads one (``structs.files.Database``) gives its layout
-``shapes.LayoutEntries``; these make the table that is asked here.
+The layout of a dictionary, which an add-on or a package reads (``structs.files.Database``), has
+``shapes.LayoutEntries``. Their method ``table`` makes the ``LayoutEntryTable`` that this package uses.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 class LayoutEntryTable(Protocol):
-    """The entries of a dictionary by their keys, and what finds them in the datagrams of a link.
+    """The entries of a dictionary by key; finds them in the datagrams of a link.
 
     Attributes:
-        unknown: key of an ID that the dictionary has not.
-        odd: key of bytes behind the last value that are not an ID.
+        unknown: key of an ID that is not in the dictionary.
+        odd: key of bytes after the last value that are not an ID.
     """
 
     unknown: int
@@ -40,24 +40,24 @@ class LayoutEntryTable(Protocol):
     def payloads(
         self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
     ) -> StructPayloads:
-        """Return all that datagrams hold, behind the IDs, in order; rows count the datagrams.
+        """Return the payloads of all entries in the datagrams, in order; rows number the datagrams.
 
         Args:
-            data: u8, what the offsets point into.
-            offset: i64 (n,), the first byte of each datagram.
-            length: i32 (n,), its bytes.
+            data: u8, the buffer that the offsets point into.
+            offset: i64 (n,), first byte of each datagram.
+            length: i32 (n,), bytes of each datagram.
         """
 
     def whole(self, payloads: StructPayloads) -> StructPayloads:
-        """Return those of payloads that are entries and not cut."""
+        """Return the payloads that belong to an entry of the dictionary and are complete."""
 
     def read(self, reading: Reading, kind: int, at: int, end: int) -> bool:
-        """Read what one packet of a datagram holds; see ``links.reading.Reading.described``."""
+        """Read the entry that one packet of a datagram holds; see ``links.reading.Reading.described``."""
 
     def logs(
         self, payloads: StructPayloads, data: NDArray[np.uint8]
     ) -> Iterator[tuple[int, int, dict[str, Any]]]:
-        """Yield row, place and the fields of ``rcl_interfaces/msg/Log``, but its time, of each event."""
+        """Yield row, place and fields of ``rcl_interfaces/msg/Log``, except the time, for each event."""
 
     def engine_values(self) -> dict[str, Any]:
-        """Return what the engine of the Wireshark dissector reads of the entries, as plain values."""
+        """Return the data of the entries that the engine of the Wireshark dissector uses, as plain values."""

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 LAYOUT_VERSION: Final = 1
 LAYOUT_FILE: Final = "structs.yaml"
-"""The layout file of a folder that 'edoras structs' wrote."""
+"""Name of the layout file in a folder that 'edoras structs' wrote."""
 _LARGEST: Final = 1 << 24
 _TYPE: Final = re.compile(
     r"(?P<name>[A-Za-z_]\w*)(?P<dims>(?:\[\w*\])*)(?::(?P<bits>\d+))?(?P<hex>\s+hex)?(?:\s+(?P<order>big|little))?"
@@ -50,19 +50,20 @@ _PACKAGE: Final = re.compile(r"[a-z](?:_?[a-z0-9])*", re.ASCII)
 _IN_C: Final = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _SECONDARY_HEADER: Final = 0x0800
 _HIGHEST: Final = 0x1FFF
-"""The highest MsgId; tables by MsgId keep rows without a packet (-1) at 0xFFFF."""
+"""Highest MsgId; tables by MsgId keep row 0xFFFF for rows without a packet (-1)."""
 
 
 class Database(NamedTuple):
     """A kind of file with message layouts, which an add-on or a package reads (``edoras.databases``).
 
-    What it reads can stand wherever a layout file can: ``--set structs``, ``xtce``, ``wireshark``.
+    Such a file can be used in place of a layout file: ``--set structs``, ``xtce``, ``wireshark``.
 
     Attributes:
-        recognise: tells from a file's whole content whether it is of this kind; raises nothing.
-        read: makes the layout of a content and the file's name; raises ``ConfigError`` with all mistakes.
-        read_together: makes one layout of several files, with options as of a compiler; None of a kind that
-            lies in one.
+        recognise: returns whether a file is of this kind, from its whole content; raises nothing.
+        read: makes a layout from the content and the name of a file; raises ``ConfigError`` with all
+            mistakes.
+        read_together: makes one layout from several files and options like those of a compiler; None if a
+            layout of this kind is always one file.
     """
 
     recognise: Callable[[bytes], bool]
@@ -71,23 +72,23 @@ class Database(NamedTuple):
 
 
 def load_layout(path: str | os.PathLike[str]) -> StructLayout:
-    """Read a layout file; of a folder ``structs.yaml`` in it.
+    """Read a layout file; for a folder, read the ``structs.yaml`` in it.
 
     Raises:
-        ConfigError: it cannot be read, or holds mistakes: all of them, a line each.
+        ConfigError: the file cannot be read, or has mistakes: all of them, a line each.
     """
     file, data = read_layout(path)
     return parse_layout(data, str(file))
 
 
 def load_together(paths: Sequence[Path], flags: Sequence[str] = ()) -> StructLayout:
-    """Read files that make one layout; one alone may be any layout file.
+    """Read files that make one layout together; a single file may be any layout file.
 
     Args:
-        flags: options as of a compiler, for the kind that they are of.
+        flags: options like those of a compiler, for the kind of the files.
 
     Raises:
-        ConfigError: one cannot be read, they are of no kind that lies in several files, or hold mistakes.
+        ConfigError: a file cannot be read or has mistakes, or several files are of a kind that is one file.
     """
     files = [(data, str(file)) for file, data in map(read_layout, paths)]
     database = _database(files[0][0])
@@ -99,10 +100,10 @@ def load_together(paths: Sequence[Path], flags: Sequence[str] = ()) -> StructLay
 
 
 def read_layout(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
-    """Return the layout file that a path names, and its content.
+    """Return the layout file of a path, and its content.
 
     Raises:
-        ConfigError: it cannot be read, or is a program.
+        ConfigError: the file cannot be read, or is a program.
     """
     file = Path(path)
     file = file / LAYOUT_FILE if file.is_dir() else file
@@ -122,7 +123,7 @@ def parse_layout(data: bytes, name: str) -> StructLayout:
     """Read a layout from memory.
 
     Raises:
-        ConfigError: it holds mistakes: all of them, a line each.
+        ConfigError: the layout has mistakes: all of them, a line each.
     """
     if len(data) > _LARGEST:
         raise ConfigError(f"{name}: larger than {_LARGEST >> 20} MiB; that is not a layout file")
@@ -131,10 +132,10 @@ def parse_layout(data: bytes, name: str) -> StructLayout:
 
 
 def _database(data: bytes) -> Database | None:
-    """Return what of an add-on or a package reads a file; None if nothing does.
+    """Return the add-on's or package's ``Database`` that recognises a file; None if none does.
 
     Raises:
-        ConfigError: the package cannot be loaded.
+        ConfigError: a package cannot be loaded.
     """
     ships = [item for item in doors.shipped("databases").values() if not item.absent]
     for item in (*ships, *doors.installed("databases")):
@@ -155,7 +156,7 @@ def plain_values(data: bytes, name: str) -> Any:
     """Return the values of a file of YAML or JSON.
 
     Raises:
-        ConfigError: it is neither, or an object of JSON names a key twice.
+        ConfigError: the file is neither, or an object of JSON has a key twice.
     """
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -178,7 +179,7 @@ def plain_values(data: bytes, name: str) -> Any:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a JSON object; a repeated key is an error."""
+    """Return a JSON object from its pairs; a repeated key is an error."""
     pairs_read: dict[str, Any] = {}
     for key, value in pairs:
         if key in pairs_read:
@@ -284,7 +285,7 @@ class _Reader:
         return " ".join(raw.get(key, "").split())
 
     def _about(self, where: str, raw: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what a member's value means: documentation, unit, calibration and limits."""
+        """Return the description of a member's value: documentation, unit, calibration and limits."""
         self._check_keys(where, raw, {"type", *_ABOUT})
         about: dict[str, Any] = {key: self._doc(where, raw, key) for key in ("doc", "unit")}
         for key in raw.keys() & set(_ABOUT[2:]):
@@ -323,7 +324,7 @@ class _Reader:
         self._enums[name] = Enumeration(name, basic, names)
 
     def _struct(self, name: str, where: str) -> None:
-        """Read a struct, and those that it uses before it."""
+        """Read a struct, after the structs that it uses."""
         if name in self._structs:
             return
         if name in self._open or len(self._open) > 64:
@@ -368,7 +369,7 @@ class _Reader:
         return member.count * (member.dims[-1] if member.text else self._measures(member.type)[0])
 
     def _kind(self, name: str, where: str) -> Basic | str | None:
-        """Return the type of a name, read if it is a struct of the file; None where it is none."""
+        """Return the type of a name, and read it first if it is a struct of the file; None: no such type."""
         if name in BASIC:
             return BASIC[name]
         if name in self._raw and name not in self._enums:
@@ -437,12 +438,13 @@ _BITS: Final = {BasicKind.INT, BasicKind.UINT, BasicKind.BOOL}
 
 
 def parse_key(raw: Any) -> Key:
-    """Read ``0x0801``, a MsgId, ``0x1880/6``, with a function code, or ``udp:8585``, a robot's port.
+    """Read a key: ``0x0801`` a MsgId, ``0x1880/6`` one with a function code, ``udp:8585`` a robot's UDP port.
 
-    With ``/48`` a port means datagrams of so many bytes; ``udp:robot/48`` is any port of the robot link.
+    ``udp:8585/48`` means datagrams of 48 bytes to this port; ``udp:robot/48`` means any port of the robot
+    link.
 
     Raises:
-        ConfigError: it is neither.
+        ConfigError: the text is none of these.
     """
     word, slash, code = str(raw).partition("/")
     if word.startswith("udp:"):
@@ -457,7 +459,7 @@ def parse_key(raw: Any) -> Key:
         _refuse(raw)
     if not 1 <= key.msg_id <= _HIGHEST or not 0 <= (key.function_code or 0) <= 0x7F:
         _refuse(raw)
-    # A file does not say its version of MsgIds; those of version 1 have the bit of the secondary header.
+    # A file does not state its version of MsgIds; those of version 1 have the secondary header bit set.
     version = VERSION_1 if key.msg_id & _SECONDARY_HEADER else VERSION_2
     if slash and not (VERSION_1.is_command(key.msg_id) or version.is_command(key.msg_id)):
         raise ConfigError(f"{_printed(raw)}: telemetry has no function code; commands are 0x1000 to 0x1fff")
@@ -465,7 +467,7 @@ def parse_key(raw: Any) -> Key:
 
 
 def is_package(name: str) -> bool:
-    """Tell whether a name can be that of a ROS package."""
+    """Return whether a name can be the name of a ROS package."""
     return _PACKAGE.fullmatch(name) is not None
 
 
@@ -507,7 +509,7 @@ def dumps(layout: StructLayout) -> str:
 
 
 def _name(name: str) -> str:
-    """Return a name as YAML, in quotes where YAML would read another type."""
+    """Return a name, quoted if YAML would read it as another type."""
     return f"'{name}'" if name.lower() in _WORDS else name
 
 
@@ -523,7 +525,7 @@ def _member_text(member: Member) -> str:
 
 
 def type_text(member: Member) -> str:
-    """Return a member's type as in a layout file, without its offset."""
+    """Return a member's type as it stands in a layout file, without its offset."""
     dims = "".join(f"[{size or ''}]" for size in member.dims)
     return (
         f"{member.type}{dims}"

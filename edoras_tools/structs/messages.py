@@ -1,9 +1,9 @@
 """C structs as ROS messages: names that rosidl accepts, and the definitions.
 
-A struct that is the content of a packet becomes a message whose first field is ``CfsHeader`` instead of
-cFE's header: which packet it was, and its sender. If the only other member is ``Payload``, the message has
-the members of the payload. The members of a union become separate fields, read from the same bytes. Arrays of
-several dimensions are flattened, texts become strings.
+The struct of a packet becomes a message whose first field is ``CfsHeader`` instead of cFE's header: it names
+the packet and its sender. If the only other member is ``Payload``, the message has the members of the
+payload. The members of a union become separate fields, read from the same bytes. Arrays of several
+dimensions are flattened, texts become strings.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ HEADER_FIELDS: Final = (
     MessageField("function_code", "uint8"),
     MessageField("link", "uint8"),
 )
-"""The first field of every message of a packet: SBN ProcessorID of the sender (0 where it came without SBN),
-MsgId, packet sequence count, function code of a command, and the ``Link``."""
+"""Fields of ``CfsHeader``, the first field of every message of a packet: SBN ProcessorID of the sender (0 if
+the packet came without SBN), MsgId, packet sequence count, function code of a command, and the ``Link``."""
 _UNPACKED: Final = frozenset({"payload", "appinfo"})
-"""Members that are all that a packet holds, and whose own members become the fields."""
+"""Names of a member whose own members become the fields, if it is the only content of a packet."""
 
 
 class MessagePart(NamedTuple):
     """A member as part of a message.
 
     Attributes:
-        name: of the field.
-        member: with the offset from the start of the packet's payload, or of the nested struct.
+        name: name of the field.
+        member: the member; its offset counts from the start of the packet's payload, or of the nested struct.
         open: whether it is a sequence that extends to the end of the packet.
     """
 
@@ -70,7 +70,8 @@ def parts(layout: StructLayout, struct: Struct, *, whole: bool) -> list[MessageP
     """Return the parts of a struct's message, in the order of the declaration.
 
     Args:
-        whole: it is a packet: its header is left out, ``Payload`` is unpacked, the last array may be open.
+        whole: whether the struct is a packet: its header is left out, ``Payload`` is unpacked, and the last
+            array may be open.
     """
     members: Iterable[Member] = struct.members
     shift = struct.header if whole else 0
@@ -91,7 +92,7 @@ def parts(layout: StructLayout, struct: Struct, *, whole: bool) -> list[MessageP
     result = []
     for item in members:
         is_open = whole and not struct.union and item is struct.members[-1] and OPEN in item.dims
-        is_open = is_open and bool(item.text or layout.size(item))  # an array of nothing has no end
+        is_open = is_open and bool(item.text or layout.size(item))  # elements of 0 bytes have no end
         if layout.size(item) * item.count == 0 and not is_open and not _empty(layout, item):
             continue
         name = unique(shown_name(struct.name, item.name), used)
@@ -102,7 +103,7 @@ def parts(layout: StructLayout, struct: Struct, *, whole: bool) -> list[MessageP
 
 
 def _inlined(layout: StructLayout, member: Member) -> list[Member]:
-    """Return a member itself, or the members of one whose struct does not show."""
+    """Return a member itself, or the members of its struct if these replace it (``INLINED``)."""
     inner = layout.structs.get(str(member.type)) if member.name == INLINED and not member.dims else None
     if inner is None:
         return [member]
@@ -110,17 +111,17 @@ def _inlined(layout: StructLayout, member: Member) -> list[Member]:
 
 
 def _empty(layout: StructLayout, member: Member) -> bool:
-    """Tell whether a member is a struct without members; it still becomes a message."""
+    """Return whether a member is a struct without members; such a member still becomes a message."""
     return member.count > 0 and str(member.type) in layout.structs
 
 
 class Described(msgspec.Struct, frozen=True):
-    """A field of a message, and the C member it is read from.
+    """A field of a message, and the C member that it is read from.
 
     Attributes:
-        field: of the message.
-        part: of the struct; None for the header.
-        constants: names for its values.
+        field: field of the message.
+        part: part of the struct; None for the header.
+        constants: names of the field's values.
     """
 
     field: MessageField
@@ -134,8 +135,8 @@ def described(
     """Return the fields of a struct's message.
 
     Args:
-        names: types in full of the structs that it uses, and of the header, by name.
-        whole: as for :func:`parts`.
+        names: full type names of the header and of the structs that it uses, by name.
+        whole: as in :func:`parts`.
     """
     has_header = whole and not layout.entries
     fields = [Described(MessageField("header", names[HEADER_TYPE]), None, ())] if has_header else []

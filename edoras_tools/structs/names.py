@@ -1,6 +1,6 @@
-"""The fields of cFE's own structs: one name each, for the built-in layout and one from debug information.
+"""Field names of cFE's own structs, the same in the built-in layout and in one from debug information.
 
-The names that follow from cFE's members in C stay aliases: filters, fields and expectations take both.
+The names made from cFE's C members are aliases: filters, fields and expectations take both.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _SHOWN: Final[dict[str, dict[str, str]]] = {
     struct: dict(pair.split("=") for pair in members.split())
     for struct, members in re.findall(r"^(\w+):((?:\s+\w+=\w+)+)", _TABLE, re.MULTILINE)
 }
-"""Struct of cFE, without ``_Payload`` and ``_t``, to its members whose field has a name of its own."""
+"""Member name to field name, by cFE struct without ``_Payload`` and ``_t``, if the field has its own name."""
 
 
 @lru_cache(maxsize=4096)
@@ -66,13 +66,13 @@ def field_name(name: str) -> str:
 
 @lru_cache(maxsize=4096)
 def shown_name(struct: str, member: str) -> str:
-    """Return the name of the field that a member of a struct becomes."""
+    """Return the name of the field for a member of a struct."""
     names = _SHOWN.get(struct.removesuffix("_t").removesuffix("_Payload"), {})
     return names.get(member) or field_name(member)
 
 
 def aliased(name: str) -> frozenset[str]:
-    """Return the fields of cFE's structs that a name, made from their members, stands for too."""
+    """Return the fields of cFE's structs for which ``name``, made from their members, is an alias."""
     return _ALIASES.get(name, frozenset())
 
 
@@ -86,4 +86,4 @@ def _aliases() -> dict[str, frozenset[str]]:
 
 _ALIASES: Final = _aliases()
 INLINED: Final = "PacketID"
-"""Member of cFE's event packets: a struct whose members stand in the packet's own message, in its place."""
+"""Member of cFE's event packets: a struct whose members replace it in the packet's own message."""

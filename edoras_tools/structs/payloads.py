@@ -1,4 +1,4 @@
-"""What of a batch may hold C structs: bytes behind the headers of packets, datagrams of the robot link."""
+"""Finds the bytes of a batch that may hold C structs: behind headers of packets, and on the robot link."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 
 class StructPayloads(NamedTuple):
-    """What may hold structs, of packets behind their cFE header; of one length.
+    """Bytes that may hold structs, as columns of one length; for packets, the bytes after the cFE header.
 
     Attributes:
-        row: i64, which packet or datagram of a batch.
+        row: i64, row of the packet or datagram in the batch.
         key: i32, MsgId, or UDP port as in ``Key``.
-        code: i32, function code of a command, bytes of a datagram.
-        offset: i64, the first byte in the data of the batch.
+        code: i32, function code of a command; for datagrams, their bytes.
+        offset: i64, first byte in the data of the batch.
         length: i32, bytes.
     """
 
@@ -36,11 +36,11 @@ class StructPayloads(NamedTuple):
     length: NDArray[np.int32]
 
     def take(self, some: Any) -> StructPayloads:
-        """Return some of them: by indices, a mask or a slice."""
+        """Return some of the payloads, chosen by indices, a mask or a slice."""
         return StructPayloads(*(column[some] for column in self))
 
     def join(self, others: StructPayloads) -> StructPayloads:
-        """Return these, then others."""
+        """Return these payloads, followed by others."""
         pairs: Iterator[tuple[Any, Any]] = zip(self, others, strict=True)
         return StructPayloads(*(np.concatenate(pair) for pair in pairs))
 
@@ -60,17 +60,17 @@ def payloads(
     datagrams: Callable[[str], NDArray[Any]],
     data: NDArray[np.uint8],
 ) -> StructPayloads:
-    """Return all that structs are bound to.
+    """Return all payloads of a batch that structs are bound to.
 
     Args:
-        columns: gives the decoder's columns by name.
-        datagrams: gives the batch's, of the same rows.
-        data: u8, what they point into.
+        columns: returns a column of the decoder by name.
+        datagrams: returns a column of the batch by name; the same rows.
+        data: u8, the buffer that the offsets point into.
     """
     key = columns("msg_id")
     bound_rows, bare = structs.has.take(key), _last_hops().take(columns("link"))
     if structs.dictionary is None and not np.count_nonzero(bound_rows) and not np.count_nonzero(bare):
-        return _NOTHING  # as in most small batches of a live link
+        return _NOTHING  # the case of most small batches of a live link
     rows = np.flatnonzero(bound_rows)
     rows = rows[columns("header_length")[rows] > ccsds.PRIMARY.size]
     header = columns("header_length")[rows]

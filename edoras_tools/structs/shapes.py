@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 SHIPPED: Final = "cfe"
-"""The name of their layout."""
+"""Name of the built-in layout."""
 PACKETS: Final = {
     0x0800: "CFE_ES_HousekeepingTlm",
     0x0801: "CFE_EVS_HousekeepingTlm",
@@ -33,22 +33,22 @@ PACKETS: Final = {
     0x0880: "TO_LAB_HkTlm",
     0x0884: "CI_LAB_HkTlm",
 }
-"""Struct by MsgId of version 1; :mod:`edoras_tools.structs.cfe` describes them."""
+"""Struct name by MsgId of version 1; :mod:`edoras_tools.structs.cfe` describes these structs."""
 COMMANDED: Final = (
     *(0x1801, 0x1803, 0x1804, 0x1805, 0x1806, telemetry_output.COMMAND_MSG_ID),
     *(0x1895, 0x18B3, 0x18BB, sbn.COMMAND_MSG_ID),
 )
-"""MsgIds of version 1 whose commands take arguments, as :mod:`edoras_tools.cfs.arguments` has them."""
+"""MsgIds of version 1 of the commands with arguments that :mod:`edoras_tools.cfs.arguments` describes."""
 UDP_KEY: Final = 1 << 16
-"""A key from here on is a UDP port, not a MsgId: of datagrams of the robot link, on any port if it is 0."""
+"""First key that is a UDP port, not a MsgId: for datagrams of the robot link; port 0 means any port."""
 ENTRY_KEY: Final = 2 * UDP_KEY
-"""A key from here on is a place in the table of a dictionary's entries."""
+"""First key that is an index into the entries of a dictionary."""
 DATAGRAMS: Final = {layout.size: layout for layout in robot.SENT_TO}
-"""The header that a datagram on the robot link is, by its bytes."""
+"""Header of a datagram on the robot link, by the datagram's bytes."""
 OWN_LAYERS: Final = frozenset(
     layout.name for layout in (cfe.EVENT, cfe.SOFTWARE_BUS_HOUSEKEEPING, *DATAGRAMS.values())
 )
-"""Headers that are structs as well: their layers show the same fields."""
+"""Headers that are structs too; their layers show the same fields."""
 
 
 def commanded(msg_ids: MsgIds) -> list[int]:
@@ -57,13 +57,13 @@ def commanded(msg_ids: MsgIds) -> list[int]:
 
 
 def packets(msg_ids: MsgIds) -> dict[int, str]:
-    """Return :data:`PACKETS` by the MsgIds of a version, without one that would be 0, which cFE refuses."""
+    """Return :data:`PACKETS` by the MsgIds of a version, without a MsgId that would be 0: cFE refuses 0."""
     return {msg_id: name for msg_id_1, name in PACKETS.items() if (msg_id := msg_ids.of_known(msg_id_1))}
 
 
 ByteOrder = Literal["little", "big"]
 Range = tuple[float | None, float | None]
-"""The lowest and the highest value that belong to it; None for no end."""
+"""Lowest and highest value inside the range; None if it has no end on this side."""
 _ANY: Final[Range] = (None, None)
 OPEN: Final = 0
 """The dimension of an array that extends to the end of the packet; only the last member may have it."""
@@ -81,11 +81,11 @@ class BasicKind(Enum):
 
 
 class Basic(msgspec.Struct, frozen=True):
-    """A type without parts.
+    """A type without members.
 
     Attributes:
         kind: how its bytes are read.
-        size: how many there are.
+        size: number of its bytes.
     """
 
     kind: BasicKind
@@ -101,7 +101,7 @@ class Basic(msgspec.Struct, frozen=True):
         return self.kind.value if plain else f"{self.kind.value}{8 * self.size}"
 
     def holds(self, value: int) -> bool:
-        """Tell whether an integer of this type can have a value."""
+        """Return whether ``value`` is in the range of this integer type."""
         bits = 8 * self.size
         low = -(1 << (bits - 1)) if self.kind is BasicKind.INT else 0
         return low <= value < low + (1 << bits)
@@ -127,9 +127,9 @@ class Enumeration(msgspec.Struct, frozen=True):
     """Names for the values of an integer.
 
     Attributes:
-        name: as in C.
-        basic: the integer.
-        names: what values mean.
+        name: name in C.
+        basic: the integer type.
+        names: name of each value.
     """
 
     name: str
@@ -141,20 +141,21 @@ class Member(msgspec.Struct, frozen=True):
     """One member of a struct or union.
 
     Attributes:
-        name: as in C.
+        name: name in C.
         type: a basic type, or the name of an enumeration or a struct of the same layout.
-        offset: its first byte, from the start of the struct; of a bit-field the byte its first bit is in.
-        dims: dimensions of an array, outermost first; the last of a ``char`` array is its text.
-        bits: width of a bit-field; 0 where it is none.
-        bit: where in byte ``offset`` a bit-field starts: counted from the least significant bit where the
-            byte order is little, from the most significant where it is big, as compilers do.
-        base: of the number when it is shown: 10 or 16.
-        doc: one line.
-        unit: of its value, once it is calibrated.
-        polynomial: coefficients by rising power, which make a value of the number; nothing: they are one.
-        yellow: values that give no reason for attention; None for no such limits.
-        red: values that are not an alarm.
-        order: of its bytes; empty where it is that of its layout.
+        offset: first byte, from the start of the struct; for a bit-field, the byte with its first bit.
+        dims: dimensions of an array, outermost first; the last one of a ``char`` array is the size of its
+            text.
+        bits: width of a bit-field; 0 if the member is none.
+        bit: first bit of a bit-field in byte ``offset``: counted from the least significant bit if the byte
+            order is little, from the most significant bit if it is big, as compilers do.
+        base: number base for display: 10 or 16.
+        doc: description, one line.
+        unit: unit of the value, after calibration.
+        polynomial: coefficients by rising power, which turn the number into the value; empty: no calibration.
+        yellow: range of values that need no attention; None if there are no such limits.
+        red: range of values that are no alarm; None if there are no such limits.
+        order: byte order of this member; empty: that of the layout.
     """
 
     name: str
@@ -173,40 +174,40 @@ class Member(msgspec.Struct, frozen=True):
 
     @property
     def text(self) -> bool:
-        """Whether it is a text, or an array of texts."""
+        """Whether this member is a text or an array of texts."""
         return bool(self.dims) and isinstance(self.type, Basic) and self.type.kind is BasicKind.CHAR
 
     @property
     def array(self) -> tuple[int, ...]:
-        """The dimensions that count elements: of texts all but the last."""
+        """The dimensions that count elements; of texts all but the last, which counts characters."""
         return self.dims[:-1] if self.text else self.dims
 
     @property
     def count(self) -> int:
-        """Elements in all; 0 where the array is open."""
+        """Number of elements; 0 if the array is open."""
         return prod(self.array)
 
     @property
     def row(self) -> int:
-        """Elements of one row of an open array."""
+        """Number of elements in one row of an open array."""
         return prod(self.array[1:])
 
     def calibrated(self, number: Any) -> Any:
-        """Return the value of a number, or of each of an array, in its unit."""
+        """Return the calibrated value of a number, or of each number in an array."""
         value = 0.0
         for coefficient in reversed(self.polynomial):
             value = value * number + coefficient
         return value if self.polynomial else number
 
     def beyond(self, value: Any) -> tuple[Any, Any]:
-        """Tell whether a value, or each of an array, is outside the yellow limits, and the red ones."""
+        """Return whether a value, or each of an array, is outside the yellow, and outside the red limits."""
         ends = ((-inf if low is None else low, inf if high is None else high) for low, high in self._ranges)
         yellow, red = ((value < low) | (value > high) for low, high in ends)
         return yellow, red
 
     @property
     def limits(self) -> str:
-        """Its limits in words."""
+        """The limits as text for users."""
         return ", ".join(
             f"{color} {' to '.join('any' if end is None else f'{end:.9g}' for end in ends)}"
             for color, ends in zip(("yellow", "red"), self._ranges, strict=True)
@@ -222,13 +223,13 @@ class Struct(msgspec.Struct, frozen=True):
     """The memory layout of a struct or union.
 
     Attributes:
-        name: as in C.
+        name: name in C.
         size: bytes, padding at the end included.
-        members: in the order of the declaration.
-        union: all members lie at its start.
+        members: members in the order of the declaration.
+        union: whether all members start at its first byte.
         header: bytes of the cFE header at its start, which is not part of the message; 0 for none.
-        doc: one line; of a command the application's name for it.
-        tail: bytes that some builds and senders add.
+        doc: description, one line; for a command, its name in its application.
+        tail: bytes that some builds and senders add at the end.
     """
 
     name: str
@@ -241,12 +242,12 @@ class Struct(msgspec.Struct, frozen=True):
 
 
 class Key(msgspec.Struct, frozen=True, order=True):
-    """The packets that hold a struct, or the datagrams of the robot link, or an entry of a dictionary.
+    """Key of the packets that hold a struct, of datagrams of the robot link, or of an entry of a dictionary.
 
     Attributes:
-        msg_id: of the packet; of datagrams ``UDP_KEY`` and the port that they are sent to; of an entry
-            ``ENTRY_KEY`` and its place.
-        function_code: of a command; None for all. Of datagrams their bytes.
+        msg_id: MsgId of the packet; for datagrams ``UDP_KEY`` plus their destination port; for an entry
+            ``ENTRY_KEY`` plus its index.
+        function_code: function code of a command; None for all codes; for datagrams, their bytes.
     """
 
     msg_id: int
@@ -254,7 +255,7 @@ class Key(msgspec.Struct, frozen=True, order=True):
 
     @property
     def port(self) -> int | None:
-        """The port that datagrams are sent to, 0 for any of the robot link; None of packets."""
+        """Destination port of datagrams, 0 for any port of the robot link; None for packets and entries."""
         return self.msg_id - UDP_KEY if UDP_KEY <= self.msg_id < ENTRY_KEY else None
 
     def __str__(self) -> str:
@@ -265,7 +266,7 @@ class Key(msgspec.Struct, frozen=True, order=True):
 
 
 class LayoutEntry(Protocol):
-    """One entry of a dictionary; they sort as a table shows them."""
+    """One entry of a dictionary; entries sort in the order of a table."""
 
     @property
     def name(self) -> str:
@@ -273,11 +274,11 @@ class LayoutEntry(Protocol):
 
     @property
     def word(self) -> str:
-        """What it is, as ``event``."""
+        """Kind of the entry, as ``event``."""
 
     @property
     def id_text(self) -> str:
-        """The ID as on the wire, in hex."""
+        """The ID as hex, as it is on the wire."""
 
     def __hash__(self) -> int: ...
 
@@ -292,24 +293,24 @@ class LayoutEntries(Protocol):
     def __getitem__(self, place: int, /) -> LayoutEntry: ...
 
     def bind(self, key: Key, layout: StructLayout, struct: Struct, type_name: str) -> Any:
-        """Return the struct of an entry as its messages are made, a ``bound.Bound``."""
+        """Return the struct of an entry, a ``bound.Bound`` that makes its messages."""
 
     def table(self, structs: Any) -> Any:
-        """Return the ``entries.LayoutEntryTable`` of them; ``structs`` is the ``table.Structs``."""
+        """Return the ``entries.LayoutEntryTable`` of these entries; ``structs`` is the ``table.Structs``."""
 
 
 class StructLayout(msgspec.Struct, frozen=True):
     """Structs that belong together, and the packets that hold them.
 
     Attributes:
-        structs: by name, all that these use among them.
-        enums: by name.
-        bindings: the struct of each packet.
-        byte_order: of every number whose member says no other.
+        structs: structs by name, with all structs that they use.
+        enums: enumerations by name.
+        bindings: struct name of each packet key.
+        byte_order: byte order of every number whose member has none of its own.
         package: ROS package of the messages.
-        origin: the file it was read from, for messages.
-        entries: of a dictionary, in the order of their keys; these have no cFE header. Else None.
-        notes: what of its files was not read, a line each.
+        origin: file that the layout was read from, for error messages.
+        entries: entries of a dictionary, in the order of their keys; these have no cFE header. Else None.
+        notes: parts of the files that were not read, a line each.
     """
 
     structs: Mapping[str, Struct]
@@ -322,22 +323,22 @@ class StructLayout(msgspec.Struct, frozen=True):
     notes: tuple[str, ...] = ()
 
     def is_little(self, member: Member) -> bool:
-        """Tell whether the number of a member has its lowest byte first."""
+        """Return whether the number of a member is little-endian."""
         return (member.order or self.byte_order) == "little"
 
     def enumeration(self, member: Member) -> Enumeration | None:
-        """Return the enumeration that a member is of, or None."""
+        """Return the enumeration of a member, or None."""
         return self.enums.get(member.type) if isinstance(member.type, str) else None
 
     def basic(self, member: Member) -> Basic | None:
-        """Return the basic type of a member, that of its enumeration too; None for a struct."""
+        """Return the basic type of a member, for an enumeration that of its values; None for a struct."""
         if isinstance(member.type, Basic):
             return member.type
         enumeration = self.enums.get(member.type)
         return enumeration.basic if enumeration else None
 
     def size(self, member: Member) -> int:
-        """Return the bytes of one element of a member; of a text all its characters."""
+        """Return the bytes of one element of a member; for a text, the bytes of all its characters."""
         basic = self.basic(member)
         if basic is None:
             return self.structs[str(member.type)].size
@@ -345,13 +346,13 @@ class StructLayout(msgspec.Struct, frozen=True):
 
 
 class Wanted(msgspec.Struct, frozen=True):
-    """A member whose offset is to be computed.
+    """A member whose offset is not computed yet.
 
     Attributes:
-        member: its offset and bit count only where it is ``placed``.
+        member: the member; its offset and bit are valid only if ``placed``.
         size: bytes of one element.
-        alignment: what its offset must be a multiple of.
-        placed: whether the layout gives its offset.
+        alignment: number that its offset must be a multiple of.
+        placed: whether the layout states its offset.
     """
 
     member: Member
@@ -363,18 +364,18 @@ class Wanted(msgspec.Struct, frozen=True):
 def arrange(
     declared: Iterable[Wanted], *, union: bool = False, packed: bool = False
 ) -> tuple[list[Member], int, int]:
-    """Compute the offset of every member, as the System V ABI does.
+    """Compute the offset of every member by the rules of the System V ABI.
 
     Args:
-        declared: in the order of the declaration.
-        union: all members start at 0.
-        packed: no padding at all.
+        declared: members in the order of the declaration.
+        union: whether all members start at 0.
+        packed: whether there is no padding.
 
     Returns:
         the members, the bytes of the struct with its padding, and its alignment.
     """
     members: list[Member] = []
-    bit, end, widest = 0, 0, 1  # the next free bit, and the end of the members so far
+    bit, end, widest = 0, 0, 1  # next free bit, end of the members so far, widest alignment
     for item in declared:
         alignment = 1 if packed else item.alignment
         widest = max(widest, alignment)

@@ -28,20 +28,23 @@ if TYPE_CHECKING:
     from edoras_tools.structs.payloads import StructPayloads
 
 _NONE: Final = 3
-"""Keys behind the last: an entry that is not in a dictionary, bytes that are none, and ``NO_MSG_ID``."""
+"""Keys after the last entry: for an unknown entry, for bytes that are no entry, and ``NO_MSG_ID``."""
 
 
 class Structs:
-    """The structs that are bound to packets; where layouts name the same packets, the first applies.
+    """The structs that are bound to packets; if layouts name the same packets, the first one applies.
 
     Args:
-        layouts: in that order; None for that of what cFE itself sends, which is read once a packet needs it.
-        big_endian: whether what cFE itself sends has the highest byte first.
+        layouts: layouts in that order; None for the built-in layout of cFE, read when a packet first needs
+            it.
+        msg_ids: version of the MsgIds.
+        big_endian: whether the built-in structs are big-endian.
 
     Attributes:
-        msg_ids: as given.
-        prefix: what their topics begin with.
-        has: bool, by MsgId or ``UDP_KEY`` and port, what one is bound to; False for ``NO_MSG_ID``.
+        msg_ids: version of the MsgIds.
+        prefix: start of all topics.
+        has: bool, by MsgId or ``UDP_KEY`` plus port: whether a struct is bound to it; False for
+            ``NO_MSG_ID``.
 
     Raises:
         ConfigError: a struct cannot become a message.
@@ -74,7 +77,7 @@ class Structs:
 
     @cached_property
     def limited(self) -> bool:
-        """Whether a layout sets limits to a value."""
+        """Whether a layout sets limits for a value."""
         structs = [struct for layout in self._layouts or () for struct in layout.structs.values()]
         return any(member.yellow or member.red for struct in structs for member in struct.members)
 
@@ -90,7 +93,7 @@ class Structs:
 
     @property
     def dictionary(self) -> LayoutEntryTable | None:
-        """The entries of a dictionary, if one of the layouts is one."""
+        """The entries of the dictionary, if one of the layouts is a dictionary; else None."""
         return self._whole._entries  # noqa: SLF001  of its own kind
 
     @cached_property
@@ -103,16 +106,16 @@ class Structs:
 
     @property
     def all(self) -> tuple[Bound, ...]:
-        """Every struct that is bound, by MsgId and function code."""
+        """Every bound struct, by MsgId and function code."""
         return tuple(item for item in self._bindings.all if self.has[item.key.msg_id])
 
     @property
     def definitions(self) -> Mapping[str, Definition]:
-        """Every definition by type."""
+        """Every message definition, by type name."""
         return self._bindings.definitions
 
     def text(self, name: str) -> str | None:
-        """Return the complete ``ros2msg`` text of what a struct becomes; None if it is no type of these."""
+        """Return the complete ``ros2msg`` text of a message type; None if no struct has this type."""
         return self._bindings.text(name)
 
     @cached_property
@@ -139,29 +142,29 @@ class Structs:
         return self._bindings.bound(key)
 
     def name(self, msg_id: int) -> str:
-        """Return the struct of a MsgId; empty if there is none, or several: each packet has its own."""
+        """Return the name of a MsgId's struct; empty if it has none, or several for different packets."""
         return self.bound_to(msg_id)[0].name if self.is_one(msg_id) else ""
 
     def is_one(self, msg_id: int) -> bool:
-        """Tell whether all packets of a MsgId hold the same struct."""
+        """Return whether all packets of a MsgId hold the same struct."""
         return len(self._keys(msg_id)) == 1
 
     def own(self, msg_id: int) -> Sequence[Bound]:
-        """Return the structs of a MsgId that a layout names, not the built-in ones."""
+        """Return the structs of a MsgId that a layout names, without the built-in ones."""
         return () if self._layouts is None else [item for item in self.bound_to(msg_id) if not item.shipped]
 
     @cached_property
     def shared(self) -> tuple[int, ...]:
-        """The MsgIds whose commands hold different structs of a layout, told apart by function code."""
+        """The MsgIds whose function codes have different structs in a layout."""
         own = () if self._layouts is None else self._bindings.keys
         return tuple(msg_id for msg_id in own if msg_id < UDP_KEY and len(self.own(msg_id)) > 1)
 
     def is_shipped(self, msg_id: int) -> bool:
-        """Tell whether the structs of a MsgId are the built-in ones of cFE."""
+        """Return whether the structs of a MsgId are the built-in ones of cFE."""
         return self._layouts is None or all(item.shipped for item in self.bound_to(msg_id))
 
     def unclaimed(self, msg_ids: Iterable[int]) -> Structs:
-        """Return these without the MsgIds that are used otherwise."""
+        """Return the same structs without those of MsgIds that are used otherwise."""
         claimed = [msg_id for msg_id in msg_ids if self.has[msg_id]]
         if not claimed:
             return self
@@ -171,7 +174,7 @@ class Structs:
         return rest
 
     def under(self, prefix: str) -> Structs:
-        """Return these with topics that begin with something."""
+        """Return the same structs with ``prefix`` in front of their topics."""
         if prefix == self.prefix:
             return self
         other = copy(self)
@@ -180,12 +183,12 @@ class Structs:
         return other
 
     def of_port(self, port: Any) -> Any:
-        """Return the key of datagrams that are sent to a port of the robot link, or to each of many."""
+        """Return the key of datagrams to a port of the robot link, or to each port of an array."""
         key = UDP_KEY + np.asarray(port, np.int32)
         return np.where(self.has[key], key, UDP_KEY)
 
     def on_ports(self, port: Any, length: Any) -> Any:
-        """Tell whether a datagram, or each of many, is what a layout says comes to its port."""
+        """Return whether a datagram, or each of an array, has a length that a layout names for its port."""
         return sum(((port == own) & item.fits(length) for own, item in self.ports), start=np.False_)
 
     @cached_property
@@ -197,13 +200,14 @@ class Structs:
     def split(
         self, payloads: StructPayloads, without: Container[Key] = ()
     ) -> Iterator[tuple[Bound, StructPayloads, NDArray[np.bool_]]]:
-        """Yield every struct that some of many packets should hold.
+        """Yield every struct that packets with these payloads should hold.
 
         Args:
-            without: keys of structs that are not asked for.
+            payloads: payloads of packets and datagrams.
+            without: keys of structs to leave out.
 
         Yields:
-            the struct; what should hold it; bool, which of those are as long as it is.
+            the struct; the payloads that should hold it; bool, which of these have a length that fits it.
         """
         if not len(payloads.row):
             return
@@ -229,12 +233,12 @@ class Structs:
     def payloads_of(
         self, payloads: StructPayloads, columns: Callable[[str], NDArray[Any]], data: NDArray[np.uint8]
     ) -> Iterator[Held]:
-        """Yield the structs that many packets hold, and which of the packets do.
+        """Yield the structs that many packets hold, each with the packets that hold it.
 
         Args:
-            payloads: of packets whose MsgIds have a struct, and of datagrams.
-            columns: gives the decoder's by name.
-            data: u8, what they point into.
+            payloads: payloads of packets whose MsgIds have a struct, and of datagrams.
+            columns: returns a column of the decoder by name.
+            data: u8, the buffer that the offsets point into.
         """
         from edoras_tools.structs.bound import Held
 
@@ -252,5 +256,5 @@ class Structs:
 
 @cache
 def shipped_structs(msg_ids: MsgIds = VERSION_1, *, big_endian: bool = False) -> Structs:
-    """Return the structs of what cFE itself sends, with MsgIds of a version, in a byte order."""
+    """Return the built-in structs of cFE, with MsgIds of a version, in a byte order."""
     return Structs(None, msg_ids, big_endian=big_endian)

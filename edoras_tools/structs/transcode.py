@@ -27,17 +27,17 @@ if TYPE_CHECKING:
 _CDR_LE: Final = bytes((0, 1, 0, 0))
 _SIZES: Final = {"b": 1, "B": 1, "?": 1, "h": 2, "H": 2, "i": 4, "I": 4, "f": 4, "q": 8, "Q": 8, "d": 8}
 HEAD: Final = np.dtype([(item.name, "<u" + str(_SIZES[PRIMITIVES[item.type]])) for item in HEADER_FIELDS])
-"""The message's header, which is put in front of the struct's bytes before they are converted."""
+"""Header values of the message, which stand in front of the struct's bytes before the conversion."""
 
 
 class Copy(msgspec.Struct, frozen=True):
-    """Bytes that are copied, with or without a change of byte order.
+    """A copy of bytes, with or without a change of byte order.
 
     Attributes:
-        source: first byte, from the start of the head and the payload.
+        source: first byte, from the start of the head; the payload follows the head.
         target: first byte, from the start of the block.
-        size: bytes.
-        turn: bytes of an element whose order is reversed; 1 for none.
+        size: bytes to copy.
+        turn: bytes of an element whose byte order is reversed; 1: no change.
     """
 
     source: int
@@ -50,15 +50,15 @@ class Bits(msgspec.Struct, frozen=True):
     """A bit-field or a boolean, read from a few bytes.
 
     Attributes:
-        source: first byte that holds some of it.
+        source: first byte that holds a part of it, from the start of the head.
         target: first byte, from the start of the block.
         size: bytes to read.
         width: bits of the value.
-        shift: bits to the right of it, in a number of these bytes.
+        shift: bits to the right of the value, in the number that these bytes are.
         into: bytes to write.
-        signed: two's complement.
-        truth: 0 or 1 is written, whatever the value.
-        order: byte order of the struct.
+        signed: whether the value is in two's complement.
+        truth: whether 1 is written for every value that is not 0.
+        order: byte order of the member, ``<`` or ``>``.
     """
 
     source: int
@@ -73,14 +73,14 @@ class Bits(msgspec.Struct, frozen=True):
 
 
 class Block(msgspec.Struct):
-    """Bytes at fixed places from an aligned start.
+    """Bytes at fixed offsets from an aligned start.
 
     Attributes:
-        alignment: of its start; 1 to 8.
+        alignment: alignment of its start, 1 to 8 bytes.
         size: bytes.
-        copies: what is copied.
-        bits: what is computed.
-        constants: bytes that are the same in every message, by place.
+        copies: bytes that are copied.
+        bits: values that are computed.
+        constants: bytes that are the same in every message, by offset.
     """
 
     alignment: int
@@ -91,11 +91,11 @@ class Block(msgspec.Struct):
 
 
 class StructText(msgspec.Struct, frozen=True):
-    """Characters up to the first NUL.
+    """A text: the characters up to the first NUL.
 
     Attributes:
-        source: first byte.
-        size: bytes.
+        source: first byte, from the start of the head.
+        size: bytes of the array.
     """
 
     source: int
@@ -106,8 +106,8 @@ class StructLeaf(msgspec.Struct, frozen=True):
     """A single value or an array of basic values in a packet, for display.
 
     Attributes:
-        path: names and indices from the message on.
-        member: what it is.
+        path: names and indices, from the message down.
+        member: member of the struct.
         start: first byte, from the start of the payload.
         end: one past the last byte.
     """
@@ -119,18 +119,20 @@ class StructLeaf(msgspec.Struct, frozen=True):
 
 
 class StructPlan:
-    """The plan for the packets of one struct and one length.
+    """The plan that converts the packets of one struct and one payload length.
 
     Args:
-        length: bytes of the payload, header not counted.
+        layout: the layout that the struct belongs to.
+        struct: the struct.
+        length: bytes of the payload, without the header.
 
     Attributes:
-        width: bytes in front of the CDR: the head, and the payload.
+        width: bytes of the input row: the head, then the payload.
         leaves: every value and where it is.
-        size: bytes of every message, encapsulation included; 0 where they differ.
+        size: bytes of every message, encapsulation included; 0 if messages differ in size.
 
     Raises:
-        ConfigError: it spells out too many values.
+        ConfigError: the struct has more than ``MOST_VALUES`` values.
     """
 
     def __init__(self, layout: StructLayout, struct: Struct, length: int) -> None:
@@ -149,11 +151,11 @@ class StructPlan:
         self.size = len(_CDR_LE) + self._block.size if len(self._segments) == 1 else 0
 
     def fill(self, rows: NDArray[np.uint8], window: NDArray[np.uint8]) -> None:
-        """Write messages that are all of one ``size``.
+        """Write messages; only if all have one ``size``.
 
         Args:
-            rows: u8 (n, size), zero.
-            window: u8 (n, width), as for ``encode``.
+            rows: u8 (n, size), zeros.
+            window: u8 (n, width), as in ``encode``.
         """
         rows[:, 1] = _CDR_LE[1]
         _fill(rows[:, len(_CDR_LE) :], self._block, window)
@@ -161,13 +163,13 @@ class StructPlan:
     def encode(
         self, window: NDArray[np.uint8]
     ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
-        """Return messages, encapsulation included.
+        """Return the messages of many packets, encapsulation included.
 
         Args:
-            window: u8 (n, width): of each packet a ``HEAD``, then its payload.
+            window: u8 (n, width), a row a packet: a ``HEAD``, then the payload.
 
         Returns:
-            u8, the messages one after the other; i64 (n,), where each starts; i64 (n,), how long each is.
+            u8, the messages one after the other; i64 (n,), offset of each; i64 (n,), bytes of each.
         """
         count = len(window)
         if self.size:
@@ -298,7 +300,7 @@ class StructPlan:
         if copies and turn == copies[-1].turn:
             last = copies[-1]
             end = last.target + last.size
-            # One copy goes on over bytes that are written after all copies.
+            # One copy may run over bytes that are written later, after all copies.
             joins = target == end or (turn == 1 and target - end == self._later(end))
             if joins and source - last.source == target - last.target:
                 copies[-1] = replace(last, size=target - last.target + size)
@@ -306,7 +308,7 @@ class StructPlan:
         copies.append(Copy(source, target, size, turn))
 
     def _later(self, start: int) -> int:
-        """Return how many bytes of the block from ``start`` on are not copied, but computed or constant."""
+        """Return how many bytes of the block from ``start`` on are computed or constant, not copied."""
         block = self._block
         computed = ((item.target, item.into) for item in reversed(block.bits))
         constant = ((at, len(value)) for at, value in reversed(block.constants.items()))
@@ -330,7 +332,7 @@ def _fill(out: NDArray[np.uint8], block: Block, window: NDArray[np.uint8]) -> No
 
 
 def _read(bits: Bits, window: NDArray[np.uint8]) -> NDArray[np.unsignedinteger[Any]]:
-    """Return the values of a bit-field in words that hold it and what is written, signs extended."""
+    """Return the values of a bit-field, signs extended, in words large enough for source and target."""
     octets = window[:, bits.source : bits.source + bits.size]
     if bits.order == ">":
         octets = octets[:, ::-1]
@@ -352,7 +354,7 @@ def _read(bits: Bits, window: NDArray[np.uint8]) -> NDArray[np.unsignedinteger[A
 
 
 def _texts(field: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-    """Return characters, a row as long as the array, and how many of each count: up to the first NUL.
+    """Return all characters, a row the size of the array, and the length of each text up to its first NUL.
 
     Bytes that are not UTF-8 become ``?``.
     """
@@ -372,18 +374,18 @@ def _texts(field: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int6
 
 
 MOST_VALUES: Final = 1 << 16
-"""The most copies that one message may take; a struct with more is a mistake."""
+"""Most copies that one message may need; a struct with more is a mistake."""
 
 
 class Counter:
-    """Counts the single copies that structs take."""
+    """Counts the copies that a struct needs in a message."""
 
     def __init__(self, layout: StructLayout) -> None:
         self._layout = layout
         self._known: dict[str, int] = {}
 
     def fixed(self, struct: Struct) -> int:
-        """Return the copies for a packet, without an array that is open to its end."""
+        """Return the copies for a packet, without an array that is open to the end."""
         members = parts(self._layout, struct, whole=True)
         return sum(self._of(part.member, part.member.count) for part in members if not part.open)
 

@@ -118,8 +118,7 @@ class EnvelopeFormat(msgspec.Struct, frozen=True):
         )
 
     def parse(self, data: bytes | memoryview, offset: int = 0) -> tuple[int, int]:
-        """Return ``buffer_length`` and ``buffer_capacity`` at ``offset``; the capacity is the length if
-        absent.
+        """Return ``buffer_length`` and ``buffer_capacity`` at ``offset``; the length twice without one.
 
         Raises:
             TruncatedError: the envelope is incomplete.
