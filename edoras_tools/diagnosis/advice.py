@@ -1,13 +1,15 @@
-"""What to change where a queue loses messages, what would still be lost then, and the verdict on a loss.
+"""Remedies for queues that lose messages, the losses that would remain with them, and the verdict on a loss.
 
 Rules:
 
-1. Arrivals are those of the capture. What was published and lost came between its neighbours, evenly.
-2. When a queue is read is known to a round, not to the millisecond: the model is asked at several phases,
-   and what it says of the worst is told.
-3. Before the model promises anything it has to explain what was lost. It may lose up to twice as many: there
-   no reader takes a message while a burst still comes in.
-4. A limit is raised only where that costs nobody else a message.
+1. Arrivals are those in the capture. Lost messages are placed evenly between the messages around them.
+2. The capture shows the reading rounds of a queue, but not their exact times. So the model runs with several
+phases, and its worst result counts.
+3. The model must explain the actual losses before it predicts any. It may lose up to twice as many: its
+   reader
+takes no message while a burst still arrives.
+4. Beside a slower rate, a higher limit at Telemetry Output is offered only if then this MsgId loses nothing
+   and the others lose no more.
 """
 
 from __future__ import annotations
@@ -41,58 +43,58 @@ if TYPE_CHECKING:
 
 
 LET_RUN: Final = "look at the load of its host, and at who may stop its process (a debugger, SIGSTOP)"
-"""What helps where a whole cFS stood still: no rate and no limit does."""
+"""Remedy if a whole cFS stood still: no rate and no limit helps then."""
 _PHASES: Final = 4
 _ROUNDS: Final = 1000
-"""The model goes through so many rounds before and behind the middle of the worst loss."""
+"""Rounds before and behind the middle of the worst loss that the model simulates."""
 _FULL: Final = 0.3
-"""Rounds of which so many are full show how many may wait."""
+"""Least share of full rounds from which the size of a round shows the limit."""
 _LATE: Final = 1.01
-"""A round may be so much longer than it should be."""
+"""Largest length of a round, as a multiple of its nominal length."""
 _FITS: Final = 0.5, 1.2
 _FEW: Final = 5
-"""What was lost is explained by a model if it is between these shares of what the model loses, or so near."""
+"""The model explains losses between these shares of its own losses, give or take ``_FEW`` messages."""
 _STEPS: Final = 5
-"""So many steps between messages show how close together the next ones came."""
+"""Steps between messages whose median is the usual distance of the next ones."""
 _PAUSE: Final = 2
-"""A pause is longer than so many rounds."""
+"""Least length of a pause, in rounds."""
 _MOST: Final = 255
-"""Telemetry Output's table takes no higher limit."""
+"""Highest limit in Telemetry Output's table."""
 _WHILE_NS: Final = 10 * SECOND
-"""Who sends no more than gets through in so long, but too many at once, sends bursts."""
+"""Time over which a mean rate is compared with the queue's rate, to tell bursts from too high a rate."""
 
 
 class Arrivals(NamedTuple):
-    """What arrives at a queue, in order of time.
+    """Messages that arrive at a queue, in order of time.
 
     Attributes:
-        time_ns: (n,), i64, ns.
-        msg_id: (n,), i64.
+        time_ns: i64 (n,), times of arrival, ns.
+        msg_id: i64 (n,), MsgIds.
     """
 
     time_ns: Integers
     msg_id: Integers
 
     def take(self, rows: Places | Mask) -> Arrivals:
-        """Return some of them."""
+        """Return the arrivals of some rows: places or a mask."""
         return Arrivals(self.time_ns[rows], self.msg_id[rows])
 
     def only(self, msg_id: int) -> Arrivals:
-        """Return those of a MsgId."""
+        """Return the arrivals of one MsgId."""
         return self.take(self.msg_id == msg_id)
 
     def between(self, start_ns: int, end_ns: int) -> Arrivals:
-        """Return those of a span of time."""
+        """Return the arrivals of a span of time, both ends included."""
         first, last = np.searchsorted(self.time_ns, (start_ns, end_ns + 1))
         return Arrivals(self.time_ns[first:last], self.msg_id[first:last])
 
     def around(self, loss: Loss, round_ns: int) -> Arrivals:
-        """Return those of the rounds that the model goes through."""
+        """Return the arrivals in the rounds around a loss that the model simulates."""
         middle_ns, margin_ns = (loss.start_ns + loss.end_ns) // 2, _ROUNDS * round_ns
         return self.between(middle_ns - margin_ns, middle_ns + margin_ns)
 
     def spaced(self, gap_ns: float, msg_id: int) -> Arrivals:
-        """Return the same with so much time between two of a MsgId: each as early as that lets it."""
+        """Return the arrivals with at least ``gap_ns`` between two of a MsgId, each as early as possible."""
         own = self.msg_id == msg_id
         steps = (np.arange(int(own.sum())) * gap_ns).astype(np.int64)
         time_ns = self.time_ns.copy()
@@ -100,23 +102,23 @@ class Arrivals(NamedTuple):
         return Arrivals(time_ns, self.msg_id).take(np.argsort(time_ns, kind="stable"))
 
     def most(self, window_ns: float) -> int:
-        """Return the most that arrive within a window of time."""
+        """Return the largest number of arrivals within a window of time."""
         last = np.searchsorted(self.time_ns, self.time_ns + int(window_ns))
         return int((last - np.arange(len(last))).max(initial=0))
 
     def rate(self) -> int:
-        """Return the most that arrive in a second; steady ones that come a little early do not add one."""
+        """Return the largest number of arrivals in a second; jitter of a steady sender does not add one."""
         step_ns = np.median(np.diff(self.time_ns)) if len(self.time_ns) > 1 else 0
         return self.most(SECOND - step_ns / 2)
 
     def lost(self, way: tuple[queues.Queue, ...], msg_id: int, phases: int = _PHASES) -> list[int]:
-        """Return how many of a MsgId a way through queues loses, at each of several phases."""
+        """Return how many messages of a MsgId a chain of queues loses, at each of several phases."""
         return [own for own, _ in self.lost_of(way, msg_id, phases)]
 
     def lost_of(
         self, way: tuple[queues.Queue, ...], msg_id: int, phases: int = _PHASES
     ) -> list[tuple[int, int]]:
-        """Return how many of a MsgId, and how many others, a way loses, at each of several phases."""
+        """Return the losses of a MsgId and of all others in a chain of queues, at each of several phases."""
         return [self._lost(way, msg_id, at * way[-1].round_ns // phases) for at in range(phases)]
 
     def _lost(self, way: tuple[queues.Queue, ...], msg_id: int, phase_ns: int) -> tuple[int, int]:
@@ -131,7 +133,7 @@ class Arrivals(NamedTuple):
 
 
 def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
-    """Return the pipe of a loss, how many of its MsgId may wait there, and whether that was measured."""
+    """Return the pipe of a loss, the limit of its MsgId there, and whether the limit was measured."""
     output = loss.hop == telemetry_output.PIPE
     queue = queues.telemetry_pipe(case.profile) if output else queues.peer_pipe(case.profile)
     commanded = _limit_of(limit_command(case, loss))
@@ -146,7 +148,7 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
 
 
 def limit_command(case: Case, loss: Loss) -> Change | None:
-    """Return the command that set how few of a MsgId may wait at Telemetry Output while some were lost."""
+    """Return the command that set the limit at Telemetry Output during a loss, a lower one if it changed."""
     if loss.hop != telemetry_output.PIPE:
         return None
     times = loss.among.times_ns if loss.among and len(loss.among.rows) else (loss.start_ns, loss.end_ns)
@@ -160,7 +162,7 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
 
 
 def set_by(case: Case, loss: Loss, limit: int) -> str:
-    """Return when a command set the limit at which some were lost, in brackets; empty where none did."""
+    """Return when a command set the limit that held during a loss, in brackets; empty if none did."""
     command = limit_command(case, loss)
     if command is None or command.value != limit:
         return ""
@@ -168,7 +170,7 @@ def set_by(case: Case, loss: Loss, limit: int) -> str:
 
 
 def _other_limits(case: Case, losses: Iterable[Loss], worst: Loss) -> str:
-    """Return how many were lost at other limits than the worst, which commands set; empty where none were."""
+    """Return the losses at other commanded limits than that of the worst loss; empty if there were none."""
     lost: Counter[Change | None] = Counter()
     for loss in losses:
         lost[limit_command(case, loss)] += loss.lost
@@ -181,7 +183,7 @@ def _other_limits(case: Case, losses: Iterable[Loss], worst: Loss) -> str:
 
 
 def told_limit(case: Case, stream: Stream) -> int | None:
-    """Return how many messages of a stream may wait at Telemetry Output, if the last command says so."""
+    """Return the limit of a stream at Telemetry Output, if the last command on its entry set one."""
     if not stream.link.only_from_cfs:
         return None
     return _limit_of(next(reversed(_entry_commands(case, case.owner(stream), stream.msg_id)), None))
@@ -192,24 +194,24 @@ def _limit_of(command: Change | None) -> int | None:
 
 
 def _entry_commands(case: Case, instance: int, msg_id: int) -> list[Change]:
-    """Return the commands about an entry of Telemetry Output's table, in order of time."""
+    """Return the commands on an entry of Telemetry Output's table, in order of time."""
     return list(case.timeline.of(StateOwner("entry", "", msg_id), case.instances.system(instance)))
 
 
 def crowding_of(case: Case, loss: Loss) -> str:
-    """Return who sent what was lost more than once, in half a sentence; empty where nobody did."""
+    """Return a clause that says who sent the messages more than once; empty if they were sent once."""
     return crowding(case.rows, rows, case.endpoints) if len(rows := _rows_of(loss)) else ""
 
 
 def _rows_of(loss: Loss) -> Places:
-    """Return the rows of the traffic that a loss is of, in its time."""
+    """Return the rows of a loss' stream in its span; empty if either is unknown."""
     if loss.span is None or loss.stream is None:
         return np.zeros(0, np.intp)
     return loss.stream.rows[loss.span.rows]
 
 
 def _depth(case: Case, loss: Loss, queue: queues.Queue) -> int:
-    """Return how deep a pipe is, where one that was full shows it."""
+    """Return the depth of a pipe: measured if the pipe was full, else the configured one."""
     full = any(item.kind == "overflow" and item.hop == loss.hop for item in case.losses)
     if loss.stream is None or not full:
         return queue.depth
@@ -228,11 +230,11 @@ def _is_far(case: Case, endpoint: int) -> bool:
 
 
 def advise(case: Case, loss: Loss) -> Advice:
-    """Return what helps against all losses of a MsgId at a queue, worked out once, for the worst of them."""
+    """Return the remedy for all losses of a MsgId at a queue; computed once, for the worst of them."""
     if (key := _key(loss)) not in case.advice:
         alike = [item for item in case.losses if _key(item) == key]
         at_output = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
-        # What holds at the lowest limit that a command set holds at all.
+        # A remedy for the lowest commanded limit also helps at the other limits.
         worst = max(alike, key=lambda item: (-(_limit_of(limit_command(case, item)) or _MOST), item.lost))
         advice = (_at_pipe if at_output else _at_application)(case, worst)
         still = stood_still(case, worst)
@@ -245,7 +247,7 @@ def advise(case: Case, loss: Loss) -> Advice:
 
 
 def _at_pipe(case: Case, loss: Loss) -> Advice:
-    """Return what helps where the pipe of Telemetry Output or of an SBN peer takes too few of a MsgId."""
+    """Return the remedy where the pipe of Telemetry Output or of an SBN peer takes too few of a MsgId."""
     queue, limit, measured = clean_round(case, loss)
     msg_id, output = loss.msg_id, loss.hop == telemetry_output.PIPE
     rate, every = queue.rate_hz(limit), f"{queue.round_ns / MILLISECOND:.0f} ms"
@@ -264,7 +266,7 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     now, fits = queue.with_limit(msg_id, limit), False
     if measured or loss.offered_hz > rate:
         fits = _explains(own.between(loss.start_ns, loss.end_ns).lost((now,), msg_id), loss.lost)
-    if loss.stream.counted:  # else what was lost is not among them
+    if loss.stream.counted:  # else the arrivals do not contain the lost messages
         slower = _spread(case, own, queue, limit, slower, ("published", "TO" if output else "SBN"))
     slow = max(own.spaced(SECOND / _safe(rate), msg_id).lost((now,), msg_id)) if fits else None
     if not output:
@@ -279,15 +281,17 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
 
 
 def _safe(rate_hz: float) -> float:
-    """Return a rate that gets through even where rounds are a little late, in tenths of Hz."""
+    """Return a rate that gets through even if rounds are a little late, in Hz, rounded down to 0.1."""
     return math.floor(rate_hz / _LATE * 10) / 10
 
 
 def _explains(model: list[int], lost: int, waiting: int = 0) -> bool:
-    """Tell whether a model, asked at several phases, explains what was lost.
+    """Return whether a model that ran at several phases explains a loss.
 
     Args:
-        waiting: how many more wait at the end, or were lost.
+        model: losses of the model, one for each phase.
+        lost: messages that were lost.
+        waiting: further messages that were waiting at the end, or were lost.
     """
     least, most = _FITS
     return any(least * item - _FEW <= lost + waiting and lost <= most * item + _FEW for item in model)
@@ -296,11 +300,11 @@ def _explains(model: list[int], lost: int, waiting: int = 0) -> bool:
 def _spread(
     case: Case, own: Arrivals, queue: queues.Queue, limit: int, slower: str, words: tuple[str, str]
 ) -> str:
-    """Return how to send: slower, or spread out; or that whoever reads the queue was late.
+    """Return the remedy for a rate: send slower, or spread bursts; or that the reader of the queue was late.
 
     Args:
-        slower: what helps who sends too fast.
-        words: what senders did, and who reads.
+        slower: remedy for a sender that is too fast.
+        words: what senders did, as a participle; and the reader of the queue.
     """
     did, reader = words
     most = own.most(queue.round_ns)
@@ -314,7 +318,7 @@ def _spread(
 
 
 def published_into(case: Case, stream: Stream) -> Arrivals:
-    """Return all that went into the pipe that a stream came out of, with what was lost of it."""
+    """Return the arrivals at the pipe that a stream comes from, including the lost messages."""
     alike = [
         (item.msg_id, published_at(case, item))
         for item in case.streams
@@ -327,7 +331,10 @@ def published_into(case: Case, stream: Stream) -> Arrivals:
 
 
 def published_at(case: Case, stream: Stream) -> Integers:
-    """Return when each message of a stream was published, the missing ones too: by its header's time."""
+    """Return when each message of a stream was published, including the missing ones, ns: i64 (messages,).
+
+    The times are those of the headers, if all have one; else those of the capture.
+    """
     when, mission = stream.time_ns, case.rows.mission_time_ns[stream.rows]
     if stream.instance != NOBODY and (mission > 0).all():
         when = np.maximum.accumulate(mission + case.instances.items[stream.instance].offset_ns)
@@ -335,8 +342,8 @@ def published_at(case: Case, stream: Stream) -> Integers:
     at = np.cumsum(counts) - counts
     place = np.arange(int(counts.sum()))
     times = np.interp(place, at, when.astype(np.float64)).astype(np.int64)
-    # What is missing in a long pause came as close together as what came before it: a burst at once, a steady
-    # stream over the pause, as while nothing was to be sent.
+    # Messages missing in a long pause follow at the distance of the messages before the pause: a burst comes
+    # at once, a steady stream goes on during the pause.
     pause_ns = np.append(np.diff(when), 0)
     inside = np.repeat((pause_ns > _PAUSE * case.profile.to_wake_ns) & (counts > 1), counts)
     if not inside.any():
@@ -354,7 +361,7 @@ def published_at(case: Case, stream: Stream) -> Integers:
 
 
 def _raised(case: Case, msg_id: int, limit: int) -> str:
-    """Return how more of a MsgId may wait: one that is in the table already keeps its limit."""
+    """Return how to raise a limit: an entry keeps its limit, so it has to be removed first."""
     remove = case.inject("to-remove", f"0x{msg_id:04x}")
     add = case.inject("to-add", f"0x{msg_id:04x}", "--limit", str(limit))
     lasting = "in its table (to_lab_sub)"
@@ -362,7 +369,7 @@ def _raised(case: Case, msg_id: int, limit: int) -> str:
 
 
 def _at_application(case: Case, loss: Loss) -> Advice:
-    """Return what helps where an application's pipe takes too few of a command, or CI's socket is full."""
+    """Return the remedy where an application's pipe takes too few of a command, or CI's socket is full."""
     over_network = loss.over_network
     pipe = queues.application_pipe(case.profile, over_network=over_network)
     socket = queues.ci_socket(case.profile)
@@ -429,12 +436,12 @@ def lost_at(case: Case, loss: Loss, noun: str = "messages") -> str:
 
 
 def published(loss: Loss) -> str:
-    """Return ``published at 20/s, ``; nothing where the rate is not known."""
+    """Return ``published at 20/s, ``; empty if the rate is unknown."""
     return f"published at {loss.offered_hz:.0f}/s, " if loss.offered_hz else ""
 
 
 def stood_still(case: Case, loss: Loss) -> str:
-    """Return that a whole cFS stood still and most of a loss came after it; empty where it did not."""
+    """Return the sentence that a whole cFS stood still, and most of a loss came after that; else empty."""
     if not (stalls := list(_stalls_of(case, loss))):
         return ""
     first = f"from {case.at(stalls[0].start_lo)} to {case.at(stalls[0].end_hi)}"
@@ -443,10 +450,10 @@ def stood_still(case: Case, loss: Loss) -> str:
 
 
 def _stalls_of(case: Case, loss: Loss) -> Iterator[StateSpan]:
-    """Yield when the cFS of a loss stood still, if most of the loss came then or at once after it."""
+    """Yield the times in which the cFS of a loss stood still, if most of the loss came then or just after."""
     spans = case.timeline.spans(StateOwner("cfs"), "stalled", case.instances.system(loss.instance))
     if loss.among is None or (loss.among.missing is None and len(loss.among.rows) > 2 * loss.lost):
-        # It is not known which they are.
+        # The lost messages are not identified: all overlapping times count.
         yield from (span for span in spans if span.overlaps(loss.start_ns - TAIL_NS, loss.end_ns))
         return
     when = loss.among.stream.time_ns[loss.among.rows]
@@ -465,12 +472,15 @@ def loss_verdict(
     remedy: str | Advice,
     evidence: Iterable[str] | None = None,
 ) -> Verdict:
-    """Return the verdict on a loss, an error.
+    """Return the verdict of severity error on a loss.
 
     Args:
+        case: the case.
+        loss: the loss.
+        reason: sentence on the loss.
         link: label of the link that it concerns.
-        remedy: what to change.
-        evidence: what was seen, in place of the loss' own lines.
+        remedy: change that helps.
+        evidence: facts, in place of the loss' own.
     """
     still = stood_still(case, loss) if loss.kind in COUNTERS else ""
     return error(

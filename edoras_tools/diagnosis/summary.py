@@ -1,11 +1,11 @@
-"""What a person reads first: how much was lost, by what, what to do about it, and what is fine.
+"""The first lines of a report: how much was lost, why, what to do about it, and what is fine.
 
 Rules:
 
-1. Every figure is one of the balance: nothing is counted here.
-2. Losses of one cause at one place are one problem; over a message limit it is one for each MsgId, because
-   each has a cure of its own.
-3. A problem has the sentence and the remedy of the verdict that explains it, or of the queue that it is at.
+1. Every figure is taken from the balance: nothing is counted here.
+2. The losses of one cause at one place are one problem. Losses over a message limit are one problem for each
+MsgId, if a verdict names the MsgId, because each MsgId has its own remedy.
+3. A problem has the sentence and the remedy of the verdict that explains it, or of the queue where it is.
 4. What was not examined comes first, then what was lost, then other errors, then warnings.
 """
 
@@ -41,33 +41,34 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.examination import Diagnosis
 
 _AT_QUEUES: Final = frozenset({"limit", "overflow", "socket", "unknown"})
-"""The verdict says what its queue takes, or what events name there."""
+"""Causes whose text also says how much the queue takes, or what events name there."""
 _HARM: Final = frozenset({"struct_overrun", "ci_cut", "ground_bridge_buffer", "flight_bridge_length"})
-"""What these rules tell of arrives in part, or damaged."""
+"""Rules about messages that arrive in part, or damaged."""
 _NAMES: Final = 2
-"""So many topics are named."""
+"""Topics that are named; if there are more, the text gives their number."""
 _MOMENT_S: Final = 0.1
 _SHARES: Final = ((0.5, "Over half of the"), (0.4, "Nearly half of the"))
 _RARE: Final = 0.01
 _NAMED: Final = 3
-"""Of more MsgIds that share a loss the number is told."""
+"""MsgIds that are named for a loss shared by several; if there are more, the text gives their number."""
 
 _OF_ONE_HOP: Final = "SBN_", PEER, UDP_PORT, RELAY_HOP
-"""How the hops begin of which a verdict names one peer's or one port's."""
+"""Prefixes of hops that belong to one peer or one port: a verdict on another hop does not explain them."""
 
 
 class Problem(msgspec.Struct, frozen=True):
     """One thing that is wrong.
 
     Attributes:
-        lost: messages lost by it; None where it is no loss, or nothing counted one.
-        text: what, where and why.
-        remedy: what to do, lines to paste included; empty where nothing helps.
-        severity: how much it matters.
-        verdicts: what explains it, the worst first; may be empty.
-        left: messages that would still be lost then, by the queue model; None where it cannot tell.
-        of: of how many: all of its routes where nothing else lost any, else those that it lost.
-        spacecraft: number of the part of the diagnosis that it is of; 0 where that has no parts.
+        lost: messages lost by it; None if it is no loss, or if nothing counts the loss.
+        text: sentence that says what is wrong, where and why.
+        remedy: what to do, including lines to paste; empty if nothing helps.
+        severity: severity of the first verdict; ``ERROR`` for a loss.
+        verdicts: verdicts that explain it, the worst first; may be empty.
+        left: messages that the queue model still loses with the remedy; None if the model cannot say.
+        of: number of messages that ``left`` refers to: all that its routes sent, if the problems with this
+            remedy cover all losses of these routes; else the losses of the problems with this remedy.
+        spacecraft: number of its part of the diagnosis; 0 if the diagnosis has no parts.
     """
 
     lost: int | None
@@ -81,11 +82,11 @@ class Problem(msgspec.Struct, frozen=True):
 
     @property
     def promise(self) -> str:
-        """What would still be lost, in words; empty where no model tells."""
+        """Messages that would still be lost with the remedy, in words; empty if the model cannot say."""
         return "" if self.left is None else f"{self.left:,} of {self.of:,} (by the model)"
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --json``."""
+        """Return the problem in the shape of ``doctor --json``."""
         return {
             "lost": self.lost,
             "text": self.text,
@@ -97,13 +98,14 @@ class Problem(msgspec.Struct, frozen=True):
 
 
 class DoctorSummary(NamedTuple):
-    """What a person reads first.
+    """The first lines of a report.
 
     Attributes:
-        headline: the total.
-        problems: the worst first.
-        fine: what arrived whole, and what nothing here can count; empty where nothing is examined.
-        notes: how many notes there are.
+        headline: sentence with the total of the losses.
+        problems: problems in the order of the report.
+        fine: sentences on messages that arrived, and on losses that nothing counts; empty if the headline has
+            them, or if nothing counts anything.
+        notes: number of verdicts less severe than a warning.
     """
 
     headline: str
@@ -112,7 +114,7 @@ class DoctorSummary(NamedTuple):
     notes: int
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --json``."""
+        """Return the summary in the shape of ``doctor --json``."""
         return {
             "headline": self.headline,
             "problems": [item.as_json() for item in self.problems],
@@ -121,7 +123,7 @@ class DoctorSummary(NamedTuple):
         }
 
     def rest(self, first: int) -> str:
-        """Return all problems but the first ones, in a line; empty where there are no others."""
+        """Return one line about all problems but the ``first`` ones; empty if there are no others."""
         others = self.problems[first:]
         losses = [item.lost for item in others if item.lost]
         parts = [f"{sum(losses):,} lost in {plural(len(losses), 'other way')}"] if losses else []
@@ -130,7 +132,7 @@ class DoctorSummary(NamedTuple):
 
 
 def summarize(result: Diagnosis) -> DoctorSummary:
-    """Return what a person reads first of a diagnosis."""
+    """Return the first lines of the report on a diagnosis."""
     problems = list(chain.from_iterable(_problems(result)))
     if result.parts:
         own = {number: _problems(part) for number, part in result.parts.items()}
@@ -151,7 +153,7 @@ def summarize(result: Diagnosis) -> DoctorSummary:
 
 
 def _problems(result: Diagnosis) -> tuple[list[Problem], list[Problem], list[Problem]]:
-    """Return what is wrong with the capture itself, what was lost, and all else."""
+    """Return three lists: problems of the capture itself, losses, and all others."""
     losses, used = _losses(result)
     others = [item for item in result.verdicts if id(item) not in used and item.severity >= Severity.WARNING]
     apart = [_apart(members) for members in alike(group_verdicts(others))]
@@ -162,7 +164,7 @@ def _problems(result: Diagnosis) -> tuple[list[Problem], list[Problem], list[Pro
 
 
 def _apart(groups: Sequence[Sequence[Verdict]]) -> Problem:
-    """Return what one rule says of anything but a loss."""
+    """Return the problem that verdicts of one rule, which are about no loss, describe."""
     every = [item for members in groups for item in members]
     worst = every[0]
     return Problem(None, _more(worst.reason, every), _useful(worst.remedy), worst.severity, tuple(every))
@@ -173,7 +175,7 @@ def _useful(remedy: str) -> str:
 
 
 def _losses(whole: Diagnosis) -> tuple[list[Problem], set[int]]:
-    """Return what was lost, the worst first; and the ids of the verdicts that tell of it."""
+    """Return the losses, the worst first, and the ``id()`` of each verdict that explains one."""
     groups: dict[tuple[Any, ...], list[tuple[Row, int]]] = {}
     verdicts: dict[tuple[Any, ...], dict[tuple[Any, ...], list[Verdict]]] = {}
     explained: dict[tuple[Any, ...], list[Verdict]] = {}
@@ -201,7 +203,7 @@ def _losses(whole: Diagnosis) -> tuple[list[Problem], set[int]]:
 
 
 def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdict]:
-    """Return the verdicts that explain a cause at a row: those of its MsgId and hop, if there are such."""
+    """Return the verdicts that explain a cause at a row; only those of its MsgId, link and hop, if any."""
     entry = CAUSES.get(cause)
     rules = (entry and entry.rules) or (cause,)
     own = [
@@ -220,12 +222,12 @@ def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdi
 def _problem(
     result: Diagnosis, cause: str, members: Sequence[tuple[Row, int]], own: Sequence[Verdict], *, alone: bool
 ) -> Problem:
-    """Return what one cause lost at one place.
+    """Return the problem of one cause at one place.
 
     Args:
-        members: rows of the balance, each with how many of them.
-        own: the verdicts that explain it, the worst first.
-        alone: whether nothing else was lost of any other route, so that the headline names it.
+        members: rows of the balance, each with the number of its lost messages.
+        own: verdicts that explain it, the worst first.
+        alone: whether no other route lost anything, so that the headline already names it.
     """
     rows, lost = [row for row, _ in members], sum(number for _, number in members)
     remedy, advice = (_useful(own[0].remedy), own[0].advice) if own else ("", None)
@@ -244,13 +246,13 @@ def _problem(
 
 
 def _promising(result: Diagnosis, problems: Sequence[tuple[Problem, Sequence[Row]]]) -> Iterator[Problem]:
-    """Yield problems with what a remedy, which several may share, is promised for."""
+    """Yield problems with ``left`` and ``of`` set; several problems may share one remedy."""
     for item, rows in problems:
         alike = [other for other, _ in problems if other.remedy == item.remedy]
         cured = sum(other.lost or 0 for other in alike)
         keys = {row.key for row in rows}
         lost = sum(row.proven for row in result.balance if row.key in keys)
-        rest = item.left if (item.left or 0) < (item.lost or 0) else None  # a promise of more is none
+        rest = item.left if (item.left or 0) < (item.lost or 0) else None  # no gain: nothing is promised
         yield replace(item, left=rest, of=sent_of(result, rows) if lost <= cured else cured)
 
 
@@ -259,7 +261,7 @@ def _more(reason: str, own: Sequence[Verdict]) -> str:
 
 
 def _each(cause: str, own: Sequence[Verdict], lost: int) -> str:
-    """Return what several verdicts of one cause say, by which so many were lost."""
+    """Return one text for the verdicts of one cause, which lost ``lost`` messages together."""
     which, _, text = own[0].reason.partition(": ")
     if len(own) == 1 or not cause.startswith("bad_"):
         return "e.g. " * (len(own) > 1) + _more(own[0].reason, own).removeprefix(f"{lost:,} ")
@@ -268,7 +270,7 @@ def _each(cause: str, own: Sequence[Verdict], lost: int) -> str:
 
 
 def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
-    """Return where it was, with the name of the pipe, application or peer."""
+    """Return the place of a loss in words, with the name of the pipe, application or peer."""
     hops = {item.hop for item in own if item.hop}
     hop = (" or ".join(sorted(hops - {APP} or hops)) or rows[0].hop).replace(APP, "the application's pipe")
     if cause == "limit" and own:
@@ -283,7 +285,7 @@ def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
 
 
 def _when(result: Diagnosis, own: Sequence[Verdict]) -> str:
-    """Return from when to when, where that is not most of the capture."""
+    """Return the time of the losses in words; empty if it covers more than half of the capture."""
     if not own:
         return ""
     start_ns, end_ns = min(item.start_ns for item in own), max(item.end_ns for item in own)
@@ -294,7 +296,7 @@ def _when(result: Diagnosis, own: Sequence[Verdict]) -> str:
 
 
 def sent_of(result: Diagnosis, rows: Iterable[Row]) -> int:
-    """Return how many messages of the routes of some rows were sent."""
+    """Return the number of messages that the routes of some rows sent."""
     keys = {row.key for row in rows}
     return sent(row for row in result.balance if row.key in keys)
 
@@ -348,14 +350,14 @@ def _total(result: Diagnosis, problems: Sequence[Problem]) -> str:
 
 
 def _nothing_sent(result: Diagnosis) -> str:
-    """Return the sentence of a way on which nothing arrives that was sent; empty where there is none."""
+    """Return the sentence that nothing of what was sent on a way arrives; empty if there is no such way."""
     texts = (item.reason.partition(":")[0] for item in result.verdicts)
     wrong = next((text for text in texts if text.startswith(NOTHING_SENT[0]) and NOTHING_SENT[1] in text), "")
     return f"{wrong[:1].upper()}{wrong[1:]}. " if wrong else ""
 
 
 def _copies(result: Diagnosis, proven: int) -> str:
-    """Return the sentence of those that were copies, where the network doubled some of what was lost."""
+    """Return the sentence on copies, for losses among datagrams that the network doubled; empty if none."""
     least, most = result.messages_lost, result.messages_lost + result.messages_uncertain - result.uncertain
     number = f"{least:,} to {most:,}" if least < most else f"{most:,}"
     if not most and proven:
@@ -364,7 +366,7 @@ def _copies(result: Diagnosis, proven: int) -> str:
 
 
 def _counts(problems: Iterable[Problem], kind: str = "") -> list[str]:
-    """Return how many errors and warnings there are, as ``2 errors``."""
+    """Return the numbers of errors and warnings, as ``2 errors``."""
     graves = [item.severity for item in problems]
     return [
         plural(graves.count(severity), f"{kind}{severity.label}")
@@ -374,7 +376,7 @@ def _counts(problems: Iterable[Problem], kind: str = "") -> list[str]:
 
 
 def _lost(result: Diagnosis, proven: int) -> str:
-    """Return the sentence of what was lost: of one route, or of all together."""
+    """Return the sentence on the losses: of one route, or of all together."""
     rows = [row for row in result.balance if row.proven]
     noun, were = "commands" if all(row.link == "ci" for row in rows) else "messages", "were"
     if result.messages_lost < proven:
@@ -395,11 +397,13 @@ def _lost(result: Diagnosis, proven: int) -> str:
 
 
 def _parts(result: Diagnosis, proven: int, routes: int, shared: int) -> list[str]:
-    """Return how many of which were lost: the most by name, the rest together; none where none has a name.
+    """Return the losses of the routes that lost most, by name, and of the rest together; empty without names.
 
     Args:
-        routes: the number of those that lost some.
-        shared: the number lost that are of one of several.
+        result: the diagnosis.
+        proven: number of lost messages.
+        routes: number of routes that lost some.
+        shared: number of lost messages that belong to one of several routes.
     """
     lines = sorted((item for item in result.headlines if item.missing), key=lambda item: -item.missing)
     if len(lines) < routes or len(lines) > _NAMES + 1:
@@ -414,7 +418,7 @@ def _parts(result: Diagnosis, proven: int, routes: int, shared: int) -> list[str
 
 
 def _share(part: int, of: int, noun: str) -> str:
-    """Return a share in words."""
+    """Return a share in words, as ``Over half of the commands``."""
     share = part / of
     if part == 1:
         return f"One {noun}"
@@ -425,15 +429,15 @@ def _share(part: int, of: int, noun: str) -> str:
 
 
 def _fine(result: Diagnosis) -> str:
-    """Return what became of all that is in no problem, in a line."""
+    """Return one line about the messages that belong to no problem."""
     followed = (row for row in result.balance if row.came and (row.topic or row.msg_id is not None))
     fates = by_key(by_key(followed, lambda row: row.key).values(), _fate)
     arrived, unseen = fates.get("arrived", ()), fates.get("unseen", ())
     whole = plural(sum(rows[-1].out for rows in arrived), "message")
     others = sum(rows[-1].out for rows in (*arrived, *fates.get("open", ())))
-    here = (row for row in result.balance if row.hop != CAPTURE)  # frames that it lost are told by itself
+    here = (row for row in result.balance if row.hop != CAPTURE)  # its lost frames have a verdict
     open_ended = sum(row.waiting + row.not_captured + row.shared for row in here)
-    # What a network doubles it may also lose, and no count shows that.
+    # If the network doubles messages, it may also lose copies, and no counter shows that.
     hides = any(row.copies > row.sure_copies for row in result.balance)
     arrival = "arrived, as far as this capture shows." if _leaves_host(result) else "arrived."
     parts = []
@@ -451,13 +455,13 @@ def _fine(result: Diagnosis) -> str:
 
 
 def _leaves_host(result: Diagnosis) -> bool:
-    """Tell whether telemetry goes to another host, so that it may be seen here where it leaves cFS's."""
+    """Return whether telemetry goes to another host: the capture may only show it on the host of cFS."""
     ends = ([item[end].rpartition(":")[0] for end in ("sender", "receiver")] for item in result.routes)
     return any(sender != receiver and not receiver.startswith("127.") for sender, receiver in ends)
 
 
 def _fate(rows: Sequence[Row]) -> str:
-    """Return what became of the messages of a route, in a word."""
+    """Return one word for the messages of a route: ``lost``, ``open``, ``unseen`` or ``arrived``."""
     if any(row.proven for row in rows):
         return "lost"
     if any(row.out != row.came + row.duplicated for row in rows):
