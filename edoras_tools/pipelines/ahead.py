@@ -1,15 +1,15 @@
-"""Reads and decodes a file in another process, some batches ahead of what this one does with them.
+"""Reads and decodes a file in a second process, some batches ahead of the process that uses them.
 
-What depends on earlier batches keeps its one order: the file is read from its beginning to its end, by one
-process, and batches arrive one after the other. So nothing has to be put together, and all that is worked out
-is as with one process. The rules:
+Decoding depends on earlier batches. So one process reads the whole file in order, and batches arrive in
+order. No results have to be joined, and all results are those of a single process. The rules:
 
-1. The other process is at most ``_BATCHES`` batches ahead; then it waits. Memory does not grow with the file.
-2. A batch is valid until the next one is asked for. Its frames are in the memory that the file was read into,
-   which is used again only when no batch in it is in use (``io.processes``).
-3. What decoding adds (notes, the counts of the source) arrives with the batch after which it is known.
-4. The other process only begins to decode a batch (``ColumnDecoder.begin``) that would be waited for: what
-   follows from the batch alone is then done here, so that both have as much to do.
+1. The second process is at most ``_BATCHES`` batches ahead; then it waits. Memory does not grow with the
+   file.
+2. A batch is valid until the next one is requested. Its frames stay in the memory that the file was read
+   into, which is used again only when no batch in it is in use (``io.processes``).
+3. Notes and counts of the source arrive with the batch after which they are known.
+4. If this process already waits for a batch, the second one only begins to decode it
+   (``ColumnDecoder.begin``) and this process does the rest, so that both have the same amount of work.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch
 
     _Answer = tuple[PacketBatch | None, Columns | Begun | None, bytes, Exception | None]
-    """A batch, its columns, what is known after it, pickled; at the end why there are no more."""
+    """A batch, its columns, the state after it (pickled); at the end the error of the file, if any."""
 
 _BATCHES: Final = 5
-"""Batches that are ahead, so that neither waits where one batch takes longer than another."""
+"""Batches that may be ahead, so that neither process waits if one batch takes longer than another."""
 
 
 class Ahead(SourceOver):
     """A source that another process reads and decodes.
 
     Args:
-        source: a file; it is closed.
-        decoder: decodes it; only the other process's changes. Statistics are as of the last batch.
+        source: a file; closed at the end.
+        decoder: decoder for the file. Its statistics are those of the batch that was yielded last.
     """
 
     section = 0
@@ -55,20 +55,20 @@ class Ahead(SourceOver):
         self._workers: Workers | None = None
         self._decoded: tuple[PacketBatch, Columns | Begun] | None = None
         self._detected: tuple[Any, ...] | None = None
-        """As the other process had it at that batch."""
+        """Detected properties of the second process at that batch, if they changed; else None."""
         self._notes = slice(0, 0)
-        """Which of the decoder's notes are the other process's."""
+        """Slice of the context's notes that came from the second process."""
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams; see ``Source.batches``.
 
         Raises:
-            CaptureError: also where the other process was killed.
+            CaptureError: the file cannot be read, or the second process was killed.
         """
         first = len(self._decoder.context.notes)
         self._notes = slice(first, first)
         workers = self._start()
-        if workers is None:  # then this process reads it
+        if workers is None:  # there is no second process: this one reads the file
             yield from self._source.batches()
             return
         with closing(workers):
@@ -86,7 +86,7 @@ class Ahead(SourceOver):
             raise failure
 
     def decoded(self, batch: PacketBatch, decode: Callable[[PacketBatch], Columns]) -> Columns:
-        """Return the columns of the batch that was yielded last; what else it is given is decoded here."""
+        """Return the columns of the batch that was yielded last; any other batch is decoded here."""
         if self._decoded is None or self._decoded[0] is not batch:
             return decode(batch)
         decoded = self._decoded[1]
@@ -101,13 +101,13 @@ class Ahead(SourceOver):
         return columns
 
     def close(self) -> None:
-        """Close the file, and end the other process."""
+        """Close the file, and end the second process."""
         if self._workers is not None:
             self._workers.close()
         self._source.close()
 
     def _start(self) -> Workers | None:
-        """Start the other process, if there can be one."""
+        """Start the second process; None if it cannot be started."""
         killed = CaptureError(
             f"{self.info.name}: the process that read it was killed, perhaps because memory ran out; "
             "--jobs 1 reads it in one process"
@@ -121,7 +121,7 @@ class Ahead(SourceOver):
         return None if self._workers.full else self._workers
 
     def _adopt(self, state: bytes) -> None:
-        """Take over what the other process knows of the source, and what decoding added."""
+        """Adopt the state of the second process: counts of the source, notes, and detected properties."""
         counts, notes, described, detected, self.section = pickle.loads(state)  # noqa: S301  from our own process
         self._detected = detected or self._detected
         for name, value in counts.items():
@@ -134,7 +134,7 @@ class Ahead(SourceOver):
 
 
 class _Reader:
-    """The other process: reads, decodes, and hands over."""
+    """Work of the second process: it reads, decodes, and hands batches over."""
 
     def __init__(self, source: Source, decoder: ColumnDecoder) -> None:
         self._source, self._decoder = source, decoder
@@ -142,13 +142,13 @@ class _Reader:
         self._detected = decoder.context.detected
 
     def set_up(self, desk: Desk) -> None:
-        """Begin to read; into memory that the desk lends, if the source can."""
+        """Begin to read, into memory that the desk lends if the source supports this."""
         self._desk = desk
         self._source.borrow(desk.lend)
         self._batches = self._source.batches()
 
     def next(self) -> _Answer:
-        """Return the next batch, or the end."""
+        """Return the next batch, or the end of the file."""
         failure: Exception | None = None
         try:
             for batch in self._batches:
@@ -166,9 +166,9 @@ class _Reader:
         return detected._replace(part=None) if self._desk.awaited else self._decoder.finish(batch, detected)
 
     def _state(self) -> bytes:
-        """Return what is known so far; pickled, because it is kept longer than the batch."""
+        """Return the present state, pickled because it is kept longer than the batch."""
         context, statistics = self._decoder.context, self._source.statistics
-        notes = context.notes[self._notes :]  # all: what comes later may change one
+        notes = context.notes[self._notes :]  # all of them: a later batch may change one
         counts = asdict(statistics)
         detected = context.detected
         change = None if detected == self._detected else detected
@@ -177,9 +177,9 @@ class _Reader:
 
 
 def read_ahead(source: Source, decoder: ColumnDecoder, jobs: int) -> Source:
-    """Return a source that another process reads and decodes, or the source itself where one process does it.
+    """Return a source that a second process reads and decodes, or the source itself if one process is enough.
 
     Args:
-        jobs: how many processes share the work on a large file; 0: as many as there are free processor cores.
+        jobs: number of processes that share the work on a large file; 0: one for each free processor core.
     """
     return Ahead(source, decoder) if jobs_for(source, jobs) > 1 else source

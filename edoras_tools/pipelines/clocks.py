@@ -47,11 +47,11 @@ _MOST: Final = 1_000_000
 
 
 class Aligned(SourceOver):
-    """A source whose clock is corrected, and some of whose frames are left out.
+    """A source with corrected times, without the frames that another source also has.
 
     Args:
-        lines: how far its clock is ahead of another, that of a third, and so on up to the first's.
-        left_out: i64, numbers of frames, increasing.
+        lines: clock corrections to apply in order, the last of them to the first capture's clock.
+        left_out: i64 (n,), numbers of frames that are left out, increasing.
     """
 
     def __init__(self, source: Source, lines: Sequence[ClockLine], left_out: NDArray[np.int64]) -> None:
@@ -66,7 +66,7 @@ class Aligned(SourceOver):
         return [fault._replace(time_ns=at) for fault, at in zip(faults, times.tolist(), strict=True)]
 
     def narrow(self, period: Callable[[int], tuple[int, int]]) -> None:
-        """Pass nothing over: what is asked for is in the corrected time."""
+        """Skip nothing: the period is in corrected times, and the file has uncorrected ones."""
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield the remaining datagrams, with corrected times."""
@@ -95,7 +95,7 @@ class OneByOne(MergedSource):
     part = 0
 
     def host(self) -> list[HostCounters]:
-        """Return none: they are of one clock."""
+        """Return no host counters: they are valid on one clock only."""
         return []
 
     def batches(self) -> Iterator[PacketBatch]:
@@ -113,8 +113,9 @@ def open_aligned(
 ) -> tuple[Source, list[str]]:
     """Open several captures as one, with clocks aligned to the first; return it, and notes on the clocks.
 
-    They are aligned in order of time from the first on, however they are named: one that goes on where
-    another ended to that, else to the first or another one with which it has something in common.
+    Captures are aligned in order of time, starting with the first path. A capture that continues where
+    another one ended is aligned to that one, else to the first or to another one that shares packets or
+    times with it.
 
     Args:
         progress: shows the progress of reading the clocks and comparing them.
@@ -124,7 +125,7 @@ def open_aligned(
         ConfigError: a mission file has mistakes.
     """
     kinds = {path: is_cfe_file(path) and 1 + _holds_resets(path) for path in paths}
-    paths = sorted(paths, key=kinds.__getitem__)  # to captures' clocks
+    paths = sorted(paths, key=kinds.__getitem__)  # files of cFE last: they need the clocks of captures
     tables = [_recorded(path, settings, progress) for path in paths]
     sources = {0: open_file(paths[0])}
     alone: list[Source] = []
@@ -178,7 +179,7 @@ def open_aligned(
 def _nearest(
     path: Path, tables: Sequence[Side], at: int, aligned: Iterable[int]
 ) -> tuple[int, Alignment | None]:
-    """Return one of the captures that are aligned, and how the clock of another one stands to its."""
+    """Return the best aligned capture, and the alignment of another capture to it; None if none fits."""
 
     def fits(others: Iterable[int]) -> Iterator[tuple[int, Alignment]]:
         for other in others:
@@ -188,14 +189,14 @@ def _nearest(
 
     gaps_ns = {other: _gap_ns(tables[other], tables[at]) for other in aligned}
     to, shift = next(fits(sorted(gaps_ns, key=lambda other: abs(gaps_ns[other]) >= SEAM_NS)), (0, None))
-    if shift is not None and not len(shift.shared):  # what both have captured tells it best
+    if shift is not None and not len(shift.shared):  # packets in both captures give a better alignment
         beside = (other for other, gap_ns in gaps_ns.items() if other != to and gap_ns <= 0)
         return next((fit for fit in fits(beside) if len(fit[1].shared)), (to, shift))
     return to, shift
 
 
 def _holds_resets(path: Path) -> bool:
-    """Tell whether a file of cFE is a log of resets."""
+    """Return whether a cFE file is a reset log."""
     source = open_file(path)
     source.close()
     return bool(source.header["subtype"] == RESET_LOG)
@@ -204,7 +205,7 @@ def _holds_resets(path: Path) -> bool:
 def _placed(
     path: Path, paths: Sequence[Path], tables: Sequence[Side], set_back: dict[int, list[ClockLine]]
 ) -> tuple[Source, str]:
-    """Put a reset log on the clock of the first capture that has one boot of its cFS; say how."""
+    """Put a reset log on the clock of the first capture that shows one boot of its cFS; return a note too."""
     source, name = _of_cfe(path)
     most = 0
     for to, lines in set_back.items():
@@ -222,13 +223,13 @@ def _placed(
 
 
 def _of_cfe(path: Path) -> tuple[Source, str]:
-    """Return a file of cFE opened, and the name of its cFS."""
+    """Open a cFE file; return it with the name of its cFS."""
     source = open_file(path)
     return source, f"{source.header['spacecraft_id']}:{source.header['processor_id']}"
 
 
 def _not_placed(path: Path, name: str, boots: int) -> str:
-    """Tell why a file of a cFS is not on the clock of any capture; ``boots`` is how many of it one shows."""
+    """Return why a file is on the clock of no capture; ``boots``: most boots of its cFS in one capture."""
     if boots > 1:
         why = f"its cFS {name} was started {boots} times there, which fit equally"
     elif boots:
@@ -239,7 +240,7 @@ def _not_placed(path: Path, name: str, boots: int) -> str:
 
 
 def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Side:
-    gc.collect(0)  # what decoded the one before refers to itself: 1.5 MB in few objects
+    gc.collect(0)  # free the previous decoder, whose objects refer to each other: 1.5 MB
     source = open_file(path)
     try:
         bench = settings.workbench(source.info)
@@ -264,12 +265,15 @@ def _readable(source: Source) -> Iterator[PacketBatch]:
 
 
 def _is_one_clock(first: Side, second: Side, shift: Alignment) -> bool:
-    """Return whether two captures are of one clock, whatever was measured.
+    """Return whether two captures have the same clock, whatever was measured.
 
-    One may go on where the other ended, as files that are written in turn do: by their own times it begins
-    behind the other, and soon after it, or nothing tells that their clocks differ, or only mission times do,
-    and by more than clocks: cFS was started again. Or both are of one host, and packets wait longer than what
-    lies between their clocks.
+    One of these is true:
+
+    - One capture continues the other, as files that are written in turn do: its own times begin soon after
+    the
+      end of the other; or no difference of the clocks is certain; or only mission times differ, by more than
+      clocks can: cFS was restarted.
+    - Both are of the same host, and packets wait longer than the measured difference of the clocks.
     """
     gap_ns, may_be = _gap_ns(first, second), shift.low_ns <= 0 <= shift.high_ns
     if gap_ns < 0:
@@ -279,14 +283,14 @@ def _is_one_clock(first: Side, second: Side, shift: Alignment) -> bool:
 
 
 def _of_two_runs(first: Side, second: Side, shift: Alignment) -> bool:
-    """Return whether two captures are alike and not one run, as the same commands sent twice to the same cFS.
+    """Return whether two captures are similar but of different runs, as the same commands sent twice.
 
-    By their own clocks they do not overlap, by what they have in common they would; and what they have in
-    common is a boot's mission times, or packets without an identification that makes each another one.
+    By their own clocks they do not overlap; by their common data they would overlap. The common data are the
+    mission times of one boot, or packets without an IP identification that would distinguish them.
     """
     a, b = first.rows, second.rows
     same = np.isin(b.number, shift.shared)
-    # One that goes on where the other ended may be in which mission time went slower.
+    # In a capture that continues the other, mission time may only have run slower.
     near_ns = SEAM_NS * (not len(shift.shared))
     if (b.identification[same] != 0).sum() >= _LEAST or _gap_ns(first, second) <= near_ns:
         return False
@@ -295,14 +299,14 @@ def _of_two_runs(first: Side, second: Side, shift: Alignment) -> bool:
 
 
 def _is_beside(first: Side, second: Side) -> bool:
-    """Return whether two captures are of other conversations on loopback, as of two ports: of one clock."""
+    """Return whether two captures are of different conversations on loopback, so of one clock."""
     return bool(first.local and second.local) and first.local.isdisjoint(second.local)
 
 
 def _gap_ns(first: Side, second: Side, line: ClockLine | None = None) -> int:
-    """Return how long after one of two captures the other begins, or does where a line sets the second back.
+    """Return the time from the end of one of two captures to the begin of the other, ns.
 
-    It is negative where they overlap.
+    It is negative if they overlap. With a line, the second capture's times are corrected by it first.
     """
     (start, end), own = first.span, second.span
     begin, stop = own if line is None else line.set_back(np.array(own)).tolist()

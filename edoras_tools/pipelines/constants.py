@@ -1,4 +1,4 @@
-"""The constants of cFS that the command line says."""
+"""Constants of cFS from the command line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _TABLES: Final = {"to_limits": message_limits, "sbn_table": network_peers}
-"""The constants that are read from a file: an image of a table."""
+"""Constants that are read from a table image."""
 
 
 def read_constants(constants: Sequence[str]) -> dict[str, Any]:

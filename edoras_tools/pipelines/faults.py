@@ -248,7 +248,7 @@ def compiler(bench: Workbench) -> Callable[[str], Predicate]:
 
 
 def _end(link: Link, bench: Workbench) -> Endpoint:
-    """Return a destination that is read as this link: if possible a port that no other link claims."""
+    """Return a destination that is decoded as this link: if possible, a port that no other link claims."""
     context = bench.columns.context
     shared = np.flatnonzero(context.ports[link])
     alone = [port for port in shared if len(context.claimants[context.claim[port]]) == 1]

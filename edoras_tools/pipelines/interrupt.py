@@ -1,4 +1,4 @@
-"""Ends work cleanly at Ctrl-C: what was captured is written, what was counted is shown; and single keys.
+"""Ends work cleanly at Ctrl-C: captured data is written, and counts are shown. Also reads single keys.
 
 A signal handler runs in the main thread, between any two of its steps: if that thread holds a lock, a
 handler that needs the same lock waits for ever. ``stop`` may take locks (of an ``Event``, of a socket), so
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _SHOW_S: Final = 0.1
 _SWITCH_S: Final = 0.0002
-"""How long another thread may keep the interpreter while a datagram waits."""
+"""Longest time that another thread may hold the interpreter while a datagram waits."""
 
 
 _Run = TypeVar("_Run")
@@ -84,14 +84,14 @@ def on_interrupt(
 ) -> Iterator[threading.Event]:
     """Call ``stop`` at the first Ctrl-C, SIGTERM or SIGHUP; a second Ctrl-C or SIGTERM interrupts at once.
 
-    SIGHUP asks for a clean end, however often it is sent, and one SIGTERM after another signal does: who
-    closes a terminal or ends a group sends several. A SIGHUP that is ignored, as under ``nohup``, stays
-    ignored.
+    SIGHUP requests a clean end, however often it comes. So does one SIGTERM after another signal, because
+    closing a terminal or ending a process group sends several. A SIGHUP that is ignored, as under ``nohup``,
+    stays ignored.
 
     Args:
         stop: ends the work; called in a thread of its own.
-        patient: ignore second ones: a program that another one ends gets Ctrl-C from the terminal and
-            SIGTERM from the other program.
+        patient: ignore second signals: a program that another program ends gets Ctrl-C from the terminal and
+            SIGTERM from that program.
         in_handler: call ``stop`` inside the handler instead: it must take no lock, and may raise.
 
     Yields:
@@ -163,7 +163,7 @@ def interruptible(
     live, waiting = source.live, False
 
     def interrupt() -> None:
-        # Interrupt only the wait for more, never the work on a batch.
+        # Interrupt only the wait for the next batch, never the work on one.
         if waiting:
             raise KeyboardInterrupt
 

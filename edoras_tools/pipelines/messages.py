@@ -1,7 +1,7 @@
 """Opens captures and recordings; those without datagrams become a source of messages.
 
-The topics of such recordings are the routes of a mission made for them (``Mission.recorded``): whatever reads
-a capture by its routes reads them, too. They have no link and no MsgId.
+The topics of such recordings are the routes of a mission made for them (``Mission.recorded``). So all code
+that reads a capture by its routes reads them, too. They have no link and no MsgId.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
 
 _LATCHED: Final = re.compile(r"durability: *(1|transient_local)\b")
-"""By number or by name, as rosbag2 writes it."""
+"""The policy by number or by name, as rosbag2 writes it."""
 
 
 def open_inputs(paths: Sequence[Path], settings: Settings) -> tuple[Source, Workbench]:
@@ -59,11 +59,11 @@ def open_inputs(paths: Sequence[Path], settings: Settings) -> tuple[Source, Work
 def open_messages(
     paths: Sequence[Path], settings: Settings, refusal: NoDatagramsError
 ) -> tuple[Source, Workbench]:
-    """Open recordings without datagrams as one source of messages, and set up what reads them.
+    """Open recordings without datagrams as one source of messages, and set up the decoders for it.
 
     Args:
-        settings: where definitions come from that they do not hold.
-        refusal: what ``open_files`` said of one of them, which is not opened again: it may be a pipe.
+        settings: sources of the definitions that the recordings do not contain.
+        refusal: error of ``open_files`` for one of them, which is not opened again: it may be a pipe.
 
     Raises:
         CaptureError: one cannot be opened.
@@ -87,7 +87,7 @@ def _topic_files(path: Path, other: str) -> Sequence[Any]:
     """Return the files of a recording without datagrams.
 
     Raises:
-        ConfigError: it has datagrams, and the other one has none.
+        ConfigError: this recording has datagrams, and ``other`` has none.
     """
     try:
         open_file(path).close()
@@ -100,11 +100,11 @@ def _topic_files(path: Path, other: str) -> Sequence[Any]:
 
 
 def message_bench(topics: Sequence[RecordedTopic], settings: Settings) -> Workbench:
-    """Return what reads the messages of some topics.
+    """Return the workbench that reads the messages of some topics.
 
     Args:
-        topics: as they were recorded, by their number.
-        settings: where definitions come from that the recordings do not hold.
+        topics: recorded topics, in order of their number.
+        settings: sources of the definitions that the recordings do not contain.
 
     Raises:
         ConfigError: a folder of types has mistakes.
@@ -141,7 +141,7 @@ def message_bench(topics: Sequence[RecordedTopic], settings: Settings) -> Workbe
 
 
 def definition_of(topic: RecordedTopic) -> str:
-    """Return the ``ros2msg`` text of a topic's type; empty where the recording has none that can be read.
+    """Return the ``ros2msg`` text of a topic's type; empty if the recording has no readable one.
 
     Raises:
         ConfigError: its schema cannot be read.
@@ -156,13 +156,13 @@ def definition_of(topic: RecordedTopic) -> str:
 
 
 def _normal(kind: str, text: str) -> str:
-    """Return a definition without comments; as it is where it has mistakes."""
+    """Return a definition without comments; unchanged if it has mistakes."""
     types = TypeStore(definitions={kind: text})
     return types.definition(kind) if types.has(kind) else text
 
 
 def _unread(topic: RecordedTopic, types: TypeStore) -> str:
-    """Return why the fields of a topic's messages cannot be read; empty if they can."""
+    """Return the reason why the fields of a topic's messages cannot be read; empty if they can."""
     if topic.encoding == JSON_ENCODING:
         return "json, not cdr: shown and copied, without fields to select, plot or export"
     if topic.encoding != "cdr":

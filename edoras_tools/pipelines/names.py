@@ -1,4 +1,4 @@
-"""What a name that tables show stands for: a topic, a C struct, a MsgId, or a link's own message."""
+"""Finds the packets that a name of the tables stands for: a topic, C struct, MsgId, or message of a link."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
 
 PATTERN_SIGNS: Final = frozenset("*?[")
-"""What makes a name a shell pattern."""
+"""Characters that make a name a shell pattern."""
 
 
 class SampleTopics(msgspec.Struct, frozen=True):
-    """The samples on some topics that are announced, whether their types are known or not.
+    """Samples on some announced topics, whether their types are known or not.
 
     Attributes:
-        pattern: a shell pattern of the topics' names, as recordings have them.
+        pattern: shell pattern of the topics' names, as recordings have them.
         used: names of the mission's topics.
-        endpoints: what was announced so far.
-        announced: also the datagrams in which these topics were announced first.
+        endpoints: endpoints announced so far.
+        announced: whether the datagrams that first announced these topics also belong to them.
     """
 
     pattern: str
@@ -50,16 +50,16 @@ class SampleTopics(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, topic: str, context: Context) -> SampleTopics:
-        """Return the samples of one topic that is announced."""
+        """Return the samples of one announced topic."""
         used = frozenset(route.topic for route in context.mission.routes)
         return cls(_recorded_as(topic, used), used, context.endpoints)
 
     def holds(self, topic: str) -> bool:
-        """Tell whether an announced topic is one of them."""
+        """Return whether an announced topic is one of them."""
         return fits_topic(_recorded_as(topic, self.used), self.pattern)
 
     def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
-        """Return which rows of a batch have such a sample."""
+        """Return which rows of a batch have such a sample: bool (rows,)."""
         rows_on = np.zeros(len(batch), bool)
         for link in (item for item in table.links() if item.samples):
             rows = np.flatnonzero(columns.link == link)
@@ -73,13 +73,13 @@ class SampleTopics(msgspec.Struct, frozen=True):
 
 
 class PacketKinds(msgspec.Struct, frozen=True):
-    """Some kinds of packets.
+    """A set of packets, as the union of the attributes.
 
     Attributes:
         routes: indices of configured routes.
-        keys: MsgIds, and the function codes of commands.
-        kinds: a link's code, and its own message type, as ``links.table.message_kinds`` has it.
-        samples: topics that are announced.
+        keys: MsgIds, with function codes for commands.
+        kinds: pairs of a link's code and its own message type, as ``links.table.message_kinds`` has it.
+        samples: samples on announced topics.
     """
 
     routes: frozenset[int] = frozenset()
@@ -92,16 +92,16 @@ class PacketKinds(msgspec.Struct, frozen=True):
 
     @property
     def only_samples(self) -> bool:
-        """Whether announced topics are all that is meant."""
+        """Whether the set has samples on announced topics, and nothing else."""
         return bool(self.samples) and not (self.routes or self.keys or self.kinds)
 
     def with_announcements(self) -> PacketKinds:
-        """Return these, and of announced topics also the datagrams that announce them."""
+        """Return the set with the datagrams that announce its topics."""
         return replace(self, samples=tuple(replace(item, announced=True) for item in self.samples))
 
     @classmethod
     def any(cls, several: Iterable[PacketKinds]) -> PacketKinds:
-        """Return what at least one of several stands for."""
+        """Return the union of several sets."""
         kinds = list(several)
         return cls(
             frozenset().union(*(item.routes for item in kinds)),
@@ -111,7 +111,7 @@ class PacketKinds(msgspec.Struct, frozen=True):
         )
 
     def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
-        """Return which rows of a batch are meant."""
+        """Return which rows of a batch are in the set: bool (rows,)."""
         mask = np.isin(columns.route, list(self.routes))
         mask |= np.isin(columns.msg_id, [key.msg_id for key in self.keys if key.function_code is None])
         for key in self.keys:
@@ -130,21 +130,21 @@ class PacketKinds(msgspec.Struct, frozen=True):
         return mask
 
     def has_sample_topic(self, topic: str) -> bool:
-        """Return whether samples on an announced topic are meant."""
+        """Return whether samples on an announced topic are in the set."""
         return any(item.holds(topic) for item in self.samples)
 
     def shares_samples(self, other: PacketKinds) -> bool:
-        """Return whether some topic that was announced is meant by both."""
+        """Return whether both sets have samples on a common announced topic."""
         topics = {name for item in self.samples for name in item.endpoints.topics()}
         return any(self.has_sample_topic(name) and other.has_sample_topic(name) for name in topics)
 
     def types(self, mission: Mission) -> set[str]:
-        """Return the types of all their messages; nothing where some have none that the mission names."""
+        """Return the types of all messages; empty if some have no type in the mission."""
         routed = not (self.keys or self.kinds or self.samples)
         return {mission.routes[index].type for index in self.routes} if routed else set()
 
     def msg_ids(self, mission: Mission) -> set[int]:
-        """Return the MsgIds that are meant."""
+        """Return the MsgIds of the set."""
         return {mission.routes[index].msg_id for index in self.routes} | {key.msg_id for key in self.keys}
 
 
@@ -158,7 +158,7 @@ def fits_topic(topic: str, pattern: str) -> bool:
 
 
 def _fitting(topics: Iterable[str], pattern: str) -> frozenset[int]:
-    """Return the places of the topics that match a shell pattern."""
+    """Return the indices of the topics that match a shell pattern."""
     fits = _matcher(pattern)
     return frozenset(place for place, topic in enumerate(topics) if fits(topic))
 
@@ -170,21 +170,21 @@ def _matcher(pattern: str) -> Callable[[str], object]:
 
 
 def find_packets(pattern: str, context: Context) -> PacketKinds:
-    """Return what a name stands for: a topic, a MsgId, or a name that tables show, e.g. ``SBN_HEARTBEAT``.
+    """Return the packets of a name: a topic, a MsgId, or a name that tables show, e.g. ``SBN_HEARTBEAT``.
 
     Args:
         pattern: topics and names may be shell patterns.
-        context: knows the mission and the C structs.
+        context: has the mission and the C structs.
 
     Raises:
-        RouteError: it stands for nothing; with what was perhaps meant.
+        RouteError: the name has no packets; the text suggests a similar name.
     """
     name, routes = pattern.upper(), context.mission.routes
     if context.mission.recorded:
         return _recorded(pattern, [route.topic for route in routes])
     structs = [item for item in context.structs.all if fits_topic(item.topic, pattern)]
     keys = [item.key for item in structs if item.key.port != 0]
-    own = [item.name.upper() for item in structs if item.key.port == 0]  # what the robot link calls them
+    own = [item.name.upper() for item in structs if item.key.port == 0]  # names of the robot link
     of_known = context.msg_ids.of_known
     keys += [Key(of_known(value)) for value, label in MSG_ID_NAMES.items() if fnmatchcase(label, name)]
     if (value := _number(pattern)) is not None:
@@ -202,10 +202,10 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
 
 
 def packets_of(pattern: str, context: Context, spacecraft: int) -> PacketKinds:
-    """Return what a name stands for of one spacecraft; nothing where it names another one's topic.
+    """Return the packets of a name on one spacecraft; none if it is a topic of another spacecraft.
 
     Raises:
-        RouteError: it stands for nothing at all.
+        RouteError: the name has no packets at all.
     """
     name = split_topic(pattern)[0]
     own = context.mission.number_of(name) if name else spacecraft
@@ -230,7 +230,11 @@ def _no_packet(pattern: str, context: Context) -> RouteError:
 
 
 def _recorded(pattern: str, topics: Sequence[str]) -> PacketKinds:
-    """Return which topics of a recording without datagrams a name stands for."""
+    """Return the topics of a recording without datagrams that match a name.
+
+    Raises:
+        RouteError: there is none.
+    """
     places = _fitting(topics, pattern)
     if not places:
         near = did_you_mean(f"/{pattern.removeprefix('/')}", topics, 1)

@@ -14,18 +14,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _FINEST: Final = 0.1
-"""Seconds of the parts in which messages are counted."""
+"""Seconds of one interval in which messages are counted."""
 _BARS: Final = 100
-"""Values of a rate, at most."""
+"""Most values of a rate."""
 _MOST_PARTS: Final = 1_000_000
-"""Places that messages are spread over."""
+"""Most intervals that spans of messages are spread over."""
 
 
 class RateCounts(msgspec.Struct):
-    """How many messages there were, by time.
+    """Number of messages over time.
 
     Attributes:
-        spread: messages of which only a span of time is known; they are counted evenly over it.
+        spread: number of messages with a span instead of a time; they are counted evenly over it.
     """
 
     spread: int = 0
@@ -36,8 +36,8 @@ class RateCounts(msgspec.Struct):
         """Add messages.
 
         Args:
-            seconds: their times.
-            numbers: how many each row stands for; one by default.
+            seconds: times of the messages, s.
+            numbers: number of messages of each row; one by default.
         """
         parts, places = np.unique(np.floor(seconds / _FINEST).astype(np.int64), return_inverse=True)
         self._parts.append(parts)
@@ -46,14 +46,14 @@ class RateCounts(msgspec.Struct):
     def add_spans(
         self, begin: NDArray[np.float64], end: NDArray[np.float64], numbers: NDArray[np.int64]
     ) -> None:
-        """Add messages of which only is known between which two times they were.
+        """Add messages with a span of time instead of a time.
 
-        Beyond a day they are placed less finely: a clock that is set on the way gives spans of decades.
+        Spans beyond a day use coarser intervals: a clock that was set during a run gives spans of decades.
 
         Args:
-            begin: from when, s.
-            end: until when, s; not before ``begin``.
-            numbers: how many each row stands for.
+            begin: starts of the spans, s.
+            end: ends of the spans, s; not before ``begin``.
+            numbers: number of messages of each row.
         """
         first, last = (np.floor(item / _FINEST).astype(np.int64) for item in (begin, end))
         exact = first == last
@@ -80,18 +80,18 @@ class RateCounts(msgspec.Struct):
 
     @property
     def total(self) -> int:
-        """All of them."""
+        """Number of all messages."""
         return round(sum(float(part.sum()) for part in self._numbers))
 
     def line(self, recording: int, span: tuple[float, float], width: float, label: str = "") -> PlotLine:
-        """Return how many there were per second.
+        """Return the messages per second over time.
 
         Args:
-            recording: place of the recording.
-            span: the time that is drawn.
-            width: seconds over which a rate is the mean, a multiple of 0.1; the last mean is over what is
-                left, half as long to one and a half times.
-            label: in the legend.
+            recording: index of the recording.
+            span: first and last time of the chart, s.
+            width: seconds of one mean, a multiple of 0.1; the last mean covers the rest, 0.5 to 1.5 times as
+                long.
+            label: label in the legend.
         """
         begin = math.floor(span[0] / _FINEST + 1e-9) * _FINEST
         count = max(1, round((span[1] - begin) / width))
@@ -106,7 +106,7 @@ class RateCounts(msgspec.Struct):
 
 
 def bar_seconds(span: tuple[float, float], most: int = _BARS) -> float:
-    """Return the seconds over which a rate is the mean: a round number, at most so many in a span."""
+    """Return the seconds of one mean: a round number that divides a span into at most ``most`` parts."""
     least = max((span[1] - span[0]) / most, _FINEST)
     unit = 10.0 ** math.floor(math.log10(least) + 1e-9)
     return next(unit * factor for factor in (1, 2, 5, 10) if unit * factor >= least * (1 - 1e-9))

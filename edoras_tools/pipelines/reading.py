@@ -44,22 +44,22 @@ if TYPE_CHECKING:
 
 
 _ENDING_NS: Final = SECOND // 4
-"""After Ctrl-C, what has arrived is shown for so long; the rest is counted."""
+"""Time after Ctrl-C in which arrived packets are still shown; the rest is only counted."""
 _NEVER_NS: Final = 1 << 63
 _DOORS: Final = "rows", "unwrapper", "follow"
-"""Of a link, to what puts together, takes out and counts what several datagrams say."""
+"""Methods of a link that join, unpack, or count the contents of several datagrams."""
 _NO_CLOCK_NS: Final = 946_684_800 * SECOND
-"""The year 2000: a machine whose clock shows less has not set it."""
+"""The year 2000: an earlier time shows that the clock was not set."""
 
 
 class Limits(msgspec.Struct, frozen=True):
-    """Which part of a source is read.
+    """The part of a source that is read.
 
     Attributes:
         count: maximum number of selected datagrams; 0 for all.
-        duration_ns: how long to read; 0: to the end. Of a live source all that arrives in this time is read.
-        clock: monotonic time in ns.
-        period: which datagrams are yielded; all are decoded.
+        duration_ns: reading time; 0: to the end. A live source still yields all that arrived in this time.
+        clock: function that returns monotonic time, ns.
+        period: period of the datagrams that are yielded; all are decoded.
     """
 
     count: int = 0
@@ -73,20 +73,20 @@ class ReadLoop:
     """A source that is being read; can be iterated once.
 
     Attributes:
-        source: where datagrams come from.
+        source: source of the datagrams.
         bench: mission, types and decoders.
-        selection: which datagrams; already prepared for the bench.
-        limits: when to end.
-        examined: datagrams outside this period are not decoded; only what is announced there is learnt.
+        selection: selection of datagrams, already prepared for the bench.
+        limits: conditions of the end.
+        examined: period outside which datagrams are not decoded; only announcements there are learnt.
         keeps_failure: keep the error that ended the source in ``failure``, instead of raising it.
-        conversations: of all that was read, if they are followed, else of what is on ports of no link; a
-            batch is added before it is yielded.
-        failure: why the source ended early, if it did.
+        conversations: conversations of all traffic if they are followed, else of traffic on ports of no
+            link; a batch is added before it is yielded.
+        failure: error that ended the source early, if any.
         begin_ns: time of the first datagram; None before it.
-        first_ns: earliest time of a datagram, also of one outside; None before.
-        last_ns: latest time of a datagram, also of one outside; -1 before.
+        first_ns: earliest time of any datagram, also outside ``examined``; None before the first.
+        last_ns: latest time of any datagram, also outside ``examined``; -1 before the first.
         outside: number of datagrams outside ``examined``.
-        part: number of the run, or of the clock, of the last batch: nothing goes on from one to the next.
+        part: number of the run, or of the clock, of the last batch: no state continues from one to the next.
     """
 
     source: Source
@@ -120,19 +120,19 @@ class ReadLoop:
         return self._interrupt.is_set()
 
     def note(self) -> None:
-        """Add to the context's notes what conversations say of datagrams that are shown."""
+        """Add notes on the conversations of shown datagrams to the context."""
         context = self.bench.columns.context
         context.notes += self.conversations.notes(keep_all=True)
         context.unnamed = self.conversations.unnamed
 
     def gives_up(self, at_hand: int) -> bool:
-        """Return whether to show no more: after Ctrl-C, where that would take long; a note then says so.
+        """Return whether to stop showing packets after Ctrl-C, because the rest takes long; note it then.
 
         Args:
-            at_hand: rows at hand that are not shown yet.
+            at_hand: number of rows that are read and not yet shown.
 
         Raises:
-            InterruptError: after Ctrl-C, of a file or pipe.
+            InterruptError: Ctrl-C came, and the source is a file or pipe.
         """
         if not self.interrupted:
             return False
@@ -170,7 +170,7 @@ class ReadLoop:
             if examined:
                 batch = whole.take(examined.holds(whole.time_ns - begin_ns))
                 self.outside += len(whole) - len(batch)
-                bench.columns.learn(whole)  # what is announced before the period names what is in it
+                bench.columns.learn(whole)  # announcements before the period name the topics in it
             columns = self.source.decoded(batch, bench.columns.decode)
             for own in self._own_rows.of(columns):
                 batch, columns = own.take(batch, columns, bench.columns.decode)
@@ -188,7 +188,7 @@ class ReadLoop:
             if limits.duration_ns and limits.clock() - began >= limits.duration_ns:
                 if not self.source.live:
                     return
-                self.source.stop()  # what arrived until now is still read
+                self.source.stop()  # packets that have arrived are still read
         for own in self._own_rows.by_link.values():
             bench.columns.context.notes += own.notes()
         if self.first_ns is not None and self.first_ns < _NO_CLOCK_NS <= self.last_ns:
@@ -200,7 +200,7 @@ class ReadLoop:
             raise outside(self.source.info.name, self.begin_ns, self.last_ns)
 
     def _follow(self, batch: PacketBatch, columns: Columns, in_time: NDArray[np.bool_] | None) -> None:
-        """Follow the runs, and the conversations of the time that is asked for."""
+        """Follow the runs of a batch, and the conversations in the requested time."""
         if self._runs:
             self.part = self._runs.add(batch, columns)
         if batch.recorded is not None:

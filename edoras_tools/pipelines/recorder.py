@@ -114,13 +114,13 @@ class Tee(Sink):
 
 
 class Recorded(NamedTuple):
-    """What was recorded.
+    """The result of a recording.
 
     Attributes:
-        datagrams: how many.
-        routes: their counts by route, in the shape of ``info --json``.
+        datagrams: number of recorded datagrams.
+        routes: counts by route, in the shape of ``info --json``.
         losses: outputs that were removed while they were written.
-        display: what clients were shown, in the form of ``proxy --json``; None without one.
+        display: messages shown to clients, in the form of ``proxy --json``; None without clients.
     """
 
     datagrams: int = 0
@@ -165,11 +165,11 @@ class _Writer:
 
     @property
     def wait_s(self) -> float | None:
-        """How long nothing has to be done, in s; None: as long as no page comes."""
+        """Time until the next work, s; None: until the next page comes."""
         return self._flushing.wait_s
 
     def look(self) -> None:
-        """Flush if it is time."""
+        """Flush if it is due."""
         self._flushing.look()
 
     def write(self, page: _Page) -> None:
@@ -191,7 +191,7 @@ class _Writer:
         columns = self._bench.columns.decode(batch)
         self._sink.write(batch, columns)
         self._flushing.took(batch)
-        self._flushing.look()  # first of all: the rest may wait
+        self._flushing.look()  # first: the rest can wait
         if self._tap is not None:
             self._tap(batch, columns)
         self._ledger.add(batch, columns)
@@ -202,10 +202,10 @@ class _Writer:
 
 
 class _WriterApart:
-    """The same in a second process.
+    """A ``_Writer`` in a second process.
 
     Raises:
-        OSError: there can be none.
+        OSError: the process cannot be started.
     """
 
     wait_s = None
@@ -227,7 +227,7 @@ class _WriterApart:
             raise
 
     def look(self) -> None:
-        """Do nothing: the other process flushes in time."""
+        """Do nothing: the second process flushes in time."""
 
     def write(self, page: _Page) -> None:
         self._run("write", pickle.PickleBuffer(pickle.dumps(page, protocol=5)))
@@ -240,7 +240,7 @@ class _WriterApart:
             self._workers.close()
 
     def _run(self, name: str, *values: Any) -> None:
-        """Let the other process do something, and wait until it is done."""
+        """Let the second process run a method, and wait until it is done."""
         self._workers.submit(name, *values)
         failure, recorded = self._workers.take()
         self.recorded = recorded or self.recorded
@@ -249,7 +249,7 @@ class _WriterApart:
 
 
 class _Service:
-    """A writer in the forked process: flushes in time; after a failure it writes nothing, and repeats it."""
+    """A writer in the second process: flushes in time; after a failure it only repeats the failure."""
 
     def __init__(self, begin: Callable[[], _Writer]) -> None:
         self._begin = begin
@@ -280,7 +280,7 @@ class _Service:
         return None if self._failure else self._writer.wait_s
 
     def _close(self, kernel_drops: int = 0) -> tuple[Exception | None, Recorded | None]:
-        """Complete the recording, once; also where the other process ended without asking for it."""
+        """Complete the recording, once; also if the first process ended without a request."""
         writer, self._writer = self._writer, None
         if writer is None:
             return self._failure, None
@@ -291,7 +291,7 @@ class _Service:
         return self._failure, writer.recorded
 
     def _attempt(self, work: Callable[..., None], *values: Any) -> None:
-        """Do something unless something failed before, and keep the failure."""
+        """Run a function unless an earlier one failed, and keep the failure."""
         if self._failure is None:
             try:
                 work(*values)
@@ -300,7 +300,7 @@ class _Service:
 
 
 def _writer_apart(begin: Callable[[], _Writer], path: Path | None) -> _Writer | _WriterApart:
-    """Return a writer in a second process, or in this one if there can be none."""
+    """Return a writer in a second process, or in this one if that cannot be started."""
     try:
         return _WriterApart(begin, path)
     except OSError:
@@ -311,12 +311,12 @@ class RelayRecorder:
     """Records what a proxy or bridges forward.
 
     Args:
-        target: what to write; None: only show.
+        target: output; None: only show.
         name: name of the source, for the recording's metadata.
-        kind: kind of the source, likewise: ``proxy``, ``bridge``, ``demo``.
+        kind: kind of the source, for the metadata: ``proxy``, ``bridge``, ``demo``.
         tap: called with every batch, on the recorder's thread.
-        show: makes a sink that clients watch from the source's info and statistics.
-        apart: a second process decodes and writes, where there can be one; ``recorded`` is known at the end.
+        show: function of the source's info and statistics that makes a sink for watching clients.
+        apart: decode and write in a second process, if possible; ``recorded`` is known at the end.
 
     Attributes:
         missed: datagrams that were not recorded, because the recorder was too slow or failed.
@@ -342,7 +342,7 @@ class RelayRecorder:
         self.missed = 0
         self.failure: EdorasError | None = None
         begin = partial(_Writer, target, bench, SourceInfo(name, kind), tap, show)
-        self._ending = mmap(-1, 1)  # a second process sees it too
+        self._ending = mmap(-1, 1)  # shared with the second process
         self._opened = ExitStack()
         if target:
             patience = Patience(target.on_warning, lambda: self._ending[0] > 0)
@@ -362,7 +362,7 @@ class RelayRecorder:
 
     @property
     def recorded(self) -> Recorded:
-        """What was recorded; by a second process: how many datagrams, and the rest once it has ended."""
+        """The result; with a second process only the number of datagrams, and the rest once it has ended."""
         return self._writer.recorded
 
     @property
@@ -435,7 +435,7 @@ class RelayRecorder:
         self._attempt(lambda: self._writer.close(self._kernel_drops))
 
     def _attempt(self, work: Callable[[], None]) -> None:
-        """Do something, and keep the first failure."""
+        """Run a function, and keep the first failure."""
         failure: EdorasError | None = None
         try:
             work()

@@ -1,9 +1,11 @@
-"""Tells whether files are one run or several.
+"""Decides whether files are one run or several.
 
-1. Files that overlap in time, or of which one begins at most 2 s behind the others, are one run.
-2. Files of which one begins when all before it have ended are two runs where a cFS in both was started anew
-   between them: capture time minus mission time is another one. So a recording in parts is one.
-3. Where nothing shows a boot in both, they are one.
+Rules:
+
+1. Files are one run if they overlap in time, or if each begins at most 2 s after the end of those before it.
+2. A file that begins later is another run if a cFS in it and before it restarted in between: the difference
+   of capture time and mission time changed. So the parts of one recording are one run.
+3. Files that show no common cFS are one run.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch
 
 APART_NS: Final = 5 * SECOND
-"""Boots are further apart than this, clocks of hosts are not."""
+"""Least difference between two boots; clocks of hosts differ by less."""
 _NOTE: Final = (
     "{} runs: between their files cFS was started anew and nothing was captured; each is counted and judged "
     "by itself, and rates leave out the time between"
@@ -39,7 +41,7 @@ class RunCounter:
         self._boots: dict[int, Integers] = {}
 
     def add(self, batch: PacketBatch, columns: Columns) -> int:
-        """Take the source's last batch; return the number of its run, or of its clock, from 0."""
+        """Add the source's last batch; return the number of its run, or of its clock, from 0."""
         if not len(batch):
             return self._part
         if self._source.section != self._section:
@@ -58,12 +60,12 @@ class RunCounter:
         return self._part
 
     def notes(self) -> list[str]:
-        """Return that there are several runs, in a line."""
+        """Return one line that there are several runs; empty for one run."""
         return [_NOTE.format(self._restarts + 1)] if self._restarts else []
 
 
 def _boots(batch: PacketBatch, columns: Columns) -> dict[int, Integers]:
-    """Return capture time minus mission time, to the second, of what has a time, by who sent it."""
+    """Return capture time minus mission time of packets with a time, rounded down to s, in ns, by sender."""
     sent = among(columns.link, lambda link: link.from_cfs and link.packets)
     rows = np.flatnonzero(sent & (columns.mission_time_ns > 0))
     offset = batch.time_ns[rows] - columns.mission_time_ns[rows]

@@ -29,18 +29,18 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Workbench
 
 _BEFORE_NS: Final = 3600 * SECOND
-"""A clock time without a date may be this much before the capture, or an end before the start; an earlier one
-is of the next day."""
+"""Longest time that a clock time without a date may be before the capture, or an end before the start; an
+earlier clock time is one of the next day."""
 
 
 class ClockTime(msgspec.Struct, frozen=True):
-    """A time of the clock.
+    """A clock time from the command line.
 
     Attributes:
-        text: as it was written.
-        clock_ns: since midnight.
-        day: its date; None for the first such time of a capture.
-        zone: where it is read; None for this machine's zone.
+        text: text as it was written.
+        clock_ns: time since midnight, ns.
+        day: date; None for the first such time of a capture.
+        zone: time zone; None for this machine's zone.
     """
 
     text: str
@@ -49,10 +49,10 @@ class ClockTime(msgspec.Struct, frozen=True):
     zone: tzinfo | None = UTC
 
     def first(self, earliest_ns: int) -> int:
-        """Return it in ns since 1970; without a date, the first such time that is not earlier.
+        """Return the time, ns since 1970; without a date, the first such time not before ``earliest_ns``.
 
         Raises:
-            ConfigError: no date can be given to that time.
+            ConfigError: the time cannot be given a date.
         """
         try:
             day = self.day or datetime.fromtimestamp(earliest_ns // SECOND, self.zone).date()
@@ -74,12 +74,12 @@ class Period(msgspec.Struct, frozen=True):
     """The datagrams between two times; by default all.
 
     Attributes:
-        start_ns: ns after the first datagram; earlier ones are left out. With 0 also those are in that are
-            older than the first one.
-        end_ns: those from this time on are left out; 0 for none.
-        start: a time of the clock instead of ``start_ns``; :meth:`since` replaces it.
-        end: likewise.
-        length_ns: instead of an end, how long after the start; 0 for none.
+        start_ns: start in ns after the first datagram. With 0, datagrams with an earlier time than the first
+            one are included.
+        end_ns: end in ns after the first datagram, not included; 0 for none.
+        start: clock time that replaces ``start_ns``; :meth:`since` resolves it.
+        end: clock time that replaces ``end_ns``; :meth:`since` resolves it.
+        length_ns: length of the period, in place of an end, ns; 0 for none.
 
     Raises:
         ConfigError: the end is not after the start.
@@ -103,8 +103,8 @@ class Period(msgspec.Struct, frozen=True):
     def since(self, begin_ns: int) -> Period:
         """Return the period in ns after a capture's first datagram.
 
-        A clock time without a date is looked for from an hour before the first datagram; an end, from an hour
-        before the start.
+        The search for a clock time without a date begins one hour before the first datagram; for an end, one
+        hour before the start.
 
         Raises:
             ConfigError: the end is not after the start, or not after the first datagram.
@@ -127,7 +127,7 @@ class Period(msgspec.Struct, frozen=True):
     @overload
     def holds(self, since_ns: NDArray[np.int64]) -> NDArray[np.bool_]: ...
     def holds(self, since_ns: int | NDArray[np.int64]) -> bool | NDArray[np.bool_]:
-        """Return which times after the first datagram are in the period, as ``since`` returns it."""
+        """Return which times, in ns after the first datagram, are in a period that ``since`` returned."""
         assert self.start is self.end is None, "since() knows when the clock shows these times"
         after = (since_ns >= self.start_ns) | (not self.start_ns)
         return after & ((since_ns < self.end_ns) | (not self.end_ns))
@@ -151,12 +151,12 @@ class Selection(msgspec.Struct, frozen=True):
 
     Attributes:
         links: only these links.
-        msg_ids: only these MsgIds, or what a name that tables show stands for.
+        msg_ids: only these MsgIds, or names that tables show.
         topics: only these topics, shell patterns, or names that tables show.
         notable: only datagrams with one of these finding bits.
-        where: only datagrams that pass this filter; it is applied by what :meth:`over` returns.
-        announced: of topics of DDS, also the datagrams that announce them: without these a recording would
-            not name them.
+        where: only datagrams that pass this filter; the result of :meth:`over` applies it.
+        announced: also the datagrams that announce selected DDS topics: a recording needs them to name the
+            topics.
     """
 
     links: Sequence[Link] = ()
@@ -192,7 +192,7 @@ class Selection(msgspec.Struct, frozen=True):
                 "--where, --start and --end"
             )
         by_craft = cache(partial(self._packets_named, context))
-        by_craft(FIRST_SPACECRAFT)  # its errors are those of every other
+        by_craft(FIRST_SPACECRAFT)  # raises the errors that every spacecraft would raise
         selection = replace(self, _packets_by_craft=by_craft)
         if not self.where:
             return selection
@@ -201,7 +201,7 @@ class Selection(msgspec.Struct, frozen=True):
         return replace(selection, _filter=Where(self.where, context))
 
     def _packets_named(self, context: Context, spacecraft: int) -> Sequence[PacketKinds]:
-        """Return what the names stand for of a spacecraft: each has its own topics."""
+        """Return the packets that the names stand for on a spacecraft: each spacecraft has its own topics."""
         groups = [[hex(item) if isinstance(item, int) else item for item in self.msg_ids], self.topics]
         packets = [
             PacketKinds.any(packets_of(name, context, spacecraft) for name in names)
@@ -215,11 +215,11 @@ class Selection(msgspec.Struct, frozen=True):
         return self.packets_of(FIRST_SPACECRAFT)
 
     def packets_of(self, spacecraft: int) -> Sequence[PacketKinds]:
-        """Return the packets of a spacecraft that are named, of what :meth:`over` returned."""
+        """Return the named packets of a spacecraft; only the result of :meth:`over` has them."""
         return self._packets_by_craft(spacecraft) if self._packets_by_craft else ()
 
     def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
-        """Return which rows are selected, without regard to the filter."""
+        """Return which rows are selected, without applying the filter: bool (rows,)."""
         mask = np.ones(len(columns), bool)
         if self.links:
             mask &= np.isin(columns.link, [int(link) for link in self.links])
@@ -232,9 +232,9 @@ class Selection(msgspec.Struct, frozen=True):
         return mask
 
     def by_heads(self, mission: Mission) -> Choice | None:
-        """Return what tells by link and MsgId which datagrams may be selected; None: all may be.
+        """Return a function that says by link and MsgId which datagrams may be selected; None if all may be.
 
-        It is of what :meth:`over` returned. Samples of DDS are not told so.
+        Only the result of :meth:`over` has it. DDS samples cannot be selected this way.
         """
         if not (self.links or self._packets) or any(key.port for item in self._packets for key in item.keys):
             return None
@@ -249,7 +249,7 @@ class Selection(msgspec.Struct, frozen=True):
         )
 
     def places(self) -> frozenset[int] | None:
-        """Return the routes that are named, of what :meth:`over` returns; None where none is."""
+        """Return the indices of the named routes, None without names; for a result of :meth:`over`."""
         return frozenset.intersection(*(item.routes for item in self._packets)) if self._packets else None
 
     def about(
@@ -260,13 +260,13 @@ class Selection(msgspec.Struct, frozen=True):
         samples: str = "",
         spacecraft: int = FIRST_SPACECRAFT,
     ) -> bool:
-        """Return whether a link's label and a MsgId are selected, without regard to the filter.
+        """Return whether a link's label and a MsgId are selected, without applying the filter.
 
         Args:
-            link: None if it is not about a single link.
-            msg_id: None if it is not about a single MsgId.
-            samples: the topic, if it is about samples of DDS, which have no MsgId.
-            spacecraft: its number.
+            link: label of the link; None for anything that is not about a single link.
+            msg_id: MsgId; None for anything that is not about a single MsgId.
+            samples: topic of DDS samples, which have no MsgId; else empty.
+            spacecraft: number of the spacecraft.
         """
         if self.links and link not in {item.label for item in self.links}:
             return False
@@ -275,13 +275,13 @@ class Selection(msgspec.Struct, frozen=True):
         return all(msg_id in packets.msg_ids(mission) for packets in self.packets_of(spacecraft))
 
     def rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
-        """Return the indices of the selected rows; only what :meth:`over` returns can tell them."""
+        """Return the indices of the selected rows; for a result of :meth:`over`, or an empty selection."""
         assert self._packets_by_craft or not self, "over() finds what names stand for, and the filter"
         rows = np.flatnonzero(self.mask(batch, columns))
         return rows if self._filter is None else rows[self._filter.mask(batch, columns, rows)]
 
     def apply(self, batch: PacketBatch, columns: Columns) -> tuple[PacketBatch, Columns]:
-        """Return the selected rows of both."""
+        """Return the selected rows of a batch and of its columns."""
         if not self:
             return batch, columns
         rows = self.rows(batch, columns)

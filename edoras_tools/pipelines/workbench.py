@@ -1,4 +1,4 @@
-"""What every pipeline needs: the mission, the types and the decoders that share them."""
+"""The objects that every pipeline needs: the mission, the types, and the decoders that share them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Workbench(msgspec.Struct, frozen=True, eq=False, dict=True):
         mission: the routes and links.
         types: the ROS types.
         columns: decodes batches.
-        unwrappers: take packets out of what carries them, by their link.
+        unwrappers: objects that take packets out of the frames that carry them, by link.
     """
 
     mission: Mission
@@ -56,22 +56,22 @@ class Workbench(msgspec.Struct, frozen=True, eq=False, dict=True):
         return Dissector(self.columns.context)
 
     def with_headers(self, headers: Headers) -> Workbench:
-        """Return one for packets with the headers of another build, and its MsgIds."""
+        """Return a workbench for packets with the headers and MsgIds of another build."""
         old = self.columns.context
         mission, options = self.mission.numbered(headers.msg_ids), old.options.with_headers(headers)
         structs = old.structs if headers.msg_ids is old.msg_ids else None
         return _bench(mission, self.types, Context(mission, self.types, options, structs))
 
     def fresh(self, paths: Sequence[Path] = ()) -> Workbench:
-        """Return the same for another source: nothing is read again, and nothing decoded yet is known.
+        """Return an equal workbench for another source: no file is read again, and no decoder state is kept.
 
         Args:
-            paths: of the source, as ``Settings.workbench`` has it.
+            paths: files of the source, see ``Settings.workbench``.
         """
         return _let_look(self.with_mission(self.mission), paths)
 
     def with_mission(self, mission: Mission) -> Workbench:
-        """Return one with another mission, for another source."""
+        """Return a workbench with another mission, for another source."""
         old = self.columns.context
         return _bench(mission, self.types, Context(mission, self.types, old.options, old.structs))
 
@@ -83,10 +83,10 @@ class Settings(msgspec.Struct, frozen=True):
         configs: mission files.
         distro: ROS distribution whose message definitions are used.
         msg_paths: folders with more ``.msg`` and ``.idl`` files.
-        options: how to read the bytes.
+        options: decoding options.
         structs: layouts of C structs; they take precedence over cFE's own.
-        constants: of cFS, by name; they take precedence over those of mission files.
-        ros_args: words after ``--ros-args``, which hold for all mission files.
+        constants: constants of cFS by name; they take precedence over those of mission files.
+        ros_args: words after ``--ros-args``, which apply to all mission files.
     """
 
     configs: Sequence[Path] = ()
@@ -101,9 +101,10 @@ class Settings(msgspec.Struct, frozen=True):
         """Load the mission, the types and the layouts.
 
         Args:
-            info: of the source. A recording's mission files and struct layouts are used if none are named,
-                its decoding options if none are given, its message definitions before the distribution's.
-            paths: of the source: announced topics that are asked for are looked up in these first.
+            info: info of the source. A recording's mission files and struct layouts are used if none are
+                named, its decoding options if none are given, its message definitions before the
+                distribution's.
+            paths: files of the source; announced topics are looked up in these first.
 
         Raises:
             ConfigError: a mission, a type folder or an option has errors.
@@ -152,7 +153,7 @@ def _bench(mission: Mission, types: TypeStore, context: Context) -> Workbench:
 
 
 def _let_look(bench: Workbench, paths: Sequence[Path]) -> Workbench:
-    """Let decoders look ahead in files, where these can be read twice."""
+    """Let decoders look ahead in the files, if these can be read twice."""
     if paths and all(path.is_file() or path.is_dir() for path in paths):
         context = bench.columns.context
         context.look_ahead = partial(_announced_in, paths)
@@ -161,7 +162,7 @@ def _let_look(bench: Workbench, paths: Sequence[Path]) -> Workbench:
 
 
 def _spacecraft_in(paths: Sequence[Path], bench: Workbench) -> dict[int, int]:
-    """Return the number of each address of cFS in captures; of as much as can be read of them."""
+    """Return the number of the spacecraft of each address of cFS in captures, as far as they can be read."""
     survey, own = Survey(bench.columns.context.spacecraft), bench.fresh()
     own.columns.settle()
     own.columns.context.spacecraft.settled = True
@@ -179,7 +180,7 @@ def _spacecraft_in(paths: Sequence[Path], bench: Workbench) -> dict[int, int]:
 
 
 def _announced_in(paths: Sequence[Path]) -> Endpoints:
-    """Return what participants announce in captures; as much as can be read of them."""
+    """Return the announcements of DDS participants in captures, as far as they can be read."""
     decoder = ColumnDecoder(Context())
     with suppress(CaptureError), closing(open_files(paths)) as source:
         for batch in source.batches():

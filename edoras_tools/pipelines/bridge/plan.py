@@ -92,12 +92,12 @@ class StationPlan(msgspec.Struct, frozen=True):
 
 
 class BridgePlan(msgspec.Struct, frozen=True):
-    """What to run.
+    """The bridges to run.
 
     Attributes:
         stations: the bridges, at least one.
         types: the ROS types.
-        settings: as given.
+        settings: settings of the command line.
         notes: errors and doubtful settings, one line each.
     """
 
@@ -107,7 +107,7 @@ class BridgePlan(msgspec.Struct, frozen=True):
     notes: tuple[str, ...] = ()
 
     def workbench(self) -> Workbench:
-        """Set up what a recording of all bridges needs.
+        """Return the workbench for a recording of all bridges.
 
         Raises:
             ConfigError: two bridges use one MsgId on one kind of link; a recording cannot distinguish them.
@@ -122,8 +122,8 @@ class BridgePlan(msgspec.Struct, frozen=True):
 def qos_of(route: Route) -> Qos:
     """Return the quality of service of a topic.
 
-    What a file leaves out is what each publisher offers, of a topic to cFS; of one from cFS it is reliable
-    and transient local, as in the public bridges. The depth is 10 instead of 1.
+    A policy that the file leaves out: for a topic to cFS, whatever each publisher offers; for a topic from
+    cFS, reliable and transient local, as in the public bridges. The depth is 10 instead of their 1.
     """
     wish, usual = route.handling, None if route.to_cfs else True
     return Qos(
@@ -203,7 +203,7 @@ class _Judge:
     """Decides which routes can be bridged, and why the others cannot.
 
     Attributes:
-        refusals: why routes are left out, one line each.
+        refusals: reasons for leaving routes out, one line each.
     """
 
     def __init__(self, types: TypeStore, notes: list[str]) -> None:

@@ -39,19 +39,19 @@ if TYPE_CHECKING:
 
 _QUEUE_BYTES: Final = 4 << 20
 _TURNS: Final = 4
-"""How often a busy socket is read before the other bridges run."""
+"""Times that a busy socket is read before the other bridges run."""
 _COUNT_NS: Final = 500_000_000
 
 
 class BridgeContext(msgspec.Struct, frozen=True):
-    """What all bridges of a process share.
+    """Objects that all bridges of a process share.
 
     Attributes:
         plan: the plan of all bridges.
-        request: from the command line.
-        join: opens the graph for a node's name.
+        request: settings from the command line.
+        join: function that opens the graph for a node's name.
         inbox: the queue of messages from the graph.
-        buffer: for datagrams.
+        buffer: buffer for datagrams.
         say: called with each note for the user.
     """
 
@@ -206,7 +206,7 @@ class Station:
         return sum(item.overwritten for item in self._states.values())
 
     def _look(self) -> None:
-        """Ask how the topics are connected; note what is new, once."""
+        """Read how the topics are connected, and report each change once."""
         before, self._states = self._states, {**self._states, **self._graph.states()}
         drops, self._dropped = self._dropped, max(self._graph.dropped(), self._dropped)
         if self._dropped and not drops:
@@ -251,7 +251,7 @@ class Station:
         return {**row, "qos": qos, "missed": state.missed, "overwritten": state.overwritten}
 
     def _topics(self, number: int, inbox: Inbox) -> tuple[list[Route], list[Callable[[bytes], None]]]:
-        """Join the topics; return the routes that could be joined, and what publishes on each."""
+        """Join the topics; return the routes that could be joined, and a publish function for each."""
         routes: list[Route] = []
         publish: list[Callable[[bytes], None]] = []
         failure: EdorasError | None = None

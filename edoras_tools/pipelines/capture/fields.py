@@ -26,14 +26,14 @@ def column_texts(
     joined by commas.
 
     Args:
-        columns: what ``decode.where.fields`` returned.
+        columns: result of ``decode.where.fields``.
         clean: makes text from packets safe for the output.
     """
     return [_column(rows, fields, clean) for _, fields in columns]
 
 
 def is_number(column: Column) -> bool:
-    """Return whether a column is to be aligned right."""
+    """Return whether a column is aligned right."""
     return all(
         field.kind in {ValueKind.NUMBER, ValueKind.DURATION} and not field.many and not field.names
         for field in column[1]

@@ -1,11 +1,12 @@
-"""When what was taken live goes to the file, so that a killed recorder loses at most a second.
+"""Writes live traffic to the file in time, so that a killed recorder loses at most one second.
 
-Rules that it keeps:
+Rules:
 
-1. A datagram's age counts from its capture: who is behind flushes after every batch, not a while later.
-2. What is measured with two clocks can be wrong by a step of one of them: age moves a flush forward only.
-3. With nothing to write there are flushes too, once a second: sinks look at their files then.
-4. What waited for more is flushed as soon as it is written.
+1. The age of a datagram counts from its capture: a recorder that is late flushes after every batch.
+2. Ages compare two clocks, and a step of one of them makes them wrong. So an age can only make a flush
+   earlier.
+3. The sink is flushed once a second even without data, because a sink then checks its files.
+4. Batches that waited for others are flushed as soon as they are written.
 """
 
 from __future__ import annotations
@@ -79,21 +80,21 @@ def join(parts: Sequence[tuple[PacketBatch, Columns]]) -> tuple[PacketBatch, Col
 
 
 FLUSH_NS: Final = 200_000_000
-"""How old what is not in the file may get; a fifth of the promise, so that there is time to write it."""
+"""Largest age of data that is not in the file: a fifth of the guaranteed second, to leave time to write."""
 _QUIET_NS: Final = 350_000_000
-"""How long small batches may wait for each other, of which the first may be ``FLUSH_NS`` old."""
+"""Longest time that small batches wait for others; the first may already be ``FLUSH_NS`` old."""
 _SMALL: Final = 256 << 10
-"""Bytes of batches that wait, at the most."""
+"""Size from which waiting batches are written, bytes."""
 _SWIFT: Final = 16 << 20
-"""Bytes in that time from where on flushing is left out: it waits, and chunks fill by themselves."""
+"""Bytes since the last flush from which no flush is needed, because chunks fill up by themselves."""
 
 
 class Waiting:
-    """Batches that are written as one: each costs a millisecond, however small it is.
+    """Joins small batches before they are written: each written batch costs a millisecond.
 
     Args:
-        patient: whether batches wait for each other while little arrives, for a recorder that nobody watches.
-        clock: monotonic time in ns.
+        patient: whether batches wait for others while little arrives; for a recorder that nobody watches.
+        clock: function that returns monotonic time, ns.
     """
 
     def __init__(self, *, patient: bool, clock: Callable[[], int] = time.monotonic_ns) -> None:
@@ -102,7 +103,7 @@ class Waiting:
         self._bytes = self._since = 0
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch of at least one row."""
+        """Add a batch of at least one row."""
         if not self._parts:
             self._since = self._clock()
         self._parts.append((batch, columns))
@@ -110,22 +111,22 @@ class Waiting:
 
     @property
     def waits(self) -> bool:
-        """Whether there is anything, and it may still wait."""
+        """Whether there are batches, and they may still wait."""
         waits = self._patient and self._bytes < _SMALL and self._clock() - self._since < _QUIET_NS
         return bool(self._parts) and waits
 
     def take(self) -> tuple[PacketBatch, Columns] | None:
-        """Return what waits, as one batch; None where nothing does."""
+        """Return the waiting batches as one; None if there are none."""
         parts, self._parts, self._bytes = self._parts, [], 0
         return join(parts) if parts else None
 
 
 class Flushing:
-    """Flushes a sink in time; ``look`` is to be called several times in ``FLUSH_NS``.
+    """Flushes a sink in time; ``look`` must be called several times per ``FLUSH_NS``.
 
     Args:
-        clock: monotonic time in ns.
-        wall: time in ns since 1970; None where datagrams were not captured just now.
+        clock: function that returns monotonic time, ns.
+        wall: function that returns ns since 1970; None if the datagrams are not captured live.
     """
 
     def __init__(
@@ -140,22 +141,22 @@ class Flushing:
 
     @property
     def wait_s(self) -> float:
-        """How long nothing has to be done, in s."""
+        """Time until the next flush, s."""
         return max(0, self._due - self._clock()) / 1e9
 
     def took(self, batch: PacketBatch) -> None:
-        """Note what the sink has taken."""
+        """Record that the sink got a batch."""
         if len(batch):
             age = max(0, self._wall() - int(batch.time_ns[0])) if self._wall else 0
             self.noted(age)
             self._bytes += int(batch.frame_length.sum())
 
     def noted(self, age_ns: int = 0) -> None:
-        """Note that the sink has taken something that is so old."""
+        """Record that the sink got data of an age."""
         self._due = min(self._due, self._clock() + FLUSH_NS - age_ns)
 
     def look(self) -> None:
-        """Flush if it is time.
+        """Flush if it is due.
 
         Raises:
             CaptureError: the output cannot be written.

@@ -1,4 +1,4 @@
-"""The kernel's counters of this host while a link is recorded, and what to change where they show a loss."""
+"""The kernel's counters of this host while a link is recorded, and the advice that follows from losses."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from edoras_tools.model import HostCounters
 
 ENOUGH_BYTES: Final = 4 << 20
-"""A socket's buffer that holds some seconds of what these links carry."""
+"""Size of a socket buffer that holds some seconds of these links' traffic."""
 ENOUGH_MESSAGES: Final = 256
-"""Depth of a message queue that no pipe of cFS exceeds."""
+"""Depth of a message queue that is not less than that of any pipe of cFS."""
 MUCH_STEAL: Final = 0.05
 
 
@@ -43,12 +43,12 @@ class HostWatch:
 
 
 def steal(host: HostCounters) -> float | None:
-    """Return the share of processor time that the machine's own host kept; None where it is not known."""
+    """Return the share of processor time that the hypervisor took; None if unknown."""
     return host.steal_ticks / host.cpu_ticks if host.steal_ticks is not None and host.cpu_ticks else None
 
 
 def advice(host: HostCounters) -> Iterator[str]:
-    """Yield what to change, each with why; a command is the end of its line."""
+    """Yield advice with its reason, one line each; a command is at the end of its line."""
     dropped = sum(item.drops for item in host.sockets)
     if dropped and host.rmem_default is not None and host.rmem_default < ENOUGH_BYTES:
         yield (

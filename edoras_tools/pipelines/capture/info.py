@@ -69,7 +69,7 @@ class Counting:
 
 
 def _recorded_counts(source: Source, bench: Workbench) -> CaptureReport | None:
-    """Return what the recorder counted and ``Counting`` would count again; None where that is not known."""
+    """Return the counts that the recorder saved, if ``Counting`` would count the same; else None."""
     context = bench.columns.context
     if context.structs.dictionary is not None or not (reads_by_heads(source, bench) and source.info.sound):
         return None
@@ -98,7 +98,7 @@ def inspect(
         source: where datagrams come from; it is closed.
         selection: which datagrams; all by default.
         watcher: called with the report after every batch.
-        jobs: how many processes share the work, see ``read_ahead``; what selects is asked in one.
+        jobs: number of processes that share the work, see ``read_ahead``; the selection is applied in one.
 
     Raises:
         RouteError: the selection names a topic that is not configured.

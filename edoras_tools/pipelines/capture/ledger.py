@@ -34,15 +34,15 @@ if TYPE_CHECKING:
 LONGEST_NOTE: Final = 300
 """Characters of a note on a topic that cannot be read."""
 _TOLD_NS: Final = MILLISECOND
-"""When several processors capture, packets that are some microseconds apart may come in any order."""
+"""Least jump back in time that a note reports: several capturing processors cause smaller ones."""
 _HALF: Final = 20
 _LARGE_NS: Final = 1 << 43
-"""Squares of larger intervals are summed one by one; of smaller ones 130,000 fit into 64 bits."""
+"""Larger intervals are squared and summed one by one; 130,000 squares of smaller ones fit into 64 bits."""
 _LABELS: Final = [item.label for item in Finding]
 _UNFIT: Final = Finding.CDR_INVALID | Finding.CDR_TOO_LONG
-"""What says that a message is not of its route's type."""
+"""Findings of messages that are not of their route's type."""
 _SAMPLES: Final = 8
-"""Messages of a route that are kept, each once."""
+"""Different messages kept for each route."""
 
 
 @cache
@@ -54,12 +54,28 @@ def _bits(findings: int) -> tuple[tuple[np.uint32, str], ...]:
 class Account(msgspec.Struct):
     """The counts of one stream: a MsgId (or SBN message type) of a processor of a spacecraft on a link.
 
-    Times are ns. ``interval_squares`` is in ns squared, exact, so that it does not depend on the batches.
-    ``kind`` is the link's own message type, -1 for none.
-    ``newest_ns`` is the time of the message that came last, ``longest_ns`` the longest between two.
-    ``codes`` counts commands by function code, where each has a struct of its own.
-    ``sequences`` has the sequence counts of each sender. ``pauses`` is how often it began again in another
-    run, ``paused_ns`` the times between, and ``pausing`` whether the next message does.
+    Attributes:
+        link: link of the stream.
+        processor_id: ProcessorID of the cFS.
+        msg_id: MsgId; ``NO_MSG_ID`` for none.
+        kind: the link's own message type; -1 for none.
+        spacecraft: number of the spacecraft.
+        route: index into the mission's routes; negative for none.
+        count: number of messages.
+        first_ns: time of the earliest message, ns.
+        last_ns: time of the latest message, ns.
+        newest_ns: time of the message that came last in the file, ns.
+        interval_squares: sum of the squared intervals, ns squared; exact, so independent of the batches.
+        longest_ns: longest interval between two messages, ns.
+        sequences: sequence counts of each sender.
+        bytes_min: size of the smallest message.
+        bytes_max: size of the largest message.
+        bytes: size of all messages together.
+        findings: number of messages by finding.
+        codes: commands by function code, if each has its own struct.
+        pauses: number of further runs in which the stream began again.
+        paused_ns: time between the runs, ns.
+        pausing: whether the next message begins another run.
     """
 
     link: Link
@@ -96,7 +112,7 @@ class Account(msgspec.Struct):
 
     @property
     def reordered(self) -> int:
-        """Packets that came late."""
+        """Packets that came after a packet with a higher sequence count."""
         return sum(item.reordered for item in self.sequences)
 
     @property
@@ -115,25 +131,25 @@ class Account(msgspec.Struct):
 
     @property
     def _intervals(self) -> tuple[int, int]:
-        """How many times there are between two messages, and their sum, ns."""
+        """Number of intervals between two messages, and their sum, ns."""
         return self.count - 1 - self.pauses, self.last_ns - self.first_ns - self.paused_ns
 
     @property
     def key(self) -> tuple[int, ...]:
-        """What no other account has, in the order of rows."""
+        """Key of the account, unique, in the order of table rows."""
         return self.spacecraft, int(self.link), self.msg_id, self.processor_id, self.kind
 
     def as_json(self) -> list[Any]:
-        """Return plain values, from which ``of_json`` makes an account that says the same."""
+        """Return plain values from which ``of_json`` makes an equal account."""
         values = [getattr(self, name) for name in _PLAIN]
         return [int(self.link), *values, [self.gaps, self.duplicates, self.reordered], self.findings]
 
     @classmethod
     def of_json(cls, values: list[Any]) -> Account:
-        """Return the account of some values.
+        """Return the account for values of ``as_json``.
 
         Raises:
-            ValueError: they are none of ours; so do ``TypeError`` and ``AttributeError``.
+            ValueError: the values are not those of an account; also ``TypeError`` and ``AttributeError``.
         """
         link, *plain, (gaps, duplicates, reordered), findings = values
         numbers = dict(zip(_PLAIN, plain, strict=True))
@@ -147,18 +163,18 @@ class Account(msgspec.Struct):
 
 _UNSAID: Final = {"link", "spacecraft", "sequences", "findings", "codes", "pauses", "paused_ns", "pausing"}
 _PLAIN: Final = [name for name in Account.__struct_fields__ if name not in _UNSAID]
-"""The numbers of an account; of a recording that says them there is one spacecraft."""
+"""Fields that are written as plain numbers; a recording that contains them has one spacecraft."""
 _TOTALS: Final = "datagrams", "start_ns", "end_ns", "behind", "behind_ns"
 
 
 class _UnfitMessages:
-    """The first messages of each route that are not of its type, as CDR with its encapsulation."""
+    """Samples of each route's messages that are not of its type, as CDR with encapsulation."""
 
     def __init__(self) -> None:
         self._samples: dict[int, dict[bytes, None]] = {}
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Keep what a batch has of them."""
+        """Keep samples from a batch."""
         unfit = columns.findings & np.uint32(_UNFIT) != 0
         if not unfit.any():
             return
@@ -170,11 +186,11 @@ class _UnfitMessages:
                 samples[batch.data[start : start + int(columns.cdr_length[row])].tobytes()] = None
 
     def line(self, place: int, route: Route, count: int, types: TypeStore) -> str:
-        """Return what is said of a route of which no message is of its type.
+        """Return the line about a route of which no message is of its type.
 
         Args:
-            place: of the route in ``Mission.routes``.
-            count: of its messages.
+            place: index of the route in ``Mission.routes``.
+            count: number of its messages.
         """
         from edoras_tools.ros.fitting import types_that_fit
 
@@ -209,16 +225,16 @@ class Ledger:
     """The accounts of a whole capture.
 
     Args:
-        site: of the decoder, where links count what is in their datagrams; None: they do not.
-        sequences: shared with others that see the same batches; by default its own.
-        structs: what name packets that no route names.
+        site: site of the decoder, if links count the contents of their datagrams; else None.
+        sequences: sequence counts shared with other users of the same batches; by default own ones.
+        structs: structs that name packets without a route.
 
     Attributes:
-        followers: what links count of themselves.
-        sequences: their sequence counts.
-        listed: routes that have a row also without a message.
-        several: whether a spacecraft behind the first was met.
-        taken_out: of the datagrams, packets that were taken out of transfer frames.
+        followers: the links' own counts.
+        sequences: sequence counts of the streams.
+        listed: indices of routes that have a row even without a message.
+        several: whether the mission or the capture has more than one spacecraft.
+        taken_out: number of rows that are packets from transfer frames.
         behind: datagrams whose time is before that of the previous one.
         behind_ns: maximum by which the time runs back.
     """
@@ -234,7 +250,7 @@ class Ledger:
         self._structs = structs
         self.followers = table.LinkStates(lambda link: None if site is None else link.follow(site))
         self._counted: dict[Link, int] = {}
-        """How many of a follower's sequence counts belong to accounts."""
+        """Number of a follower's sequence counts that already belong to accounts."""
         self.accounts: dict[tuple[int, ...], Account] = {}
         self.sequences = sequences or SequenceCounts()
         self._types = site.types if site is not None else None
@@ -242,7 +258,7 @@ class Ledger:
         self.listed: Sequence[int] = ()
         self.several = len(mission.spacecraft) > 1
         self._known = 0
-        """How many of its streams belong to accounts."""
+        """Number of streams in ``sequences`` that already belong to accounts."""
         self.datagrams = 0
         self.taken_out = 0
         self.start_ns = 0
@@ -252,12 +268,12 @@ class Ledger:
         self._newest_ns = 0
 
     def as_json(self) -> dict[str, Any]:
-        """Return plain values, from which ``adopt`` takes the same counts; without those of links."""
+        """Return plain values from which ``adopt`` restores the counts, except the links' own counts."""
         accounts = [self.accounts[key].as_json() for key in sorted(self.accounts)]
         return {**{name: getattr(self, name) for name in _TOTALS}, "accounts": accounts}
 
     def adopt(self, text: str) -> bool:
-        """Take over counts that another one wrote, as JSON; return whether they are such."""
+        """Restore counts from JSON of another ledger; return whether they are valid for this mission."""
         try:
             values = json.loads(text)
             totals = [int(values[name]) for name in _TOTALS]
@@ -276,7 +292,7 @@ class Ledger:
         return True
 
     def _fits(self, account: Account) -> bool:
-        """Return whether an account may be of this mission."""
+        """Return whether an account is possible in this mission."""
         return account.route < len(self.mission.routes) and NO_MSG_ID <= account.msg_id < 1 << 16
 
     def tally(self, batch: PacketBatch) -> None:
@@ -302,10 +318,10 @@ class Ledger:
         self.tally(batch)
         if not len(batch):
             return
-        # Messages of a recording have no MsgId: there the topic is what tells streams apart.
+        # Messages of a recording without datagrams have no MsgId: their topic identifies the stream.
         own = table.message_kinds(columns, batch.length) if batch.recorded is None else columns.route
         order, fresh = self.sequences.order(batch, columns)
-        # Of one link and MsgId only what has none is of several kinds.
+        # Only packets without a MsgId have several kinds on one link.
         if not (has_id := columns.msg_id[order] != NO_MSG_ID).all():
             unnamed = order[~has_id]
             kind = columns.link[unnamed].astype(np.uint32) << 9 | (own[unnamed] + 1).astype(np.uint16)
@@ -336,7 +352,7 @@ class Ledger:
         self._follow(batch, columns)
 
     def _count_codes(self, columns: Columns) -> None:
-        """Count the commands whose function code says which struct of a layout they hold."""
+        """Count commands by function code, where the function code selects the struct."""
         for msg_id in self._structs.shared if self._structs else ():
             rows = np.flatnonzero(columns.msg_id == msg_id)
             parts = columns.spacecraft, columns.link, columns.processor_id, columns.function_code
@@ -346,7 +362,7 @@ class Ledger:
                 self._account(columns, -1, row).codes[int(columns.function_code[row])] += count
 
     def _follow(self, batch: PacketBatch, columns: Columns) -> None:
-        """Let links count; the account of a link's datagrams has the sequence counts in them."""
+        """Let links count; their sequence counts are added to the account of the link's datagrams."""
         for follower in self.followers.of(columns):
             follower.add(batch, columns)
         for link, follower in self.followers.by_link.items():
@@ -357,13 +373,13 @@ class Ledger:
                 self._counted[link] = len(counts)
 
     def separate(self) -> None:
-        """Begin another run: no rate, gap or order goes on from what was counted."""
+        """Begin another run: rates, gaps and order start again."""
         for account in self.accounts.values():
             account.pausing = True
         self.sequences, self._known = SequenceCounts(), 0
 
     def summary(self) -> dict[str, Any]:
-        """Return what links counted of themselves, for ``info --json``."""
+        """Return the links' own counts, for ``info --json``."""
         return {
             name: value
             for follower in self.followers.by_link.values()
@@ -392,7 +408,7 @@ class Ledger:
 
     @property
     def unread(self) -> list[str]:
-        """How many messages of a recording cannot be read, and why, a line for each topic."""
+        """Lines about unreadable messages of a recording, with number and reason, one for each topic."""
         return [
             printable(
                 f"{self.mission.routes[account.route].topic}: {plural(account.count, 'message')}: {why}",
@@ -487,7 +503,7 @@ class Ledger:
         return self.mission.of(account.spacecraft) if self.several else self.mission
 
     def _own(self, account: Account) -> Mapping[str, Bound]:
-        """Return the structs of a layout that packets without a route hold, by their topic."""
+        """Return the layout structs that packets without a route may contain, by topic."""
         if account.route >= 0 or account.msg_id == NO_MSG_ID or self._structs is None:
             return {}
         structs = self._structs.under(self.mission.prefix(account.spacecraft))
@@ -530,7 +546,7 @@ class Ledger:
 
 
 def _squares(times_apart: Integers, starts: Integers) -> list[int]:
-    """Return the sum of the squares of each stretch of intervals, exactly: each in two halves."""
+    """Return the exact sum of squares of each group of intervals, computed in two halves of bits."""
     large = np.flatnonzero((times_apart >= _LARGE_NS) | (times_apart <= -_LARGE_NS))
     small = times_apart
     if len(large):

@@ -1,7 +1,7 @@
-"""Packets as ``sniff --json`` prints them: from their layers, or many texts at once from columns.
+"""Packets as ``sniff --json`` prints them: from the layers of one packet, or many at once from columns.
 
-A text is a template with what is the same in all packets of a kind, filled with the texts of the columns that
-differ. The rules that this file keeps:
+A text is a template with the parts that all packets of a kind share, filled with the texts of the columns
+that differ. The rules:
 
 1. Both ways give the same bytes; ``tests/pipelines/capture/test_packet_json.py`` compares them.
 2. From columns come the packets that :mod:`edoras_tools.decode.contents` reads from columns, on links whose
@@ -45,19 +45,19 @@ if TYPE_CHECKING:
     from edoras_tools.wire.layout import Layout
 
     Texts = str | Sequence[Any]
-    """JSON texts of a column, one a row, or the one of all rows; integers are texts as they are."""
+    """JSON texts of a column: one for each row, or one for all rows; integers stand for their own text."""
     Path = tuple[str, ...]
     Parts = Mapping[Path, Texts]
-    """The values of an object by their path; those of one object follow each other."""
+    """Values of an object by their path; the values of one inner object are adjacent."""
 
 _IN_HEAD: Final = 6
-"""How many values of a packet are in front of those that follow from its bytes."""
+"""Number of a packet's values in front of those that are decoded from its bytes."""
 _ABOUT: Final = ("topic", "type", "message")
 _INSIDE: Final = (
     (cfe.EVENT_MSG_ID, cfe.EVENT),
     (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING),
 )
-"""Packets of which one more layer is shown, and the layer."""
+"""Packets that are shown with one more layer, and the layer."""
 
 
 def as_json(decoded: Decoded) -> dict[str, Any]:
@@ -87,7 +87,7 @@ def as_json(decoded: Decoded) -> dict[str, Any]:
 
 
 def _layers(decoded: Decoded) -> dict[str, Any]:
-    """Return the fields of each layer by its name; of those of DDS a second one is ``rtps_data#2``."""
+    """Return the fields of each layer by its name; a second DDS layer of one name is ``rtps_data#2``."""
     by_name: dict[str, Any] = {}
     count: Counter[str] = Counter()
     for layer in decoded.layers:
@@ -114,7 +114,7 @@ class PacketTexts:
         self._contents = Contents(context, _tail, _tails)
 
     def of(self, rows: ColumnRows) -> list[str]:
-        """Return the text of each row, in order: ``as_json`` without spaces, behind ``schema``."""
+        """Return the text of each row, in order: ``as_json`` without spaces, starting behind ``schema``."""
         if rows.batch.recorded is not None:
             return self._of_messages(rows)
         links = {code: _text(link.label) for code, link in links_of(rows).items()}
@@ -156,12 +156,12 @@ def _text(value: Any) -> str:
 
 
 def _tail(decoded: Decoded) -> str:
-    """Return the text of what follows from a packet's bytes, without the brace in front."""
+    """Return the text of the values that are decoded from a packet's bytes, without the brace in front."""
     return _text(dict(list(as_json(decoded).items())[_IN_HEAD:]))[1:]
 
 
 def _tails(rows: ColumnRows) -> list[str | None]:
-    """Return the same of rows, None for those that have to be dissected."""
+    """Return ``_tail`` of each row from columns; None for rows that must be dissected."""
     out: list[str | None] = [None] * len(rows)
     recorded = rows.batch.recorded is not None
     shapes = None if recorded else _Shapes(rows)
@@ -188,15 +188,15 @@ def _tails(rows: ColumnRows) -> list[str | None]:
 
 
 class _Shapes:
-    """Which layers rows have, of those whose packets are read to their end.
+    """The layers of rows whose packets are read to their end.
 
     Attributes:
-        known: bool (n,), rows whose layers columns tell.
+        known: bool (n,), rows whose layers the columns determine.
     """
 
     def __init__(self, rows: ColumnRows) -> None:
         self._rows = rows
-        envelopes = [*rows.context.envelopes, None]  # the last is that of no route
+        envelopes = [*rows.context.envelopes, None]  # the last stands for no route
         self._start, header = rows.column("packet_offset"), rows.column("header_length")
         self._body = self._start + header
         size = rows.column("packet_length") - header
@@ -209,7 +209,7 @@ class _Shapes:
             inside = (rows.column("msg_id") == msg_ids.of_known(standard)) & (size >= layout.size) & bare
             self._inside[inside] = number
         enclosed = rows.column("cdr_length") > 0
-        places = {item: place for place, item in enumerate(ENVELOPE_FORMATS, 1)}  # own ones are not told
+        places = {item: place for place, item in enumerate(ENVELOPE_FORMATS, 1)}  # 0: the mission's own
         formats = np.array([places.get(item, 0) if item else 0 for item in envelopes])
         self._envelope = np.where(enclosed, formats[rows.routes()], 0)
         sizes = np.array([0, *(item.size for item in ENVELOPE_FORMATS)])
@@ -219,7 +219,7 @@ class _Shapes:
         self._command = msg_ids.is_command(rows.column("msg_id"))
 
     def of(self, rows: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], dict[Path, Texts]]]:
-        """Yield those of some rows that have the same layers, and the fields of these."""
+        """Yield groups of rows that have the same layers, each with its fields."""
         link, headers = self._rows.column("link"), self._rows.column("headers")
         keys = link, headers, self._command, self._inside, self._envelope, self._padding > 0
         _, which = numbered(*(key[rows] for key in keys))
@@ -261,7 +261,7 @@ class _Shapes:
 
 
 def _fixed(link: Link) -> tuple[Layout, ...] | None:
-    """Return the headers in front of every space packet of a link; None where they vary."""
+    """Return the headers in front of every space packet of a link; None if they vary."""
     if link is SBN:
         return (sbn.HEADER,)
     usual = isinstance(link, LinkProtocol) and type(link).dissect is LinkProtocol.dissect
@@ -269,13 +269,13 @@ def _fixed(link: Link) -> tuple[Layout, ...] | None:
 
 
 def _message_texts(messages: MessageColumns, plan: CdrPlan) -> list[str] | None:
-    """Return the texts of messages; None where a type has lists of messages with lists."""
+    """Return the JSON texts of messages; None if the type has lists of messages that contain lists."""
     columns = grouped_columns(messages, plan)
     return None if columns is None else _message_objects(columns, len(messages))
 
 
 def _texts(column: Column) -> Texts:
-    """Return the JSON texts of a column; one where all rows have the same value."""
+    """Return the JSON texts of a column; a single text if all rows have the same value."""
     if isinstance(column, (Ragged, Group)):
         offsets = column.offsets.tolist()
         if isinstance(column, Ragged) and column.values.itemsize > 1 and _as_python(column.values):
@@ -299,18 +299,18 @@ def _each(column: NDArray[Any]) -> list[Any]:
 
 
 def _as_python(values: NDArray[Any]) -> bool:
-    """Tell whether Python writes a list of these numbers as JSON does, but for spaces."""
+    """Return whether Python prints a list of these numbers as JSON does, except for spaces."""
     kind = values.dtype.kind
     return kind in "iu" or (kind == "f" and bool(np.isfinite(values).all()))
 
 
 def _doubles(values: NDArray[Any]) -> NDArray[Any]:
-    """Return floating-point numbers as Python has them."""
+    """Return floating-point numbers as Python floats."""
     return values.astype(np.float64) if values.dtype.kind == "f" else values
 
 
 def _all_equal(column: NDArray[Any]) -> bool:
-    if column.dtype != object:  # as bits: -0.0 is another text than 0.0
+    if column.dtype != object:  # compare bits: -0.0 has another text than 0.0
         column = np.ascontiguousarray(column).view(f"u{column.itemsize}")
     return bool((column == column[0]).all())
 
@@ -320,7 +320,7 @@ def _message_objects(columns: Mapping[str, Column], count: int) -> list[str]:
 
 
 def _objects(parts: Parts, count: int) -> list[str]:
-    """Return the texts of so many objects."""
+    """Return the JSON texts of ``count`` objects."""
     columns: list[Sequence[Any]] = []
     template = _template(list(parts.items()), columns)
     if not columns:
@@ -329,7 +329,7 @@ def _objects(parts: Parts, count: int) -> list[str]:
 
 
 def _template(parts: Iterable[tuple[Path, Texts]], columns: list[Sequence[Any]]) -> str:
-    """Return the template of an object; the columns that fill it are appended to those given."""
+    """Return the template of an object; append the columns that fill it to ``columns``."""
     members = []
     for name, group in groupby(parts, lambda part: part[0][0]):
         inside = [(path[1:], texts) for path, texts in group]

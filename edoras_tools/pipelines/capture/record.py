@@ -37,21 +37,21 @@ if TYPE_CHECKING:
 
 
 class Target(msgspec.Struct, frozen=True):
-    """What to write.
+    """The output of a recording.
 
     Attributes:
         path: the file, or the rosbag2 directory.
         rosbag2: write a rosbag2 directory.
-        stream: the format of what goes to standard output, where ``path`` is ``outputs.STDOUT``.
+        stream: format on standard output, if ``path`` is ``outputs.STDOUT``.
         split_bytes: start a new file at this size; 0: never.
         split_ns: start a new file after this time; 0: never.
-        split_count: start a new file after so many datagrams; 0: never.
-        keep_files: delete the oldest files of a split recording beyond so many; 0: keep all.
-        keep_bytes: delete the oldest files where all are larger than this; 0: keep all.
+        split_count: start a new file after this number of datagrams; 0: never.
+        keep_files: number of files of a split recording to keep, deleting the oldest; 0: all.
+        keep_bytes: size of all files together from which the oldest are deleted, bytes; 0: never.
         replace: overwrite an existing output.
         sync_ns: flush to the disk at this interval, to survive a power cut; 0: never.
-        jobs: how many processes share the work on a large file; 0: as many as there are processor cores,
-            while these are free.
+        jobs: number of processes that share the work on a large file; 0: one for each processor core, up to a
+            maximum.
         transforms: also write ``/tf``, made of the poses, for 3D views.
         on_warning: called with a line if the file is removed while it is written.
         on_complete: called with each file that is complete.
@@ -86,18 +86,18 @@ class Target(msgspec.Struct, frozen=True):
 
 
 class CaptureReport(msgspec.Struct, eq=False):
-    """What was recorded.
+    """The result of a recording.
 
     Attributes:
         ledger: counts by route.
         source: the source, for its statistics.
-        outputs: the files that were written, or the rosbag2 directory.
-        failure: why the source ended early, if it did; everything before is written.
-        notes: what was recognised from the bytes, one line each.
+        outputs: paths of the written files, or of the rosbag2 directory.
+        failure: error that ended the source early, if any; everything before it is written.
+        notes: properties recognised from the bytes, one line each.
         unnamed: see ``Context``.
         losses: outputs that were removed while they were written.
-        keep: how many of the oldest files were deleted because no more were to be kept.
-        entries: how often each entry of a dictionary was seen whole; ``info`` counts them.
+        keep: number of oldest files that were deleted because of ``keep_files`` or ``keep_bytes``.
+        entries: times that each entry of a dictionary was seen whole; only ``info`` counts them.
     """
 
     ledger: Ledger
@@ -151,7 +151,7 @@ class CaptureReport(msgspec.Struct, eq=False):
         }
 
     def _entries(self) -> list[dict[str, Any]]:
-        """Return the entries of a dictionary, and how often each was seen."""
+        """Return the entries of a dictionary with the times that each was seen."""
         return [
             {"entry": entry.name, "is": entry.word, "id": entry.id_text, "count": self.entries[entry]}
             for entry in sorted(self.entries)
@@ -162,7 +162,7 @@ def check_output(target: Target, inputs: Sequence[Path], *, snapshots: bool = Fa
     """Check a target before anything is opened: its format, and that it overwrites nothing.
 
     Args:
-        snapshots: each file gets a name of its own that is free.
+        snapshots: whether each file gets its own unused name.
 
     Raises:
         ConfigError: the suffix is unknown, or something would be overwritten.
@@ -221,12 +221,12 @@ def open_sink(
         selection: the selection, in words.
         sequences: see ``RecordingOptions``.
         topics: see ``RecordingOptions``.
-        apart: see ``RecordingOptions``; by default one that nobody counts for.
+        apart: see ``RecordingOptions``; by default one that does not count.
 
     Raises:
         CaptureError: it cannot be written.
     """
-    # Where a file is in the place of the folder, an error is reported when the file is opened.
+    # If a file has the folder's name, opening the output reports the error.
     with os_errors(f"{target.path}: cannot be created"), suppress(FileExistsError):
         target.path.parent.mkdir(parents=True, exist_ok=True)
     info = replace(source.info, read_with=bench.columns.context.described)
@@ -318,7 +318,7 @@ def record(
             stack.enter_context(waiting_for_room(Patience(target.on_warning, over)))
         sequences = SequenceCounts()
         topics = loop.selection.places() if bench.mission.recorded else None
-        # A recording of all that was read says what ``info`` counts in it.
+        # A recording of everything contains the counts that ``info`` would count in it.
         whole = not (loop.selection or limits.period or bench.mission.recorded or target.splits)
         counts = whole and target.format is MCAP
         apart = Independence(bench.columns.context, *((sequences, Repeats()) if counts else ()))
@@ -359,13 +359,13 @@ def pour(
     """Write everything from a loop to an open sink; the source and the sink are closed. See ``record``.
 
     Args:
-        loop: what is read; it must keep the source's failure.
-        sink: where it is written.
+        loop: the read loop; it must keep the source's failure.
+        sink: the output.
         watcher: see ``record``.
         tap: see ``record``.
         by_route: see ``record``.
         sequences: shared with the sink, see ``RecordingOptions``.
-        apart: the sink's, that is told what was counted.
+        apart: the sink's, which gets the counts; None: it does not get them.
         patient: see ``Waiting``.
 
     Raises:
@@ -377,7 +377,7 @@ def pour(
         Ledger(bench.mission, context, sequences, context.structs), source, notes=context.notes
     )
     silent = len(context.notes)
-    live = not source.statistics.total_bytes  # without flushes, a file always gives the same recording
+    live = not source.statistics.total_bytes  # a file is not flushed: it always gives the same recording
     flushing = Flushing(sink, loop.limits.clock, time_ns if source.on_this_host else None)
     host = None
     if source.on_this_host:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Workbench
 
 AT_ONCE: Final = 8192
-"""So many packets are shown at once."""
+"""Largest number of packets that are shown at once."""
 
 
 def sniff(
@@ -26,7 +26,7 @@ def sniff(
     limits: Limits = Limits(),  # noqa: B008  frozen
     started: Callable[[int], None] = lambda _: None,
 ) -> Iterator[Decoded]:
-    """Yield the selected packets of a source, decoded; all else as ``selected_rows``."""
+    """Yield the selected packets of a source, decoded; see ``selected_rows``."""
     for rows in selected_rows(source, bench, selection, limits, started, most=AT_ONCE):
         for row in rows.indices().tolist():
             yield bench.dissector.dissect(rows.batch[row])

@@ -40,10 +40,10 @@ if TYPE_CHECKING:
 
 
 class _Judge:
-    """A process, as the one that reads sees it.
+    """One examining process, as the reading process sees it.
 
     Raises:
-        OSError: no memory.
+        OSError: there is no memory for it.
     """
 
     def __init__(self, examination: Examination, killed: CaptureError) -> None:
@@ -53,7 +53,7 @@ class _Judge:
         self.workers = Workers(1, self._work, killed)
 
     def ask(self, work: Callable[..., Any], *values: Any) -> Callable[[], Any]:
-        """Let the process run one of the methods below; return what waits for the result."""
+        """Let the process run one of the methods below; return a function that waits for the result."""
         self.workers.start()
         while self.workers.full and self.workers.waiting:
             self._take()
@@ -72,12 +72,12 @@ class _Judge:
         return wait
 
     def keep(self, batch: PacketBatch, columns: Columns, unrouted: list[Any]) -> None:
-        """Keep datagrams; ``unrouted`` is the reading context's."""
+        """Keep datagrams; ``unrouted`` belongs to the context of the reading process."""
         self._examination.context.unrouted = unrouted
         self._recorder.keep(_own(batch), _own(columns))
 
     def judge(self, chapter: Chapter) -> bytes:
-        """Judge what was kept; return the diagnosis, pickled: its arrays stay valid."""
+        """Judge the kept datagrams; return the diagnosis, pickled so that its arrays stay valid."""
         recorder, self._recorder = self._recorder, Recorder(self._examination.context)
         recorder.conversations.flows, recorder.left_out = chapter.flows, chapter.left_out
         recorder.ends = True
@@ -93,13 +93,13 @@ class _Judge:
 
 
 class _Judges:
-    """Processes that take turns; see ``Apart``."""
+    """Examining processes that take turns; see ``Apart``."""
 
     def __init__(self, examination: Examination, judges: list[_Judge]) -> None:
         self._context, self._judges = examination.context, deque(judges)
 
     def lend(self, size: int) -> NDArray[np.uint8]:
-        """Return memory to read into; what lies in it need not be copied for the one whose turn it is."""
+        """Return memory to read into; its contents are not copied for the process whose turn it is."""
         return self._judges[0].workers.lend(size)
 
     def keep(self, batch: PacketBatch, columns: Columns) -> None:
@@ -122,7 +122,7 @@ class _Judges:
 
 
 def _own(table: _Table) -> _Table:
-    """Return a batch or its columns with all arrays but the bytes in memory of this process."""
+    """Return a batch or its columns with all arrays copied to this process, except the bytes."""
     columns = {name: getattr(table, name) for name in table.__struct_fields__ if name != "data"}
     arrays: Any = {name: value.copy() for name, value in columns.items() if isinstance(value, np.ndarray)}
     return replace(table, **arrays)
@@ -130,10 +130,10 @@ def _own(table: _Table) -> _Table:
 
 @contextmanager
 def judged_apart(examination: Examination, source: Source, jobs: int) -> Iterator[None]:
-    """Let as many other processes examine a source; none of one job, or where there is no memory for them.
+    """Let ``jobs`` other processes examine a source; none if ``jobs`` is 1, or if memory is short.
 
     Raises:
-        CaptureError: from the examination: one of them was killed.
+        CaptureError: raised by the examination: a process was killed.
     """
     why = "a process that examined part of it was killed, perhaps because memory ran out"
     killed = CaptureError(f"{source.info.name}: {why}; --jobs 1 needs only one")
@@ -152,14 +152,14 @@ def judged_apart(examination: Examination, source: Source, jobs: int) -> Iterato
 
 
 class Pace(NamedTuple):
-    """How often a live source is judged, and for how long.
+    """The interval at which a live source is judged, and the end.
 
     Attributes:
         clock: monotonic time in ns.
         every_ns: also judge at this interval, less often if judging takes long; 0: only at the end.
         duration_ns: stop after this time; 0: never.
         watcher: called with every intermediate diagnosis.
-        jobs: how many processes share the work on a large file; 0: as many as there are processor cores.
+        jobs: number of processes that share the work on a large file; 0: one for each processor core.
     """
 
     clock: Callable[[], int]
@@ -173,9 +173,9 @@ class Findings(msgspec.Struct):
     """The result of an examination.
 
     Attributes:
-        diagnosis: of everything that was read.
+        diagnosis: diagnosis of everything that was read.
         source: the source, for its statistics.
-        failure: why the source ended early, if it did; everything before is judged.
+        failure: error that ended the source early, if any; everything before it is judged.
     """
 
     diagnosis: Diagnosis
@@ -194,7 +194,7 @@ class Findings(msgspec.Struct):
 
     @property
     def zero_ns(self) -> int:
-        """What times count from, ns since 1970."""
+        """Zero of the times, ns since 1970."""
         return self.diagnosis.zero_ns
 
     def summary(self) -> dict[str, Any]:
@@ -223,10 +223,10 @@ def examine(
     Args:
         source: where datagrams come from; it is closed.
         bench: mission, types and decoders.
-        scope: what is examined and shown; all by default.
+        scope: part that is examined, and part that is shown; all by default.
         pace: for a live source, and how many processes share the work; by default one.
         progress: updated after every batch, and while judging.
-        counting: counts while they are read the datagrams that the scope selects.
+        counting: counter of the datagrams that the scope selects.
         examination: takes the datagrams; by default one that lists no lost messages.
 
     Raises:
@@ -307,9 +307,9 @@ def list_missing(
     """Return the messages that were lost, with the values of those that the capture contains.
 
     Args:
-        diagnosis: of the capture, with what is missing.
-        source: the same capture again, for the values; it is closed.
-        bench: decodes them.
+        diagnosis: diagnosis of the capture, with its missing messages.
+        source: the same capture, opened again for the values; it is closed.
+        bench: decoders for the values.
         progress: updated while the source is read.
     """
     rows = [*diagnosis.missing]

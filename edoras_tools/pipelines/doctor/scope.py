@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 class Scope(msgspec.Struct, frozen=True):
-    """What the options of a command select.
+    """The scope that the options of a command select.
 
     Attributes:
-        selection: what is shown; loss is counted from all traffic.
-        period: what is examined.
+        selection: part that is shown; loss is counted from all traffic.
+        period: part that is examined.
     """
 
     selection: Selection = msgspec.field(default_factory=Selection)
@@ -33,10 +33,10 @@ class Scope(msgspec.Struct, frozen=True):
 
 
 class Chosen:
-    """Applies a selection: batches are added, and at the end it says what is shown.
+    """Applies a selection to batches, and returns at the end which routes are shown.
 
     Args:
-        selection: from the options.
+        selection: selection from the options.
         bench: mission and decoders.
 
     Raises:
@@ -53,7 +53,7 @@ class Chosen:
         self._writers: set[tuple[LinkProtocol, bytes]] = set()
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Add a batch; with a filter, routes are shown that have a packet which passes it."""
+        """Add a batch; with a filter, a route is shown if one of its packets passes the filter."""
         if self._selection.where:
             rows = self.rows(batch, columns)
             key = np.stack([columns.spacecraft, columns.link, columns.msg_id & 0xFFFF])[:, rows]
@@ -70,7 +70,7 @@ class Chosen:
         return self._selection.rows(batch, columns)
 
     def choice(self) -> Choice | None:
-        """Return what is shown; None for all."""
+        """Return the part that is shown; None for all."""
         return Choice(str(self._selection), self._takes) if self._selection else None
 
     def _takes(

@@ -55,7 +55,7 @@ _FIELDS: Final = {
         "message": _TEXT,
     },
 }
-"""The columns of each, named as in ``doctor --json`` and ``doctor --list-lost json``; a message is JSON."""
+"""Columns of each topic, named as in ``doctor --json`` and ``doctor --list-lost json``; a message is JSON."""
 _TIME: Final = {VERDICTS_TOPIC: "start_ns", LOST_TOPIC: "time_ns"}
 JUDGED: Final = frozenset(_FIELDS)
 """Topics that need an examination of the whole capture; made only if requested by name."""
@@ -74,7 +74,7 @@ def judged_blocks(
         topics: topics of ``JUDGED``.
         paths: the captures; they are read again.
         settings: missions, types and options.
-        scope: what is examined and shown.
+        scope: part that is examined, and part that is shown.
         progress: shows the progress.
     """
 
@@ -94,7 +94,7 @@ def judged_blocks(
 
 
 def judged_block(topic: str, rows: Sequence[Mapping[str, Any]] = ()) -> TopicBlock:
-    """Return rows of JSON as a block; its times are the start of each."""
+    """Return rows of JSON as a block; the time of a row is its start."""
     fields: dict[str, NDArray[Any] | Ragged] = {}
     present: dict[str, NDArray[np.bool_]] = {}
     for name, kind in _FIELDS[topic].items():

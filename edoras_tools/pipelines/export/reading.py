@@ -39,12 +39,12 @@ if TYPE_CHECKING:
 
 
 class TopicTable(msgspec.Struct, frozen=True, dict=True):
-    """The messages of a topic, a row each; they are read when they are used for the first time.
+    """The messages of a topic, one row each; they are read at their first use.
 
     Attributes:
         topic: with its leading slash.
         type: ROS type name.
-        pieces: reads them, and yields the columns of some after the others; first of none.
+        pieces: function that reads them and yields groups of columns; the first group has no rows.
     """
 
     topic: str
@@ -67,8 +67,8 @@ class TopicTable(msgspec.Struct, frozen=True, dict=True):
     def to_numpy(self) -> dict[str, NDArray[Any]]:
         """Return an array for each column.
 
-        A fixed array has shape (rows, elements); where lists differ in length the array holds an array for
-        each row; texts are objects; where values are not there (``explode``) the array is masked.
+        A fixed array has shape (rows, elements). Lists of different lengths are an array of arrays, one for
+        each row; texts are objects; with ``explode`` missing values are masked.
         """
         return {
             item.name: _array(item.values)
@@ -102,7 +102,7 @@ class TopicTable(msgspec.Struct, frozen=True, dict=True):
 
         Args:
             lazy: return a ``LazyFrame``, which reads the input piece by piece each time it is collected, and
-                keeps only the columns and rows that are asked for.
+                keeps only the columns and rows that the query needs.
 
         Raises:
             ConfigError: polars or pyarrow is not installed.
@@ -130,7 +130,7 @@ class TopicTable(msgspec.Struct, frozen=True, dict=True):
 
 
 class NoTopicError(RouteError, KeyError):
-    """A recording has no such topic."""
+    """Error: a recording has no such topic."""
 
     __str__ = RouteError.__str__
 
@@ -139,14 +139,14 @@ class NoTopicError(RouteError, KeyError):
 class RecordingTables(Mapping[str, TopicTable]):
     """The topics of files. A file is read again for each topic that is used for the first time.
 
-    Its keys are the topics that have messages. A warning says what could not be read.
+    Its keys are the topics that have messages. Unreadable parts cause a warning.
 
     Attributes:
         paths: the files.
         settings: mission, types and options.
-        scope: which part of them.
-        form: how times are given, and lists.
-        recording: name of the one recording that they are, for the column ``recording``; empty: without it.
+        scope: part of the files that is read.
+        form: form of times and lists.
+        recording: value of the column ``recording``, if the files are one recording; empty: no such column.
     """
 
     paths: Sequence[Path]
@@ -160,10 +160,10 @@ class RecordingTables(Mapping[str, TopicTable]):
         return "\n".join([f"{listed([*map(str, self.paths)], 3)}: {plural(len(rows), 'topic')}", *rows])
 
     def __getitem__(self, topic: str) -> TopicTable:
-        """Return the messages of a topic, none where there are none; the leading slash may be left out.
+        """Return the messages of a topic, perhaps none; the leading slash may be left out.
 
         Raises:
-            NoTopicError: there is no such topic, or several fit.
+            NoTopicError: there is no such topic, or several match.
         """
         with closing(self._open()) as source:
             name = _find_topic(source, topic)
@@ -238,7 +238,7 @@ def read(
 ) -> RecordingTables:
     """Open captures, recordings or rosbag2 directories to read their topics as tables.
 
-    Of several, the column ``recording`` says which one a row is from.
+    If several are read, the column ``recording`` names the one that a row is from.
 
     Args:
         paths: one file; several, which are read as one, in order of time; or a folder or pattern of
@@ -288,7 +288,7 @@ def _find_topic(source: TopicSource, pattern: str) -> str:
 
 
 def _warn(source: TopicSource) -> None:
-    """Warn about an incomplete input; what could be read of it is kept."""
+    """Warn about an incomplete input; everything readable is kept."""
     if source.failure is not None:
         warnings.warn(str(source.failure), stacklevel=4)
     if source.left_out:

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from edoras_tools.ros.cdr.columns import TopicBlock
 
 _TASKS: Final = 96
-"""Pieces of tables that wait to be written, those of about six batches: limits memory. With fewer, who reads
-waits for a slow write, and gives other processes nothing to do."""
+"""Pieces of tables that may wait to be written, about six batches: limits memory. With fewer, the reader
+waits for a slow write, and other processes have no work."""
 _OWN = JUDGED | {item.name for item in (*OWN_TOPICS, FAULTS)}
 
 
@@ -56,7 +56,7 @@ class ExportTarget(msgspec.Struct, frozen=True):
 
         Args:
             path: the output.
-            name: of the format, e.g. ``csv``; None for the format of the suffix; Parquet for a folder.
+            name: name of the format, e.g. ``csv``; None for the format of the suffix; Parquet for a folder.
             folder: the path was given as a folder.
             force: replace existing files.
 
@@ -146,16 +146,17 @@ def export(
     Args:
         source: the input.
         target: where tables go.
-        patterns: of the topics. By default, a folder gets all topics except the datagrams and those that need
-            an examination, also those that only the content names; a file also leaves out this package's own.
+        patterns: patterns of topics. By default a folder gets all topics except the datagrams and those that
+            need an examination, also those that only the content names; a file also leaves out this
+            package's own.
         form: the columns.
         progress: updated while the input is read.
-        jobs: see ``TopicSource.made``.
+        jobs: see ``TopicSource.pieces``.
 
     Raises:
         CaptureError: a table cannot be written, or there is nothing to write.
-        ConfigError: a field is not there, or one file would hold several topics.
-        RouteError: a topic is not there.
+        ConfigError: a field does not exist, or one file would hold several topics.
+        RouteError: a topic does not exist.
     """
     with closing(source):
         usual = {*source.topics} - ({DATAGRAMS_TOPIC, *JUDGED} if target.folder else _OWN)
@@ -206,19 +207,20 @@ def export(
             for table in tables.values():
                 table.remove()
             for folder in folders:
-                with suppress(OSError):  # something else is in it
+                with suppress(OSError):  # the folder is not empty
                     folder.rmdir()
             raise
     return report
 
 
 class _Writing:
-    """Does what writes tables at once, or soon in a thread of its own, in order.
+    """Runs the functions that write tables: at once, or in order in a thread of its own.
 
-    A library lays out, compresses and writes, and lets other threads run meanwhile.
+    The thread is of use because the libraries that encode, compress and write let other threads run
+    meanwhile.
 
     Args:
-        apart: in a thread, which begins with the first thing to do: processes are forked before.
+        apart: run them in a thread, which starts with the first of them: processes are forked before.
     """
 
     def __init__(self, *, apart: bool) -> None:
@@ -227,10 +229,10 @@ class _Writing:
         self._failure: BaseException | None = None
 
     def do(self, work: Callable[..., None], *arguments: Any) -> None:
-        """Do it now or soon.
+        """Run a function now, or pass it to the thread.
 
         Raises:
-            CaptureError: this, or what came before, cannot be written.
+            CaptureError: this or an earlier write failed.
         """
         if not self._apart:
             work(*arguments)
@@ -242,17 +244,17 @@ class _Writing:
         self._raise()
 
     def wait(self) -> None:
-        """Wait until all is done.
+        """Wait until all functions have run.
 
         Raises:
-            CaptureError: something cannot be written.
+            CaptureError: a write failed.
         """
         if self._tasks is not None:
             self._tasks.join()
         self._raise()
 
     def stop(self) -> None:
-        """Do nothing more, and wait until nothing is being done."""
+        """Skip what has not begun, and wait until the running function ends."""
         self._failure = self._failure or CaptureError("stopped")
         if self._tasks is not None:
             self._tasks.join()
@@ -279,10 +281,10 @@ def _names(block: TopicBlock) -> list[str]:
 
 
 def _writer(target: ExportTarget) -> tuple[Any, list[Path]]:
-    """Return the class that writes, and the folders that were made for it, the innermost first.
+    """Return the class that writes, and the folders that were created for it, the innermost first.
 
     Raises:
-        CaptureError: the folder cannot be made.
+        CaptureError: the folder cannot be created.
         ConfigError: the library is not installed.
     """
     try:
@@ -301,5 +303,5 @@ def _writer(target: ExportTarget) -> tuple[Any, list[Path]]:
 
 
 def _description(source: TopicSource, topic: str) -> dict[str, str]:
-    """Return a table's metadata besides topic and type."""
+    """Return the metadata of a table besides topic and type."""
     return {"edoras.source": source.name, "edoras.definition": source.definition(topic)}

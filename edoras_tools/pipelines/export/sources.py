@@ -48,32 +48,32 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
 
     Made = tuple[str, int, Any]
-    """Of a block: its topic, its rows, and what was made of it."""
+    """Result for a block: its topic, its number of rows, and the value that ``Maker`` returned."""
     Maker = Callable[[TopicBlock, int], Any]
     Judge = Callable[[Collection[str], Progress | None], Iterator[TopicBlock]]
 
 
 _MOST_MADE: Final = 8
-"""Batches whose blocks may wait for those before them: limits memory."""
+"""Batches whose results may wait for those of earlier batches: limits memory."""
 
 
 class TopicSource(ABC):
     """An input that is read by topic, once.
 
     Attributes:
-        name: of the input.
-        topics: every topic that it can contain, with its type; those that only the content names are added
+        name: name of the input.
+        topics: every topic that it can contain, with its type; topics that only the content names are added
             while it is read.
-        wants_new: whether blocks of these are wanted, too.
-        unread: other topics of a recording, and why their messages cannot be read.
-        source: where its datagrams come from; None if it has none.
-        zero_ns: the time that its times count from; -1 until it is known.
+        wants_new: whether blocks of added topics are wanted, too.
+        unread: other topics of a recording, each with the reason why its messages cannot be read.
+        source: source of its datagrams; None if it has none.
+        zero_ns: zero of its times, ns since 1970; -1 until it is known.
         last_ns: latest time that was read; -1 before.
         left_out: messages on wanted topics that are incomplete or do not fit their type.
         unnamed: see ``Context``.
-        damage: why not all topics are known.
-        failure: why it ended early, if it did.
-        recordings: names of the recordings that it is made of, and an empty one; none of a single one.
+        damage: reason why not all topics are known; empty if they are.
+        failure: error that ended it early, if any.
+        recordings: names of its recordings, and an empty one; no names if it is a single one.
     """
 
     source: Source | None = None
@@ -101,7 +101,7 @@ class TopicSource(ABC):
         """Return the types that include a topic's."""
 
     def empty(self, topic: str) -> TopicBlock:
-        """Return a block of a topic without messages; it has the columns of all its blocks."""
+        """Return an empty block of a topic, with the columns that all blocks of the topic have."""
         if topic in JUDGED and not self.topics[topic]:
             return self._with_name(judged_block(topic))
         none = np.zeros(0, np.int64)
@@ -114,10 +114,10 @@ class TopicSource(ABC):
         return TopicBlock(topic, none, columns, none, none.astype(np.uint32), recording=recording)
 
     def look(self) -> None:  # noqa: B027  most name all of them
-        """Add topics that only the content names, if that needs reading it."""
+        """Add topics that only the content names, if this needs a pass over it."""
 
     def look_ahead(self) -> None:  # noqa: B027  as look
-        """Add the topics of DDS that the content announces, if it can be read twice."""
+        """Add the DDS topics that the content announces, if it can be read twice."""
 
     def definition(self, topic: str) -> str:
         """Return the definition of a topic's type; empty if it has none."""
@@ -125,7 +125,7 @@ class TopicSource(ABC):
         return self.types(topic).definition(kind) if kind else ""
 
     def blocks(self, topics: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:
-        """Yield the messages of some topics; see ``made``."""
+        """Yield the messages of some topics; see ``pieces``."""
         for _, _, block in self.pieces(topics, lambda block, _: block, progress):
             yield block
 
@@ -133,15 +133,15 @@ class TopicSource(ABC):
     def pieces(
         self, topics: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
     ) -> Iterator[Made]:
-        """Yield what is made of the messages of some topics, block by block.
+        """Yield the result of a function for the messages of some topics, block by block.
 
         A failure of the input is kept in ``failure``.
 
         Args:
             topics: the topics.
-            make: makes something of a block and ``zero_ns``, in any process.
+            make: function of a block and ``zero_ns``; it may run in any process.
             progress: updated while the input is read.
-            jobs: how many processes share the work, see ``jobs_for``.
+            jobs: number of processes that share the work, see ``jobs_for``.
 
         Raises:
             RouteError: the selection names a topic that is not configured.
@@ -149,11 +149,11 @@ class TopicSource(ABC):
         """
 
     def _recording(self, origin: NDArray[np.int64], rows: NDArray[Any]) -> NDArray[np.object_] | None:
-        """Return the names of the recordings that rows of a batch are from; None of a single one."""
+        """Return the name of the recording of each row of a batch; None if there is a single one."""
         return self.recordings[origin[rows]] if len(self.recordings) else None
 
     def _with_name(self, block: TopicBlock) -> TopicBlock:
-        """Return the block of an examination with the name of the one recording that was examined."""
+        """Return the block of an examination with the name of the recording that was examined."""
         one = len(self.recordings) == 2
         return replace(block, recording=np.full(len(block), self.recordings[0], object)) if one else block
 
@@ -167,10 +167,10 @@ class TopicSource(ABC):
         """Read the source; yield what a function returns for each batch, in order.
 
         Args:
-            arguments_of: returns the arguments of ``work``; called here, batch after batch.
+            arguments_of: returns the arguments of ``work``; called in this process, batch after batch.
             work: may run in other processes.
-            progress: see ``made``.
-            jobs: see ``made``.
+            progress: see ``pieces``.
+            jobs: see ``pieces``.
         """
         scope, source, bench = self._scope, self._source, self._bench
         with ExitStack() as ends:
@@ -178,7 +178,7 @@ class TopicSource(ABC):
             if (count := jobs_for(source, jobs, fixed=False)) > 1:
                 why = "a process that made its tables was killed, perhaps because memory ran out"
                 killed = CaptureError(f"{self.name}: {why}; --jobs 1 needs only one")
-                with suppress(OSError):  # without them it takes longer
+                with suppress(OSError):  # without other processes it takes longer
                     workers = ends.enter_context(closing(Workers(count - 1, work, killed, yields=not jobs)))
                     source.borrow(workers.lend)
             results = InOrder(work, workers)
@@ -201,14 +201,14 @@ class TopicSource(ABC):
             self.unnamed = bench.columns.context.unnamed
 
     def shared(self, jobs: int) -> bool:
-        """Tell whether several processes share the work; see ``made``."""
+        """Return whether several processes share the work; see ``pieces``."""
         return jobs_for(self._source, jobs, fixed=False) > 1
 
     def check_found(self, topics_found: Collection[object], selection: Collection[str]) -> None:
         """Check, once the whole input was read, that there was a message on a wanted topic.
 
         Raises:
-            CaptureError: there was none, and why.
+            CaptureError: there was none; it says why.
         """
         if topics_found:
             return
@@ -229,12 +229,12 @@ class CaptureTopics(TopicSource):
     """A capture, or a recording with its datagrams, by topic; see ``TopicSource``.
 
     Args:
-        source: where datagrams come from; it is closed.
+        source: source of the datagrams; it is closed.
         bench: mission, types and decoders.
-        scope: which datagrams.
-        judge: makes the topics of ``JUDGED``; None if the source cannot be read again.
-        seek: reads the source again for the topics that only its content names, and why it ended early; None
-            if it cannot.
+        scope: selects the datagrams.
+        judge: function that makes the topics of ``JUDGED``; None if the source cannot be read again.
+        seek: function that reads the source again for topics that only its content names; returns them, and
+            the error that ended it early, if any. None if the source cannot be read again.
     """
 
     def __init__(
@@ -266,13 +266,13 @@ class CaptureTopics(TopicSource):
         return [*self._bench.mission.warnings, *self._bench.columns.context.notes]
 
     def look_ahead(self) -> None:
-        """Add the topics of DDS that the content announces, if it can be read twice."""
+        """Add the DDS topics that the content announces, if it can be read twice."""
         for topic, kind in self._bench.columns.context.announced_topics().items():
             if self._bench.types.has(kind):
                 self.topics.setdefault(f"{APART}{topic}" if topic in self.topics else topic, kind)
 
     def look(self) -> None:
-        """Add the topics of RACS2, of DDS and of files that were transferred."""
+        """Add the topics of RACS2, of DDS and of transferred files."""
         if self._seek is not None:
             topics, failure = self._seek()
             self.topics = {**topics, **self.topics}
@@ -289,7 +289,7 @@ class CaptureTopics(TopicSource):
     def pieces(
         self, requested: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
     ) -> Iterator[Made]:
-        """Yield what is made of the messages of some topics."""
+        """Yield the result of a function for the messages of some topics."""
         routed: set[str] = set()
         statistics = STATISTICS_TOPIC in requested
         scope, source, streams = self._scope, self._source, self._streams
@@ -351,7 +351,7 @@ class CaptureTopics(TopicSource):
                 self.failure = self.failure or error
 
     def _in_packets(self, topics: Collection[str]) -> bool:
-        """Tell whether these are of packets alone, and a recording says where these are."""
+        """Return whether the topics are only of packets, and a recording says where its packets are."""
         packets = {item.topic for item in self._bench.mission.routes}
         packets |= {item.topic for item in self._streams.structs.all if item.key.port is None}
         return packets.issuperset(topics) and reads_by_heads(self._source, self._bench)
@@ -395,13 +395,13 @@ class CaptureTopics(TopicSource):
 
 
 def _in_order(streams: Sequence[Messages], rows: int) -> Sequence[Messages]:
-    """Return messages; row by row where kinds share a topic, as events that applications tell and resets."""
+    """Return messages, row by row if several kinds share a topic, as events and resets do."""
     channels = chain.from_iterable(np.unique(item.channel_id).tolist() for item in streams if len(item))
     return [_laid(streams, rows)] if max(Counter(channels).values(), default=0) > 1 else streams
 
 
 def _laid(streams: Sequence[Messages], rows: int) -> Messages:
-    """Put messages one after the other, row by row: behind each head are the bytes of the message."""
+    """Put messages in order of their rows, each with its header in front of its bytes."""
     laid = lay_out(streams, rows)
     data, number = (
         np.frombuffer(laid.data, np.uint8),
@@ -417,8 +417,8 @@ class BagTopics(TopicSource):
 
     Args:
         source: the messages; it is closed.
-        bench: what reads them.
-        scope: which messages.
+        bench: workbench that reads them.
+        scope: selects the messages.
     """
 
     def __init__(self, source: Source, bench: Workbench, scope: Scope | None = None) -> None:
@@ -451,7 +451,7 @@ class BagTopics(TopicSource):
     def pieces(
         self, requested: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
     ) -> Iterator[Made]:
-        """Yield what is made of the messages of some topics."""
+        """Yield the result of a function for the messages of some topics."""
         types = self._bench.types
         places = {place: topic for place, topic in self._places.items() if topic in requested}
 
@@ -477,12 +477,12 @@ class BagTopics(TopicSource):
 
 
 def _invalid(columns: Columns) -> NDArray[np.bool_]:
-    """Return which messages are incomplete."""
+    """Return which messages are incomplete: bool (rows,)."""
     return (columns.findings & np.uint32(Finding.CDR_INVALID)) != 0
 
 
 def recording_names(files: Sequence[str]) -> list[str]:
-    """Return what recordings are called in tables: their files' names without suffix, or paths if two are."""
+    """Return the names of recordings in tables: file names without suffix, or paths if two would be equal."""
     names = [Path(Path(file).name.removesuffix(".gz").removesuffix(".zst")).stem for file in files]
     return [name if names.count(name) == 1 else file for name, file in zip(names, files, strict=True)]
 
@@ -492,7 +492,7 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
 
     Raises:
         CaptureError: one cannot be opened.
-        ConfigError: the mission has mistakes, or some contain datagrams and others only topics.
+        ConfigError: the mission has mistakes, or only some of the paths contain datagrams.
     """
     if len(paths) > 1 and any(map(is_cfe_file, paths)) and "-" not in map(str, paths):
         source, notes = open_aligned(paths, settings)

@@ -43,7 +43,7 @@ class TableForm(NamedTuple):
 
         Args:
             block: the messages.
-            zero_ns: what seconds count from.
+            zero_ns: zero of the times in seconds, ns since 1970.
         """
         columns = [
             column

@@ -1,4 +1,4 @@
-"""What has to come back after sending: an event, a packet, or a counter that grows."""
+"""Results that are expected after sending: an event, a packet, or a counter that grows."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
     from edoras_tools.decode import Context
 
 _NOBODY: Final = (0, 0, 0, 0, 0)
-"""The origin of a packet whose values are asked for, and nothing else."""
+"""Origin of a packet whose origin does not matter."""
 
 
 class Expectation(msgspec.Struct):
-    """One thing that has to come.
+    """One expected result.
 
     Attributes:
-        words: as it was written.
-        msg_ids: the packets that can show it.
-        text: in an event; empty where it is no event.
-        field: path of a counter; empty where it is no counter.
-        growth: by how much the counter has to grow at least.
-        met: whether it has come.
-        outcome: what has come instead, or as expected.
+        words: expectation as it was written.
+        msg_ids: MsgIds of packets that can show the result.
+        text: expected part of an event's text; empty if no event is expected.
+        field: path of a counter; empty if no counter is expected to grow.
+        growth: least growth of the counter.
+        met: whether the result has come.
+        outcome: text on what has come.
     """
 
     words: str
@@ -45,12 +45,12 @@ class Expectation(msgspec.Struct):
     _base: int | None = None
 
     def take(self, data: bytes, structs: Structs, *, counts: bool) -> None:
-        """Take a packet with one of the MsgIds.
+        """Process a packet with one of the MsgIds.
 
         Args:
             data: a telemetry packet.
-            structs: of the counters.
-            counts: something was sent before; earlier values are what counters grow from.
+            structs: structs of the counters.
+            counts: whether sending has begun; before that, counters only get their base value.
         """
         if self.text:
             self._event(data, counts=counts)
@@ -86,11 +86,11 @@ class Expectation(msgspec.Struct):
 
 
 class AwaitedResults(msgspec.Struct):
-    """All that has to come, and how long to wait for it.
+    """All expected results, and the time to wait for them.
 
     Attributes:
-        items: each of them.
-        within_ns: how long after the last datagram.
+        items: expected results.
+        within_ns: time to wait after the last datagram, ns.
     """
 
     items: Sequence[Expectation] = ()
@@ -104,21 +104,21 @@ class AwaitedResults(msgspec.Struct):
 
         Raises:
             ConfigError: one is not of these forms, or there is no such counter.
-            RouteError: a name stands for nothing.
+            RouteError: a name has no packets.
         """
         return cls([_read(text, context) for text in texts], within_ns, context.structs)
 
     @property
     def missing(self) -> list[Expectation]:
-        """What has not come."""
+        """Expected results that have not come."""
         return [item for item in self.items if not item.met]
 
     def begin(self) -> None:
-        """Note that from now on something is sent."""
+        """Record that sending begins."""
         self._running = True
 
     def take(self, data: bytes) -> None:
-        """Take a packet that was received; any bytes are accepted."""
+        """Process a received packet; any bytes are accepted."""
         msg_id = self._structs.msg_ids.of(data)
         for item in self.items:
             if msg_id in item.msg_ids:

@@ -36,19 +36,19 @@ _MOST: Final = 1 << 17
 
 
 class Injection(msgspec.Struct, frozen=True):
-    """What to inject.
+    """The injected messages or command.
 
     Attributes:
-        subject: a topic, a key, a MsgId; or a command's name, e.g. ``to-enable`` or ``noop``.
+        subject: topic, key, or MsgId; or name of a command, e.g. ``to-enable`` or ``noop``.
         values: a message as YAML or JSON, ``@FILE`` with one; or a command's argument.
-        words: of a command its arguments, each as it was typed; empty: ``values`` is the only one.
+        words: arguments of a command, each as it was typed; empty: ``values`` is the only one.
         command: a MsgId and a function code, instead of ``subject``.
         payload: bytes after the command header.
-        function_code: of a message that is sent as a command.
-        count: how often; 0 for no end.
+        function_code: function code of a message that is sent as a command.
+        count: number of messages; 0 for no end.
         every_field_random: use random values, new ones for each message.
-        seed: of the random values.
-        limit: of ``to-add``: how many messages of its MsgId may wait; None for as many as usual.
+        seed: seed of the random values.
+        limit: message limit of the MsgId, for ``to-add``; None for the usual one.
     """
 
     subject: str = ""
@@ -67,12 +67,12 @@ def make(injection: Injection, bench: Workbench, options: SendOptions) -> tuple[
     """Make the packets of an injection.
 
     Args:
-        injection: what to send.
+        injection: messages or command.
         bench: provides the topics and the message types.
-        options: where to send.
+        options: destination and pace.
 
     Returns:
-        The packets of one pass, and the options with the number of passes that gives the count.
+        The packets of one pass, and the options with the number of passes that gives ``count``.
 
     Raises:
         ConfigError: the values are not YAML, or a command does not take this argument.
@@ -90,7 +90,7 @@ def make(injection: Injection, bench: Workbench, options: SendOptions) -> tuple[
 def _on_link(
     injection: Injection, bench: Workbench, options: SendOptions, to: LinkReceiver
 ) -> tuple[Loaded, SendOptions]:
-    """Make messages of another link: each has counts of its own, so one pass holds them all."""
+    """Make messages of another link: each has its own counts, so one pass contains them all."""
     sending, count = to.sending, _in_one_pass(injection.count)
     if sending.packets:
         packets, _ = _packets(injection, bench, replace(options, to=to.carried))
@@ -108,13 +108,13 @@ def _on_link(
 
 
 def _in_one_pass(number: int) -> int:
-    """Return how many messages are made: a divisor of the number, so that whole passes give it; 0: no end."""
+    """Return the number of messages in one pass, a divisor of the total, so that whole passes give it."""
     number = number or _MOST
     return number if number <= _MOST else next(n for n in range(_MOST, 0, -1) if number % n == 0)
 
 
 def _packets(injection: Injection, bench: Workbench, options: SendOptions) -> tuple[list[Packet], int]:
-    """Return the packets of one pass, and the passes that give the count."""
+    """Return the packets of one pass, and the number of passes that gives ``count``."""
     if injection.command is not None:
         return [Packet(_command(*injection.command, injection.payload, options.headers))], injection.count
     command = _named_command(injection, bench.mission, options)
@@ -123,7 +123,7 @@ def _packets(injection: Injection, bench: Workbench, options: SendOptions) -> tu
 
 
 def injection_receiver(injection: Injection, mission: Mission) -> str:
-    """Return the receiver of an injection by its route; commands and unknown names go to Command Ingest."""
+    """Return the receiver of an injection by its route; Command Ingest for commands and unknown names."""
     if injection.command is None:
         for to in Receiver:
             if any(injection.subject in names for names in _all_names(routes_towards(to, mission))):
@@ -137,10 +137,10 @@ def command_names() -> list[str]:
 
 
 def described_commands(name: str = "") -> str:
-    """Return the commands with a name, a line each; of one, or those that begin so, a line for each argument.
+    """Return one line for each command; for one command or a common prefix, one line for each argument.
 
     Raises:
-        ConfigError: no command begins so.
+        ConfigError: no command name begins like this.
     """
     names = [item for item in CALLS if item.startswith(name)]
     if not names:

@@ -45,29 +45,29 @@ if TYPE_CHECKING:
 _BLOCK: Final = 512
 """Maximum datagrams that leave together."""
 _ROUND_NS: Final = 20 * MILLISECOND
-"""Period of the checks, however busy the loop is; it also limits how late Ctrl-C and keys are noticed."""
+"""Period of the checks, however busy the loop is; longest delay until Ctrl-C and keys are noticed."""
 _CHECK_NS: Final = MILLISECOND // 2
-"""The checks take less."""
+"""Upper bound of the time that the checks take."""
 _ABSENT_NS: Final = SECOND
-"""If the target refuses within this time after the first datagram, it is absent."""
+"""A target that refuses within this time after the first datagram is absent."""
 _SILENT_NS: Final = 9 * SECOND
-"""CI reports each 4 s or more often; after this time without two reports none is expected."""
+"""Silence of CI after which no report is expected; it reports at least every 4 s."""
 _LEAD_NS: Final = 2 * MILLISECOND
 """Time from the start to the first deadline, so that the first datagram is not late."""
 
 
 class SendSchedule(msgspec.Struct, frozen=True):
-    """What is sent, where and when.
+    """The datagrams, their target and their times.
 
     Attributes:
-        target: where, as text for the user.
-        out: the datagrams, in the order of the timetable.
-        table: when each is sent.
-        changes: what is changed in each pass.
-        passes: how often; 0: until it is stopped.
+        target: target as text for the user.
+        out: datagrams in the order of the timetable.
+        table: times of sending.
+        changes: changes in each pass.
+        passes: number of passes; 0: until it is stopped.
         paused: start in single steps.
-        linger_ns: how long to listen after the last datagram.
-        follow_ns: how long to listen at most while CI's count shows that it has more to read; 0: no longer.
+        linger_ns: time to listen after the last datagram, ns.
+        follow_ns: longest time to listen while CI's count shows that it has more to read; 0: no longer.
     """
 
     target: str
@@ -81,24 +81,24 @@ class SendSchedule(msgspec.Struct, frozen=True):
 
 
 class SendReport(msgspec.Struct):
-    """What was sent, and the result.
+    """The result of sending.
 
     Attributes:
-        sent: datagrams of the recording that left; at the end without those that were refused.
+        sent: datagrams of the recording that left; at the end without the refused ones.
         total: datagrams to send; None if there is no end.
         send_errors: datagrams that could not be sent, or were refused.
         errors: the reasons, with counts.
         asked_hz: the requested rate; None for as fast as possible.
-        first_ns: when the first left, monotonic.
-        last_ns: when the last left.
-        lateness: of each datagram.
-        responses: what came back.
+        first_ns: time when the first left, monotonic, ns.
+        last_ns: time when the last left, monotonic, ns.
+        lateness: delay of each datagram behind its deadline.
+        responses: received messages.
         faults: injected faults by kind.
         interrupted: whether Ctrl-C or the q key ended it.
         signalled: whether it was Ctrl-C, SIGTERM or SIGHUP.
-        failure: why it ended early.
+        failure: error that ended it early, if any.
         notes: for the user, one line each.
-        losses: outputs of its recording that were removed while they were written.
+        losses: outputs of its recording that were removed during writing.
         to_ci: whether it went to Command Ingest, and answers could be received.
     """
 
@@ -121,14 +121,14 @@ class SendReport(msgspec.Struct):
 
     @property
     def lost(self) -> int:
-        """Datagrams and messages that were certainly lost: refused, never read by CI, or lost on the bus."""
+        """Datagrams and messages certainly lost: refused, never read by CI, or lost on the bus."""
         return self.send_errors + self.responses.ingest.missing * self.to_ci + self.responses.lost
 
     def beyond(self, most: float | None) -> list[str]:
-        """Return why the run is not as it should be, a line each.
+        """Return the reasons why the run failed, one line each.
 
         Args:
-            most: share of what was sent that may be lost; None: none may.
+            most: largest accepted share of lost datagrams; None: 0.
         """
         seconds = self.responses.expected.within_ns / SECOND
         reasons = [
@@ -182,10 +182,10 @@ class Sending:
     """One run.
 
     Args:
-        wire: where to send.
-        schedule: what to send, and when.
+        wire: output and input of the datagrams.
+        schedule: datagrams and their times.
         report: updated during the run.
-        session: the session that it belongs to.
+        session: session that the datagrams belong to.
         faults: the faults to inject.
         note: called with each fault.
         keys: the keyboard.
@@ -222,7 +222,7 @@ class Sending:
         self.stopped = True
 
     def run(self, wait_for: Iterable[Condition] = (), timeout_ns: int = 10 * SECOND) -> SendReport:
-        """Wait for the conditions, send, listen for a while, end the session.
+        """Wait for the conditions, send, listen for some time, end the session.
 
         Every error on the way is in ``SendReport.failure``.
         """
@@ -285,7 +285,7 @@ class Sending:
             self._pass_time(held_ns)
 
     def _one_pass(self, out: Outgoing, start: int) -> int:
-        """Send all datagrams once; return when the pass began, without pauses."""
+        """Send all datagrams once; return the begin of the pass, shifted by its pauses."""
         wire, due, count = self._wire, self._due, len(out)
         report, at = self.report, 0
         while at < count and not self.stopped:
@@ -336,7 +336,7 @@ class Sending:
             self._deliver(self._faults.due(now + self._epoch_ns), now)
 
     def _held_ns(self) -> int | None:
-        """Return when a datagram that a fault delays is due; faults use time since 1970."""
+        """Return the time when a delayed datagram is due; faults use time since 1970."""
         held_ns = self._faults.next_ns if self._faults else None
         return None if held_ns is None else held_ns - self._epoch_ns
 
@@ -371,17 +371,17 @@ class Sending:
         if not self.report.first_ns or not self._count_refusals():
             return
         if now - self.report.first_ns < _ABSENT_NS:
-            self._undelivered = max(self._undelivered, self.report.sent)  # nobody was there for any of them
+            self._undelivered = max(self._undelivered, self.report.sent)  # nobody received any of them
             raise CaptureError(
                 f"{self._schedule.target} refuses: no program listens there (ICMP port unreachable); start "
                 "the receiver, or name its address with --target"
             )
 
     def _count_refusals(self) -> bool:
-        """Count what left since the last count as not delivered if the target refused any of it.
+        """Count datagrams that left since the last check as not delivered if the target refused one of them.
 
-        ICMP refuses a datagram that has left, and the kernel keeps one refusal of many: what left with the
-        refused one was not received either. Some may be the session's own datagrams.
+        ICMP refuses a datagram after it has left, and the kernel keeps only one of several refusals: the
+        other datagrams were not received either. Some of them may be the session's own.
         """
         refused, sent = self._wire.statistics.refused - self._refused, self.report.sent - self._sent_before
         self._refused += refused
@@ -398,7 +398,7 @@ class Sending:
             self._steps += self._paused
 
     def _listen(self) -> None:
-        """Listen for the linger time, and longer while CI reads, or something expected has not come."""
+        """Listen for the linger time, and longer while CI reads, or until expected results have come."""
         schedule, ingest = self._schedule, self.report.responses.ingest
         expected = self.report.responses.expected
         began = reported = self._wire.now()

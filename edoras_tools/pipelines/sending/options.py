@@ -1,4 +1,4 @@
-"""Where to send, as which peer, how fast: the options that replay and inject share, and what they allow."""
+"""Options that replay and inject share: target, identity, pace and receiving; and checks of them."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ def called(msg_id: int, mission: Mission) -> str:
 
 
 def check_allowed(out: Outgoing, allow: Sequence[str], mission: Mission) -> None:
-    """Refuse datagrams that the allow-list does not name; an empty list allows all.
+    """Refuse datagrams that are not on the allow-list; an empty list allows all.
 
     Raises:
-        ConfigError: something would be sent that is not on the list.
+        ConfigError: a datagram is not on the list.
     """
     refused = [
         item
@@ -76,12 +76,12 @@ def check_target(target: Endpoint, *, confirmed: bool, confirm: Callable[[str], 
     """Refuse another machine unless the user confirms it.
 
     Args:
-        target: where datagrams would go.
+        target: target of the datagrams.
         confirmed: the user has already confirmed another machine.
         confirm: asks a question and returns the answer; None if the user cannot be asked.
 
     Raises:
-        ConfigError: it is not confirmed.
+        ConfigError: the user does not confirm it.
     """
     if confirmed or is_loopback(target.address):
         return
@@ -95,15 +95,15 @@ CAP_HZ: Final = 1000.0
 """Maximum datagrams per second to another machine, unless the user sets a limit."""
 _LISTEN_NS: Final = 2 * SECOND
 _FOLLOW_NS: Final = 30 * SECOND
-"""A full socket drains for about 12 s: CI reads 11 datagrams each half second."""
+"""Time to follow CI's count: a full socket drains for about 12 s, 11 datagrams each half second."""
 _REFUSAL_NS: Final = 100 * MILLISECOND
-"""Without answers only refusals are waited for; this machine's own come while the datagram is sent."""
+"""Time to wait for refusals if no answers are received; this machine's own come during sending."""
 _OWN_REFUSAL_NS: Final = 10 * MILLISECOND
 _IDENTITY: Final = Peer(0x42, 3)
 
 
 class Receiver(StrEnum):
-    """Who receives the datagrams."""
+    """The receiver of the datagrams."""
 
     CI = "ci"
     SBN = "sbn"
@@ -111,7 +111,7 @@ class Receiver(StrEnum):
 
     @property
     def sending(self) -> LinkSending | None:
-        """None: cFS's own links are sent as they were captured, changed where an option says so."""
+        """None: cFS's own links are sent as captured, with the changes that options request."""
         return None
 
     @property
@@ -121,11 +121,11 @@ class Receiver(StrEnum):
 
 
 class LinkReceiver(NamedTuple):
-    """Who receives the messages of a link that are sent as its door ``send`` says; of no link: bare payloads.
+    """The receiver of a link's messages, sent by the link's method ``send``, or of bare payloads.
 
     Attributes:
-        value: as it was named.
-        sending: how.
+        value: name as given.
+        sending: method of sending.
     """
 
     value: str
@@ -141,20 +141,20 @@ class LinkReceiver(NamedTuple):
 
     @property
     def carried(self) -> Receiver:
-        """Whose packets go this way, of a link that carries packets."""
+        """Receiver whose packets this link carries; for links that carry packets."""
         return Receiver.CI if self.value.endswith(":up") else Receiver.GROUND
 
 
 def receiver(text: str, site: Site) -> tuple[Receiver | LinkReceiver, Endpoint | None]:
-    """Read ``--to``; return who receives, and where, if it says so.
+    """Read ``--to``; return the receiver, and its address if given.
 
     Args:
         text: ``ci``, ``sbn`` or ``ground``; the label of another link, with ``:up`` towards the flight
             software; or ``udp:HOST:PORT``.
-        site: what the mission says.
+        site: site of the mission.
 
     Raises:
-        ConfigError: there is no such link, or nothing sends its messages.
+        ConfigError: there is no such link, or its messages cannot be sent.
     """
     text = text.lower()
     if text in {*Receiver}:
@@ -175,13 +175,13 @@ def receiver(text: str, site: Site) -> tuple[Receiver | LinkReceiver, Endpoint |
 
 
 def sending_options() -> dict[Link, str]:
-    """Return the option that sends the messages of a link, of each that has one."""
+    """Return, for each link that has one, the option that sends its messages."""
     own: dict[Link, str] = {item: f"--to {item.label}" for item in links() if item.sends}
     return own | {item.link: f"--to {item}" for item in Receiver} | {OTHER: "--to udp:HOST:PORT"}
 
 
 class Role(StrEnum):
-    """How to behave as an SBN peer: as stock SBN, as the public bridge, or only as captured."""
+    """Behaviour as an SBN peer: like stock SBN, like the public bridge, or only as captured."""
 
     STOCK = "stock"
     BRIDGE = "bridge"
@@ -189,40 +189,40 @@ class Role(StrEnum):
 
 
 class SendOptions(msgspec.Struct, frozen=True):
-    """How to send.
+    """Options for sending.
 
     Attributes:
-        to: who receives.
-        target: where; None: on this machine, at the port that the mission names.
+        to: receiver.
+        target: address; None: this machine, at the port that the mission names.
         sender: SBN identity; None: as captured, and for the session the mission's identity or 66:3.
         role: SBN behaviour.
-        listen: where answers are received; None: this machine's address towards the target, and the port
+        listen: address that receives answers; None: this machine's address towards the target, and the port
             that the mission names.
-        events: SBN: where cFS's events are received, if the port is free; from ``placed``.
+        events: address that receives cFS's events with SBN, if the port is free; set by ``placed``.
         no_listen: receive nothing except answers of an SBN link.
         wait_for: conditions before the first datagram: ``peer``, ``to-enabled``, ``event:TEXT``; ``nothing``.
-        timeout_ns: how long to wait for them.
-        linger_ns: how long to listen after the last datagram; None: two seconds, if answers can be received,
+        timeout_ns: time to wait for them, ns.
+        linger_ns: time to listen after the last datagram, ns; None: two seconds if answers can be received,
             and longer while CI has not read everything.
-        follow_ns: how long to listen at most while CI has not read everything; from ``placed``.
-        expect: what has to come back, as ``expect.Expectations.of`` reads it.
-        expect_runs: captures of good runs; what comes back has to be like theirs.
-        rooms: name of a field, and how far its values may differ; of the empty name, the percent of ranges.
-        expect_ns: how long to wait for that after the last datagram.
-        max_loss: share of what is sent that may be lost; None: none may.
-        allow: patterns of what may be sent, e.g. ``0x18*``; empty: everything.
-        speed: as a multiple of the recorded speed.
+        follow_ns: longest time to listen while CI has not read everything, ns; set by ``placed``.
+        expect: expected results, as ``expect.AwaitedResults.of`` reads them.
+        expect_runs: captures of good runs; the answers must be like theirs.
+        rooms: name of a field to its tolerance; with an empty name, the tolerance of ranges in percent.
+        expect_ns: time to wait for results after the last datagram, ns.
+        max_loss: largest accepted share of lost datagrams; None: 0.
+        allow: patterns of MsgIds or names that may be sent, e.g. ``0x18*``; empty: everything.
+        speed: multiple of the recorded speed.
         rates: messages per second: (pattern, Hz); the pattern ``*`` sends all messages at even intervals.
-        unpaced: as fast as possible.
+        unpaced: send as fast as possible.
         max_rate_hz: maximum rate; 0: ``CAP_HZ`` to other machines.
         unlimited: no maximum.
-        confirmed: the user has confirmed that the target is another machine.
-        sequence: what to do with sequence words.
-        checksum: what to do with checksums.
-        passes: how often; 0 for no end.
+        confirmed: whether the user has confirmed that the target is another machine.
+        sequence: handling of sequence words.
+        checksum: handling of checksums.
+        passes: number of passes; 0 for no end.
         step: start in single steps.
-        headers: those of the cFE that it goes to, for packets that are made.
-        tcp: SBN: on one TCP connection to the target, which listens.
+        headers: headers of the receiving cFE, for packets that are made.
+        tcp: with SBN, use one TCP connection to the target, which listens.
     """
 
     to: Receiver | LinkReceiver = Receiver.CI
@@ -289,7 +289,7 @@ class SendOptions(msgspec.Struct, frozen=True):
                 raise ConfigError(f"--wait-for {item} needs answers: leave --no-listen out")
 
     def _check_link(self) -> None:
-        """Refuse options of cFS's own links for another one.
+        """Refuse options of cFS's own links if the receiver is another link.
 
         Raises:
             ConfigError: there are some.
@@ -308,23 +308,23 @@ class SendOptions(msgspec.Struct, frozen=True):
 
     @property
     def over_tcp(self) -> bool:
-        """Whether all goes over one TCP connection, or as the link itself carries it: not as datagrams."""
+        """Whether messages go over one TCP connection, or over the link's own transport: not as datagrams."""
         return self.tcp or bool((to := self.to.sending) and (to.framing or to.own_transport))
 
     @property
     def follows_ci(self) -> bool:
-        """Whether CI's own count can show how much of what is sent it has read."""
+        """Whether CI's own count can show how many of the sent datagrams it has read."""
         return self.to is Receiver.CI and self.listen is not None
 
     @property
     def has_session(self) -> bool:
-        """Whether a session is held while sending: of SBN, or of the link that it goes to."""
+        """Whether a session is held during sending: of SBN, or of the receiving link."""
         if self.to.sending:
             return self.to.sending.session is not None
         return self.to is Receiver.SBN and self.role is not Role.CAPTURED
 
     def _ports(self, mission: Mission) -> tuple[int, int | None, int]:
-        """Return the usual ports: where it goes, where answers come, where cFS's telemetry comes."""
+        """Return the usual ports: of the target, of answers, and of cFS's telemetry."""
         ground, flight = next(iter(mission.ground), None), next(iter(mission.flight), None)
         telemetry = ground.bridge_port if ground else 1235
         if self.to.sending:
@@ -337,7 +337,7 @@ class SendOptions(msgspec.Struct, frozen=True):
         return to_port, listen_port, telemetry
 
     def placed(self, mission: Mission) -> SendOptions:
-        """Return these options with the mission's values and the defaults filled in.
+        """Return these options with the values of the mission and the defaults filled in.
 
         Raises:
             ConfigError: options contradict each other, or a condition is not known.
@@ -377,7 +377,7 @@ class SendOptions(msgspec.Struct, frozen=True):
         return self.sender or (Peer(flight.spacecraft_id, flight.processor_id) if flight else _IDENTITY)
 
     def pacing(self, out: Outgoing, mission: Mission) -> Pacing:
-        """Return how fast these datagrams are sent; streams are MsgIds.
+        """Return the pacing of these datagrams; streams are MsgIds.
 
         Raises:
             ConfigError: speeds and rates contradict each other.

@@ -1,12 +1,13 @@
-"""A recording of what is sent and received.
+"""A recording of sent and received datagrams.
 
-Rules that it keeps:
+Rules:
 
-1. What was sent or received is in the file ``FLUSH_NS`` later, however much is due: a killed run loses at
-   most a second. ``receive`` sees to it, which the sending loop calls every 20 ms.
-2. From half of that time on it is written as soon as nothing is due for ``_CALM_NS``, so that writing delays
-   no datagram where there is time for both.
-3. Received datagrams get the time when they are read.
+1. A datagram is in the file ``FLUSH_NS`` after it was sent or received, however busy the sending is: a
+   killed run
+loses at most one second. ``receive`` ensures this; the sending loop calls it every 20 ms.
+2. From half of that time on, waiting datagrams are written as soon as nothing is due for ``_CALM_NS``: then
+writing delays no datagram.
+3. The time of a received datagram is when it was read.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.outgoing import Outgoing
 
 _CALM_NS: Final = 10 * MILLISECOND
-"""A block is written when nothing is due for this time; the sending loop never waits longer than 20 ms."""
+"""Quiet time in which a block is written; the sending loop never waits longer than 20 ms."""
 _BLOCK: Final = 256
 """Datagrams written at once, which takes a few ms."""
 _MOST: Final = 200_000
-"""If more datagrams wait, they are written at once, even if this delays others."""
+"""Waiting datagrams from which all are written at once, even if this delays others."""
 
 
 class SentRecording:
@@ -64,7 +65,7 @@ class SentRecording:
 
     @property
     def losses(self) -> Sequence[OutputLoss]:
-        """Outputs that somebody took away while they were written."""
+        """Outputs that were removed during writing."""
         return self._sink.losses
 
     @property
@@ -73,17 +74,17 @@ class SentRecording:
         return self._wire.statistics
 
     def epoch_ns(self) -> int:
-        """Return what to add to the wire's time to get ns since 1970."""
+        """Return the difference between ns since 1970 and the wire's time."""
         return self._epoch_ns
 
     def wait(self, until_ns: int) -> bool:
-        """Wait, and write meanwhile if there is enough time."""
+        """Wait, and use the time for writing if it is long enough."""
         while until_ns - (now := self.now()) >= _CALM_NS and now - self._written_ns >= FLUSH_NS // 2:
             self._write(_BLOCK)
         return self._wire.wait(until_ns)
 
     def send(self, out: Outgoing, first: int, last: int) -> int:
-        """Send datagrams ``first`` up to ``last``, not included; return how many left."""
+        """Send datagrams ``first`` up to ``last``, not included; return the number that left."""
         now = self.now()
         sent = self._wire.send(out, first, last)
         for index in range(first, last):
@@ -96,7 +97,7 @@ class SentRecording:
         return self._wire.put(payload)
 
     def receive(self) -> list[Arrival]:
-        """Return what has arrived, and write what has waited long enough."""
+        """Return the arrived datagrams, and write those that have waited long enough."""
         arrived = self._wire.receive()
         now = self.now()
         for item in arrived:

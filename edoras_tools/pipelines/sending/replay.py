@@ -54,13 +54,13 @@ _STAMP: Final = "header.stamp.sec"
 
 
 class ReplaySelection(msgspec.Struct, frozen=True):
-    """Which part of a recording is sent.
+    """The part of a recording that is sent.
 
     Attributes:
-        selection: by link, MsgId, topic and values.
+        selection: selection by link, MsgId, topic and values.
         routes: patterns of MsgIds, topics and keys; empty: all.
-        period: which time of the recording.
-        count: only the first so many of the rest; 0 for all.
+        period: period of the recording.
+        count: number of datagrams to send of the rest, from its start; 0 for all.
     """
 
     selection: Selection = msgspec.field(default_factory=Selection)
@@ -72,7 +72,7 @@ class ReplaySelection(msgspec.Struct, frozen=True):
 def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choice: ReplaySelection) -> Loaded:
     """Read the datagrams to send; the source is closed.
 
-    All are kept in memory, without columns, before the first one leaves, so that reading delays no datagram.
+    All are kept in memory, without columns, before the first one leaves: then reading delays no datagram.
 
     Raises:
         CaptureError: the source is damaged, or has no datagram that matches.
@@ -131,13 +131,13 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
 
 
 def _harm(batch: PacketBatch) -> NDArray[np.int64]:
-    """Return how many datagrams the capture cut, and how many came over TCP."""
+    """Return the number of datagrams that the capture cut, and the number that came over TCP."""
     cut = np.count_nonzero(batch.capture_findings & np.uint32(Finding.CAPTURE_CUT))
     return np.array([cut, 0 if batch.streams is None else np.count_nonzero(batch.streams)])
 
 
 def _changed(cut: int, over_tcp: int, options: SendOptions) -> Iterator[str]:
-    """Yield what does not leave as it came."""
+    """Yield notes on datagrams that do not leave as they came."""
     if cut:
         yield f"{cut:,} datagrams were cut by the capture, and are sent cut"
     if over_tcp and not options.over_tcp:
@@ -153,7 +153,7 @@ def _towards(
     if options.to is Receiver.SBN:
         ports = [link.peer_port for link in mission.flight] or [_SBN_PORT]
         on_port = np.isin(batch.destination_port, ports)
-        if batch.streams is not None:  # cFS connects to peers of a higher ProcessorID: they listen
+        if batch.streams is not None:  # cFS connects to peers with a higher ProcessorID, which listen
             theirs = [link.udp_receive_port for link in mission.flight] or [BRIDGE_PORT]
             on_port |= batch.streams & np.isin(batch.source_port, theirs)
         towards = towards & on_port
@@ -161,7 +161,7 @@ def _towards(
 
 
 def _subscriptions(batch: PacketBatch, columns: Columns, towards: NDArray[np.bool_]) -> set[int]:
-    """Return what the captured peer subscribed to."""
+    """Return the MsgIds that the captured peer subscribed to."""
     msg_ids: set[int] = set()
     for row in np.flatnonzero(towards & (columns.sbn_msg_type == sbn.MsgType.SUB)).tolist():
         start = int(batch.offset[row]) + sbn.HEADER.size
@@ -188,7 +188,7 @@ def _routes(columns: Columns, patterns: Sequence[str], mission: Mission) -> NDAr
 
 
 def _others(own: Link, links: NDArray[np.int64], options: Mapping[Link, str]) -> dict[Link, str]:
-    """Return what a file holds of other links, in words, with the option that sends it."""
+    """Return the other links in a file, in words, with the option that sends each."""
     return {
         link(code): f"{int(links[code]):,} of {link(code).name if code else 'no link'} "
         f"({options.get(link(code), 'nothing sends it')})"
@@ -225,15 +225,15 @@ def changes_for(
     restamp: bool,
     headers: cfe.Headers | None = None,
 ) -> Changes:
-    """Return what is changed in the datagrams.
+    """Return the changes that datagrams get.
 
     Args:
         options: sequence, checksum and sender.
         remap: one MsgId to another.
         mission: its routes show which messages have a stamp.
-        types: the message types.
+        types: message types.
         restamp: whether header stamps become the time of sending.
-        headers: those that all packets get; None keeps what was captured.
+        headers: headers that all packets get; None keeps the captured ones.
     """
     stamped = None
     if restamp:
@@ -244,7 +244,7 @@ def changes_for(
 
 
 def _is_stamped(types: TypeStore, name: str) -> bool:
-    """Return whether a type starts with a header, so that its stamp has the same offset in every message."""
+    """Return whether a type begins with a header, so that its stamp has the same offset in every message."""
     if not types.has(name):
         return False
     return any(span[0] == _STAMP and span[2] == 4 for span in types.spans(name, types.encode(name, {})))
@@ -263,10 +263,10 @@ def remapped(
         pairs: old and new.
         mission: knows topics and keys.
         extended: whether all packets have extended headers, which are as long in commands as in telemetry.
-        target: the version of the new MsgIds; None for that of the mission.
+        target: version of the new MsgIds; None for that of the mission.
 
     Raises:
-        ConfigError: a command would become telemetry or the reverse, whose header has another length.
+        ConfigError: a command would become telemetry or the reverse; these headers have different lengths.
         RouteError: a topic is not configured.
     """
     pairs_of: dict[int, int] = {}

@@ -1,15 +1,15 @@
-"""What is received while sending: events, counters, and how much telemetry of each kind.
+"""Counts the packets received during sending: events, counters, and telemetry of each kind.
 
-How many of the datagrams that were sent Command Ingest has read is its own count in 0x884:
+Command Ingest counts the datagrams that it reads, in 0x884. How many of the sent datagrams it read:
 
-1. CI counts every datagram that it reads, good or bad. Its count before the first datagram is what later
-   counts are compared with.
-2. It is known exactly where a count came before anything was sent here, or where it stood still after what
-   was sent to enable telemetry: then nothing of it is under way.
-3. A count that stood still for three reports after the last datagram grows no more: CI reads its socket at
-   least twice a second, and reports each 1 to 4 s. What it has not counted by then never came to it.
-4. A count that falls was reset, or CI began anew: it tells nothing any more.
-5. A count that grew by more than was sent here contains what others sent.
+1. CI counts every datagram that it reads, good or bad. Later counts are compared with its count before the
+   first datagram, the base.
+2. The base is exact if it came before anything was sent here; or if the count repeated itself after the
+   commands that enable telemetry: then none of these is under way.
+3. A count that repeated itself in three reports after the last datagram is final: CI reads its socket at
+   least twice a second, and reports each 1 to 4 s. Datagrams not counted by then never reached CI.
+4. A count that falls was reset, or CI restarted: it shows nothing from then on.
+5. A count that grew by more than was sent here includes datagrams of other senders.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
 
 
 _STANDS_STILL: Final = 2
-"""Reports that repeat the one before them."""
+"""Reports equal to the one before them that make a count final."""
 
 
 class IngestCount(msgspec.Struct):
-    """Compares CI's count with what was sent to it.
+    """Compares CI's count with the number of datagrams sent to it.
 
     Attributes:
-        sent: datagrams sent to CI so far; kept up to date by whoever sends.
-        reports: how often CI has reported its count.
+        sent: datagrams sent to CI so far; updated by the sender.
+        reports: number of CI's reports.
     """
 
     sent: int = 0
@@ -51,10 +51,10 @@ class IngestCount(msgspec.Struct):
     _restarted: bool = False
 
     def reported(self, count: int) -> None:
-        """Take a report.
+        """Process a report of CI.
 
         Args:
-            count: datagrams that CI has read, since it began.
+            count: datagrams that CI has read since it started.
         """
         now = count, self.sent
         self.reports += 1
@@ -70,7 +70,7 @@ class IngestCount(msgspec.Struct):
             )
 
     def begin(self) -> None:
-        """Note that from now on what is to be counted is sent."""
+        """Record that the datagrams to be counted are sent from now on."""
         self._started = True
 
     @property
@@ -80,22 +80,22 @@ class IngestCount(msgspec.Struct):
 
     @property
     def is_final(self) -> bool:
-        """Whether the count grows no more, or shows that CI has read everything."""
+        """Whether the count has stopped growing, or shows that CI has read everything."""
         return self._repeated >= _STANDS_STILL or (self.is_counted and self.read >= self.expected)
 
     @property
     def expected(self) -> int:
-        """Datagrams that were sent since the count is known."""
+        """Datagrams sent since the base."""
         return self.sent - (self._base[1] if self._base and self._exact else 0)
 
     @property
     def read(self) -> int:
-        """Datagrams that CI has certainly read since then, others' included."""
+        """Datagrams that CI has certainly read since the base, including those of other senders."""
         return self._last[0] - self._base[0] if self._last and self._base else 0
 
     @property
     def missing(self) -> int:
-        """Datagrams that certainly never came to CI."""
+        """Datagrams that certainly never reached CI."""
         return max(0, self.expected - self.read) if self._exact and self.is_final else 0
 
     @property
@@ -135,8 +135,8 @@ _INGEST: Final = {
     cfe.TELEMETRY_HEADER_BYTES + layout.size: layout
     for layout in (cfe.COMMAND_INGEST_HOUSEKEEPING, cfe.COMMAND_INGEST_HOUSEKEEPING_7)
 }
-"""CI's housekeeping by the bytes of its packet."""
-"""A packet of another length is not CI's: this build gives its MsgId to another application."""
+"""Layout of CI's housekeeping by the size of its packet in bytes."""
+"""A packet of another size is not CI's: in that build its MsgId belongs to another application."""
 
 
 class ReceivedEvent(msgspec.Struct):
@@ -155,15 +155,15 @@ class Responses:
 
     Args:
         mission: provides the topics of MsgIds.
-        expected: what has to come; it is told of every packet.
+        expected: expected results; it gets every packet.
 
     Attributes:
         events: by text, in order of their first occurrence.
-        counters: of the software bus, the first and the last received.
+        counters: first and last received counters of the software bus.
         counts: packets by link and MsgId.
         network: SBN messages by type, other than application messages.
         answers: messages of a link without space packets.
-        ingest: what CI's own count shows of what was sent to it.
+        ingest: comparison of CI's own count with the datagrams sent to it.
         expected: as given.
     """
 
@@ -212,7 +212,7 @@ class Responses:
                 values = _INGEST[len(data)].parse(data, cfe.TELEMETRY_HEADER_BYTES)
                 self.ingest.reported(values["ingest_packets"] + values["ingest_errors"])
         except TruncatedError:
-            pass  # it is counted, and nothing more can be read from it
+            pass  # it is counted, but cannot be decoded
 
     def _event(self, data: bytes, now: int) -> None:
         values = cfe.EVENT.parse(data, cfe.TELEMETRY_HEADER_BYTES)
@@ -240,7 +240,7 @@ class Responses:
 
     @property
     def ingest_counted(self) -> bool:
-        """Whether the software bus told its counters."""
+        """Whether the software bus has reported its counters."""
         return self.counters is not None
 
     @property

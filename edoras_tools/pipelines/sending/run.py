@@ -1,4 +1,4 @@
-"""Opens sockets, starts a session and sends: what replay and inject have in common."""
+"""Opens sockets, starts a session and sends: the common part of replay and inject."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 class Loaded(msgspec.Struct, frozen=True):
-    """What is to be sent, and notes from reading.
+    """The datagrams to send, and notes from reading.
 
     Attributes:
         out: the datagrams, in the order of the recording.
@@ -54,7 +54,7 @@ class Loaded(msgspec.Struct, frozen=True):
     notes: tuple[str, ...] = ()
 
     def numbered(self, old: MsgIds, new: MsgIds) -> Loaded:
-        """Return it with what was subscribed to by the MsgIds of another version."""
+        """Return it with the subscriptions translated to the MsgIds of another version."""
         return replace(
             self, subscriptions=tuple(sorted(new.of_known(old.standard(item)) for item in self.subscriptions))
         )
@@ -64,11 +64,11 @@ class Transmission(NamedTuple):
     """Everything that a run needs, prepared before the first datagram leaves.
 
     Attributes:
-        out: what is sent, in order.
-        table: when it is sent.
+        out: datagrams, in order.
+        table: times of sending.
         options: with defaults filled in, and checked.
         mission: provides names for what is sent and received.
-        changes: what is changed in each pass.
+        changes: changes in each pass.
         subscriptions: MsgIds that an SBN session subscribes to.
         notes: for the user, one line each.
     """
@@ -86,7 +86,7 @@ class Transmission(NamedTuple):
         """Prepare a run.
 
         Args:
-            loaded: what is to be sent, as recorded.
+            loaded: datagrams as recorded.
             options: with defaults filled in.
             mission: see the class.
             changes: see the class.
@@ -113,7 +113,7 @@ class Transmission(NamedTuple):
         return len(self.out) * self.options.passes if self.options.passes else None
 
     def plan(self) -> dict[str, Any]:
-        """Return what would be sent, in the shape of ``--dry-run --json``."""
+        """Return the plan in the shape of ``--dry-run --json``."""
         options, rate = self.options, self.table.rate_hz
         is_sbn = options.to is Receiver.SBN
         msg_ids, counts = np.unique(self.out.msg_id, return_counts=True)
@@ -158,7 +158,7 @@ class Transmission(NamedTuple):
             keys: the keyboard.
             watcher: updated while it runs.
             recording: makes a recording of the wire.
-            expected: what has to come back.
+            expected: expected results.
             ready: called with the endpoint that receives answers, once the sockets are open.
             wire: in place of sockets; its first end receives the answers.
 
@@ -219,7 +219,7 @@ class Transmission(NamedTuple):
         return report
 
     def _open(self, stack: ExitStack, keys: Keys | None) -> tuple[Wire, Endpoint]:
-        """Open the sockets; return them as a wire, and where answers are received."""
+        """Open the sockets; return them as a wire, with the address that receives answers."""
         options = self.options
         is_sbn = options.to is Receiver.SBN
         transmitter = _transmitter(options)
@@ -230,13 +230,13 @@ class Transmission(NamedTuple):
             listeners.append((carrying("ground", to_cfs=options.to is not Receiver.CI), listener))
         local = listeners[0][1].local if listeners else transmitter.local
         if options.events is not None:
-            with suppress(CaptureError):  # a bridge that has the port is told of the events
+            with suppress(CaptureError):  # a bridge that has the port gets the events
                 listener = stack.enter_context(Listener(options.events))
                 listeners.append((carrying("ground", to_cfs=False), listener))
         return UdpWire(transmitter, options.to.link, listeners, [keys.fileno()] if keys else ()), local
 
     def _unanswered(self, responses: Responses, local: Endpoint) -> Iterator[str]:
-        """Yield why nothing shows whether cFS read what was sent to CI."""
+        """Yield reasons why nothing shows whether cFS read the datagrams sent to CI."""
         if not responses.telemetry:
             advice = "usually Telemetry Output is not enabled: edoras inject to-enable"
             if only_enables(self.out, self.options.headers):
@@ -276,7 +276,7 @@ class Transmission(NamedTuple):
 
 
 def _transmitter(options: SendOptions) -> Any:
-    """Open the socket to send from, a ``Transmitter`` or what does as one.
+    """Open the socket to send from, a ``Transmitter`` or an object with the same methods.
 
     Raises:
         CaptureError: the target cannot be reached.

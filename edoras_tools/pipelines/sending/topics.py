@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 
 
 class Encoder(msgspec.Struct, frozen=True):
-    """Makes the packets of one route, as its bridge or its application does.
+    """Makes the packets of one route, as its bridge or application does.
 
     Attributes:
         route: the route.
         index: its index in the mission.
         envelope: format of the two lengths before the CDR.
-        function_code: for a command.
-        headers: those of the cFE that it goes to or comes from.
-        time: how they have mission time.
+        function_code: function code of commands.
+        headers: headers of the cFE that receives or sends the packets.
+        time: format of mission time in these headers.
     """
 
     route: Route
@@ -90,13 +90,13 @@ def load_topics(
 
     Args:
         bag: the recording.
-        bench: its mission says which topic uses which MsgId.
-        options: where to send.
-        choice: which part.
-        rename: a topic of the recording to a topic of the mission.
+        bench: workbench whose mission assigns MsgIds to topics.
+        options: receiver.
+        choice: part of the recording.
+        rename: topic of the recording to topic of the mission.
 
     Raises:
-        CaptureError: the recording is damaged, or contains no message that matches.
+        CaptureError: the recording is damaged, or contains no matching message.
         ConfigError: a topic has another type than its route.
         RouteError: no configured topic goes to the receiver.
     """

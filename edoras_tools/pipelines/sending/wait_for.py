@@ -1,4 +1,4 @@
-"""What to wait for before the first datagram leaves, and the message if it does not come."""
+"""Conditions to wait for before the first datagram leaves, and the message if they are not met."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 _MOST_NAMED: Final = 4
 _ONE_REPORT_NS: Final = 4300 * MILLISECOND
-"""CI reports its count as often as SCH_LAB asks: each 4 s as cFS comes, each second in the demos."""
+"""Time in which CI reports its count: SCH_LAB asks each 4 s in stock cFS, each second in the demos."""
 _AFTER_ASKING_NS: Final = 8300 * MILLISECOND
-"""The same, and a second report that repeats it: CI has read what asked for telemetry."""
+"""Time for a second, equal report as well: then CI has read the commands that enable telemetry."""
 
 
 class Condition(NamedTuple):
@@ -37,8 +37,8 @@ class Condition(NamedTuple):
         name: for the user.
         met: returns whether it is met.
         ask: called about once a second until it is met.
-        explain: returns what was tried and what usually is the cause; its argument is the time waited in s.
-        patience_ns: how long to wait before going on without it; 0: it is required.
+        explain: returns the usual cause and what was tried; its argument is the time waited, s.
+        patience_ns: time to wait before going on without it, ns; 0: it is required.
         hopeless: returns whether it can no longer be met.
     """
 
@@ -63,10 +63,10 @@ def conditions(
     """Yield the conditions that the options name.
 
     Args:
-        out: what will be sent.
-        options: placed.
+        out: datagrams to send.
+        options: options from ``placed``.
         mission: provides the topics of MsgIds.
-        responses: what was received so far.
+        responses: responses received so far.
         session: the SBN session, if there is one.
         wire: sends the requests.
         local: where answers are received.
@@ -175,13 +175,13 @@ def _enabled(options: SendOptions, responses: Responses, wire: Wire, local: Endp
 
 
 def count_known(out: Outgoing, options: SendOptions, responses: Responses, wire: Wire) -> Iterator[Condition]:
-    """Yield the wish for CI's count to be known before the first datagram leaves, where CI can be followed.
+    """Yield the optional condition that CI's count is known, if CI can be followed.
 
     Args:
-        out: what will be sent; before the command that enables telemetry alone, nothing is waited for.
-        options: placed.
-        responses: what was received so far.
-        wire: what was sent so far; what asked for telemetry among it.
+        out: datagrams to send; no condition for the command that enables telemetry alone.
+        options: options from ``placed``.
+        responses: responses received so far.
+        wire: wire; it shows whether anything was sent before.
     """
     at_once = not options.follows_ci or "nothing" in options.wait_for or leaves_at_once(out, options)
     if not at_once and not only_enables(out, options.headers):
@@ -194,12 +194,12 @@ def count_known(out: Outgoing, options: SendOptions, responses: Responses, wire:
 
 
 def leaves_at_once(out: Outgoing, options: SendOptions) -> bool:
-    """Return whether it is one single datagram whose result is not judged: it is not worth waiting."""
+    """Return whether a single datagram is sent and its result is not judged: waiting is not worthwhile."""
     return len(out) == options.passes == 1 and not options.expect and options.max_loss is None
 
 
 def only_enables(out: Outgoing, headers: cfe.Headers) -> bool:
-    """Return whether the command that enables telemetry is all that is sent."""
+    """Return whether only the command that enables telemetry is sent."""
     enable = headers.msg_ids.of_known(telemetry_output.COMMAND_MSG_ID)
     if len(out) != 1 or out.msg_id[0] != enable:
         return False
@@ -222,7 +222,7 @@ def enable_output(address: str, headers: cfe.Headers = cfe.STANDARD) -> bytes:
 
     Args:
         address: as text.
-        headers: those of the cFE that it goes to.
+        headers: headers of the receiving cFE.
     """
     return cfe.emit_command(
         headers.msg_ids.of_known(telemetry_output.COMMAND_MSG_ID),
