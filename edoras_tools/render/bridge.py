@@ -46,7 +46,7 @@ def _counts(summary: Mapping[str, Any]) -> dict[object, int]:
 
 
 def outcome(summary: Mapping[str, Any], width: int, output: Path | None = None) -> Group:
-    """Return the result of bridges.
+    """Return the view of the result of bridges.
 
     Args:
         summary: in the shape of ``bridge --json``.
@@ -56,7 +56,7 @@ def outcome(summary: Mapping[str, Any], width: int, output: Path | None = None) 
 
 
 def plan(bridges: Sequence[Mapping[str, Any]], ros: str, output: Path | None, width: int) -> Group:
-    """Return what bridges would do; ``bridges`` as ``bridge --dry-run --json`` has them."""
+    """Return the view of the plan; ``bridges`` in the shape of ``bridge --dry-run --json``."""
     lines: list[RenderableType] = [
         Text.assemble("would bridge to ROS 2 through ", (ros, palette.STRONG), "; nothing was opened")
     ]
@@ -69,7 +69,7 @@ def plan(bridges: Sequence[Mapping[str, Any]], ros: str, output: Path | None, wi
 
 
 def losses(summary: Mapping[str, Any]) -> list[str]:
-    """Return what was lost, refused or could not be sent, a line each."""
+    """Return lines on lost, refused and unsent messages."""
     lines = []
     for item in summary["bridges"]:
         name = item["name"]

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Level(IntEnum):
-    """How much a finding matters to the sender of the datagram."""
+    """Severity of a finding for the sender of the datagram."""
 
     NOTE = 1
     """Usual for these senders; nothing is lost."""
@@ -41,9 +41,9 @@ class Explanation(NamedTuple):
     """The explanation of a finding.
 
     Attributes:
-        severity: how much it matters.
+        severity: severity.
         short: two or three words, for the packet list.
-        meaning: one sentence: what it is, and what the receiver does with it.
+        meaning: one sentence: the fault, and the receiver's reaction.
     """
 
     severity: Level
@@ -52,7 +52,7 @@ class Explanation(NamedTuple):
 
 
 def _of(severity: Level) -> Callable[[str], Explanation]:
-    """Return what takes the short words and the sentence of an explanation, a colon between."""
+    """Return a function of the short words and the sentence, joined by a colon, that makes an explanation."""
     return lambda text: Explanation(severity, *text.split(": ", 1))
 
 
@@ -192,7 +192,7 @@ def explain(finding: Finding | str) -> Explanation:
     """Return the explanation of one finding.
 
     Args:
-        finding: one bit, or its label as in JSON; an unknown label gives a warning that says so.
+        finding: one bit, or its label as in JSON; an unknown label gives a warning with that explanation.
     """
     if isinstance(finding, str):
         if finding not in _BY_LABEL:

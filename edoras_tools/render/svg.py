@@ -17,11 +17,11 @@ _DEJAVU: Final = {
     "sans_serif_family": "DejaVu Sans",
     "monospace_family": "DejaVu Sans Mono",
 }
-"""Where fontconfig is not installed, as in a small container, resvg finds no font by ``sans-serif`` alone."""
+"""Fonts for systems without fontconfig, such as small containers, where resvg finds no ``sans-serif``."""
 
 
 def need_png() -> Callable[..., Any]:
-    """Return ``resvg_py.svg_to_bytes``, once it has drawn a letter.
+    """Return ``resvg_py.svg_to_bytes`` after a test drawing of one letter.
 
     Raises:
         ConfigError: it is not installed, or this system has no font.

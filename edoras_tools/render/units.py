@@ -19,32 +19,32 @@ class TimeFormat(StrEnum):
     DELTA = "delta"
     """Seconds since the previous packet."""
     UTC = "utc"
-    """Date, where there is room, and time of day."""
+    """Date, if there is room, and time of day."""
     EPOCH = "epoch"
     """Seconds since 1970-01-01 UTC, as in flight logs."""
 
 
 def count(value: int | None) -> str:
-    """Return ``1,827``; ``-`` where there is none."""
+    """Return ``1,827``; ``-`` for None."""
     return NONE if value is None else f"{value:,}"
 
 
 def rate(hertz: float | None) -> str:
-    """Return ``10.0 Hz``, ``250 Hz``, ``12.4 kHz``; ``-`` where there is none."""
+    """Return ``10.0 Hz``, ``250 Hz``, ``12.4 kHz``; ``-`` for None."""
     if hertz is None:
         return NONE
     return f"{hertz / 1e3:,.1f} kHz" if abs(hertz) >= 9999.5 else f"{_shortened(hertz, 1)} Hz"
 
 
 def milliseconds(value: float | None) -> str:
-    """Return ``0.42 ms``, ``12.5 ms``, ``1.3 s``; ``-`` where there is none."""
+    """Return ``0.42 ms``, ``12.5 ms``, ``1.3 s``; ``-`` for None."""
     if value is None:
         return NONE
     return f"{value / 1e3:,.1f} s" if abs(value) >= 999.5 else f"{_shortened(value, 9.995)} ms"
 
 
 def microseconds(value: float | None) -> str:
-    """Return ``420 µs``, then as milliseconds; ``-`` where there is none."""
+    """Return ``420 µs``, from 1 ms on as milliseconds; ``-`` for None."""
     return NONE if value is None else f"{value:.0f} µs" if value < 999.5 else milliseconds(value / 1000)
 
 
@@ -70,7 +70,7 @@ def utc(time_ns: int, *, digits: int = 6) -> str:
     """Return ``2026-11-21 06:36:42.553538``.
 
     Args:
-        time_ns: since 1970-01-01 UTC; what lies outside the years 1 to 9999 is given in seconds.
+        time_ns: ns since 1970-01-01 UTC; a time outside the years 1 to 9999 is given in seconds.
         digits: of the second's fraction, 0 to 6.
     """
     try:

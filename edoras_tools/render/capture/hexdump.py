@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Base = Literal["payload", "frame"]
 DUMP_WIDTH: Final = 75
-"""Cells of a line of 16 bytes."""
+"""Cells of one line with 16 bytes."""
 _ASCII: Final = "".join(chr(octet) if 32 <= octet < 127 else "·" for octet in range(256))
 
 
@@ -24,7 +24,7 @@ class Region(NamedTuple):
     """Bytes that belong together.
 
     Attributes:
-        name: of the layer.
+        name: name of the layer.
         start: first byte, from the start of the dump.
         end: one past the last byte.
         style: rich style.
@@ -60,10 +60,11 @@ def choose(decoded: Decoded, name: str) -> tuple[int, int]:
     """Return the bytes, from the start of the payload, that a layer or ``LAYER.FIELD`` was read from.
 
     Args:
-        name: as ``edoras``, ``ccsds.apid`` or ``ros.pose.position``; a group of fields is all of its fields.
+        name: name such as ``edoras``, ``ccsds.apid`` or ``ros.pose.position``; a group stands for all its
+            fields.
 
     Raises:
-        ConfigError: the packet holds none of that name.
+        ConfigError: the packet has no layer or field of that name.
     """
     owner, _, field = name.partition(".")
     layer = decoded.layer(owner)
@@ -94,9 +95,9 @@ def dump_lines(
     Args:
         data: the bytes.
         coloured: regions to colour; later ones cover earlier ones.
-        width: cells that no line exceeds; 16 bytes a line from ``DUMP_WIDTH`` on, else 8.
-        highlight: first byte and one past the last of the highlight: in reverse, or in
-            brackets without colour.
+        width: cells that no line exceeds; from ``DUMP_WIDTH`` on 16 bytes a line, else 8.
+        highlight: first byte and one past the last of the highlighted range: in reverse, or in brackets
+            without colour.
     """
     per_line = 16 if width >= DUMP_WIDTH else 8
     styles = [palette.DIM] * len(data)
@@ -112,7 +113,7 @@ def dump_lines(
 
 
 def legend(coloured: Sequence[Region], width: int, paint: palette.Paint) -> list[str]:
-    """Return which bytes are which layer, in the layers' colours, as lines of at most ``width`` cells."""
+    """Return a legend of the layers in their colours, as lines of at most ``width`` cells."""
     out: list[str] = []
     used = width
     for item in coloured:
@@ -132,10 +133,10 @@ class _Rows(NamedTuple):
 
     Attributes:
         data: the bytes.
-        styles: of every byte.
-        per_line: bytes a line.
-        paint: with or without colour.
-        brackets: first byte and one past the last of what stands in brackets.
+        styles: style of each byte.
+        per_line: bytes in one line.
+        paint: painter, with or without colour.
+        brackets: first byte and one past the last of the range in brackets.
     """
 
     data: bytes
@@ -150,7 +151,7 @@ class _Rows(NamedTuple):
         octets = text = ""
         for style, run in groupby(range(at, end), key=self.styles.__getitem__):
             places = list(run)
-            # The space in front of a run stays plain, so that what is chosen is reversed edge to edge.
+            # The space in front of a run stays plain, so that only the chosen bytes are reversed.
             octets += self._gap(at, places[0]) + self.paint(
                 self._hex(places[0])
                 + "".join(self._gap(at, place) + self._hex(place) for place in places[1:]),
@@ -167,7 +168,7 @@ class _Rows(NamedTuple):
         return f"{self.data[place]:02x}"
 
     def _gap(self, at: int, place: int) -> str:
-        # A bracket that closes at the end of a line stands there, not before the next.
+        # A bracket that closes at the end of a line stands there, not at the start of the next.
         closes = place == self.brackets[1] and place > at
         bracket = "[" if place == self.brackets[0] else "]" if closes else " "
         return " " + bracket if self.per_line == 16 and place - at == 8 else bracket

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 def host_lines(
     host: HostCounters, links: Mapping[int, str], steal: float | None, advice: Sequence[str]
 ) -> Iterator[str]:
-    """Yield the sockets, the counters and the limits, then what to change.
+    """Yield lines on sockets, counters and limits, then the advice.
 
     Args:
         links: port to the links that use it.
         steal: share of processor time.
-        advice: what to change, a line each.
+        advice: advice, one line each.
     """
     if host.sockets:
         rows = [
@@ -65,7 +65,7 @@ def outage_news(outage: InterfaceOutage) -> str:
 
 
 def outage_lines(outages: Sequence[InterfaceOutage]) -> list[str]:
-    """Return a line for each interface that was away: how often, how long, and whether it still is."""
+    """Return a line for each interface that was away: how often and how long, and whether it is away now."""
     lines = []
     for name in dict.fromkeys(outage.interface for outage in outages):
         own = [outage for outage in outages if outage.interface == name]

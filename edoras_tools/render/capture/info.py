@@ -34,10 +34,10 @@ def capture_summary(summary: Mapping[str, Any], *, explain: bool = True) -> Rend
     """Return the view of the object that ``info --json`` prints.
 
     Args:
-        summary: the object. Beyond its fixed keys it may hold ``source`` (a name), ``kind``, ``bytes``,
-            ``skipped``, ``warnings`` (lines), and per route ``name`` (of a packet that is no topic),
+        summary: the object. Besides its fixed keys it may have ``source`` (a name), ``kind``, ``bytes``,
+            ``skipped``, ``warnings`` (lines), and per route ``name`` (of a packet that belongs to no topic),
             ``processor_id``, ``bytes_min`` and ``findings`` (label to count). Routes keep their order.
-        explain: say what every finding means.
+        explain: whether to explain every finding.
     """
     return _CaptureSummary(summary, explain)
 
@@ -47,7 +47,7 @@ class _CaptureSummary(NamedTuple):
     explain: bool
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the totals and the tables, with the columns that the width has room for."""
+        """Yield the totals and the tables, with the columns that fit into the width."""
         yield totals(self.summary)
         if self.summary.get("routes"):
             yield Text()
@@ -92,7 +92,7 @@ def _writers(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def contents_lines(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines on a file of cFE without packets, in the shape of ``info --json``."""
+    """Yield lines about a cFE file without packets, whose summary has the shape of ``info --json``."""
     yield f"source   {clean(summary['source'])}  {summary['kind']}"
     yield f"by       spacecraft {summary['spacecraft_id']}, processor {summary['processor_id']}"
     yield f"says     {clean(summary['description'])}"
@@ -115,14 +115,14 @@ def contents_lines(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _content(name: str, value: Any) -> str:
-    """Return a field of an entry: a time, a duration, or as it is."""
+    """Return the text of an entry's field: a time, a duration, or the value."""
     if name == "time_ns":
         return units.utc(value)
     return units.milliseconds(value / 1e6) if name.endswith("_ns") else clean(str(value))
 
 
 def totals(summary: Mapping[str, Any]) -> Table:
-    """Return the figures of the whole: source, datagrams, span, drops."""
+    """Return the table of totals: source, datagrams, span, drops."""
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style=palette.DIM, no_wrap=True)
     grid.add_column(overflow="fold")
@@ -180,7 +180,7 @@ def msg_id_text(route: Mapping[str, Any]) -> Text:
 
 
 def departures(counts: Mapping[str, int]) -> Text:
-    """Return how many errors and warnings there are, as ``✗ 3 ! 12``."""
+    """Return the numbers of errors and warnings, as ``✗ 3 ! 12``."""
     totals: dict[Level, int] = {}
     for label, count in counts.items():
         severity = explain(label).severity
@@ -222,7 +222,7 @@ _COLUMNS: Final = (
 
 SPACECRAFT: Final = Column("Spacecraft", lambda row: plain(row["spacecraft"]), rank=1)
 _MOST_ROUTES: Final = 500
-"""Lines of the table of routes; rich takes some ms for each."""
+"""Most rows in the table of routes; rich takes some ms for each."""
 _OF_TOPICS: Final = [
     item for item in _COLUMNS if item.title in {"Topic", "Type", "Count", "Rate", "Jitter", "Bytes"}
 ]
@@ -241,7 +241,7 @@ def findings(counts: Mapping[str, int], datagrams: int, *, meaning: bool = True)
 
     Args:
         counts: label to count.
-        meaning: say what every finding means.
+        meaning: whether to explain every finding.
     """
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
     table.add_column("Finding", no_wrap=True)

@@ -19,7 +19,7 @@ _GAP: Final = 3
 def packet_lines(
     decoded: Decoded, width: int, *, colour: bool, highlight: str = "", base: hexdump.Base = "payload"
 ) -> list[str]:
-    """Return a packet's tree, its bytes and which of them are which layer.
+    """Return a packet's tree, its bytes, and the legend of their layers.
 
     Args:
         width: cells that no line exceeds, at least 44.
@@ -28,7 +28,7 @@ def packet_lines(
         base: dump the payload, or the whole frame.
 
     Raises:
-        ConfigError: the packet holds no such layer or field.
+        ConfigError: the packet has no such layer or field.
     """
     paint = palette.Paint(colour)
     if width < SIDE_BY_SIDE:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class ColumnLines:
-    """Prints blocks of rows under one line of heads; a column grows when a later block needs it.
+    """Prints blocks of rows under one line of titles; a column grows if a later block needs more room.
 
     Args:
         heads: titles of the columns.
@@ -62,7 +62,7 @@ class ColumnLines:
 
 
 class _Widths(NamedTuple):
-    """Cells of every column at one terminal width; 0 leaves the column out, and ``info`` has what is left."""
+    """Cells of every column at one terminal width; 0 leaves a column out, and ``info`` gets the rest."""
 
     number: int
     time: int
@@ -78,11 +78,11 @@ class _Widths(NamedTuple):
 COLUMNS: Final = ("time", "ports", "packet", "msg_id", "topic", "bytes")
 """The columns that can be left out; the number and the message are always there."""
 MESSAGE_COLUMNS: Final = ("time", "topic", "bytes")
-"""Those that messages without datagrams have."""
+"""Columns of messages without datagrams."""
 LEAST_WITH_TYPE: Final = 64
-"""Cells from which on there is room for a message's type, too."""
+"""Width from which a message's type is shown too, in cells."""
 _ADDED_CELLS: Final = (8, 24)
-"""Cells of an added column, at least and at most."""
+"""Least and most cells of an added column."""
 _TIME_CELLS: Final = {
     TimeFormat.RELATIVE: (9, 11, 11),
     TimeFormat.DELTA: (9, 11, 11),
@@ -93,16 +93,16 @@ _MOST_KNOWN: Final = 4096
 _PORTS, _COMPACT, _FULL = 11, 27, 45
 _KIND_CELLS: Final = 9
 _SHORT_KINDS: Final = {"NO_MSG": "NONE", "HEARTBEAT": "BEAT", "ANNOUNCE": "ANNC", "DISCONNECT": "DISC"}
-"""SBN message types in a column of ``_KIND_CELLS``, the link's name in front."""
+"""Short SBN message types, behind the link's name, for a column of ``_KIND_CELLS``."""
 
 
 @lru_cache(maxsize=64)
 def _widths(width: int, time_format: TimeFormat, names: tuple[str, ...], added: tuple[int, ...]) -> _Widths:
-    """Return the widths of the columns that are shown, beside some others that were added."""
+    """Return the widths of the shown columns, next to columns that were added."""
     narrow, medium, wide = _TIME_CELLS[time_format]
     columns = (7, wide, _FULL, 14, 6, 28, 5)
     if width < 64:
-        topic = 0 if "packet" in names else 14  # else it is told by nothing but its topic
+        topic = 0 if "packet" in names else 14  # without the column of packets only the topic identifies it
         columns = (5, narrow if width >= 48 else 0, 0, 7, 0, topic, 0)
     elif width < 100:
         columns = (5, narrow, 0, _KIND_CELLS, 6, width // 6 - 1, 4)
@@ -125,11 +125,11 @@ class PacketList:
     Args:
         width: columns of the terminal, at least 20.
         colour: whether to use ANSI styles.
-        names: MsgId to a name, where neither a message nor the layers have one.
-        verbose: show notes too, not only warnings and errors.
-        begin_ns: what relative times count from; None: the first packet shown.
-        columns: which of ``COLUMNS`` are shown, if there is room for them.
-        added: titles of columns in front of the message, and whether they are aligned right.
+        names: MsgId to a name, for packets that neither a message nor a layer names.
+        verbose: whether to show notes, besides warnings and errors.
+        begin_ns: zero of relative times, ns since 1970; None: the first packet shown.
+        columns: columns of ``COLUMNS`` to show, if they fit.
+        added: titles of columns in front of the message, each with whether it is aligned right.
     """
 
     def __init__(
@@ -156,11 +156,11 @@ class PacketList:
         self.resize(width)
 
     def count_from(self, begin_ns: int) -> None:
-        """Count relative times from here on, ns since 1970, unless they do from elsewhere; 0: not known."""
+        """Set the zero of relative times, ns since 1970, unless it is set; 0: unknown."""
         self._first_ns = self._first_ns or begin_ns or None
 
     def resize(self, width: int) -> None:
-        """Lay the columns out for another width; the lines that follow have it."""
+        """Arrange the columns for another width; it holds for later lines."""
         self._width = max(20, width)
         cells = tuple(cells for *_, cells in self._added)
         self._widths = _widths(self._width, self._time_format, self._columns, cells)
@@ -195,9 +195,9 @@ class PacketList:
         """Return a packet's line, without a line end.
 
         Args:
-            packet: what it shows.
-            previous_ns: time of the packet above; None: that of the last one asked for.
-            values: of the added columns, clean.
+            packet: packet.
+            previous_ns: time of the packet above; None: time of the packet of the previous call.
+            values: values of the added columns, clean.
         """
         if previous_ns is not None:
             self._previous_ns = previous_ns
@@ -214,12 +214,12 @@ class PacketList:
             before += gap
         after = gap + str(packet.length).rjust(size.length) if size.length else ""
 
-        # A number or a length beyond its column is shown whole, and the message gives the room.
+        # A number or a length that is too long for its column is shown whole, and the message gets less room.
         room = size.info - (len(number) - size.number) - max(0, len(after) - len(gap) - size.length)
         for place, value in enumerate(values):
             after += gap + self._cell(value, place)
         badge, badge_width = self._badge(packet.findings, room)
-        # For a packet of which only the name is known, the column of names shows everything.
+        # For a packet with a name only, the column of names shows everything.
         summary = clean(packet.text) if packet.text != name else ""
         summary = clip(summary, room - badge_width)
         if not self._paint.colour:
@@ -231,7 +231,7 @@ class PacketList:
         ).rstrip()
 
     def _identity(self, link: Link, kind: str, msg_id: int, name: str) -> str:
-        """Return the columns that tell which packet it is."""
+        """Return the columns that identify the packet."""
         key = link, kind, msg_id, name
         cached = self._known.get(key)
         if cached is not None:
@@ -265,17 +265,17 @@ class PacketList:
         return moment[:width] if width == len(moment) else moment[11 : 11 + width]
 
     def _route(self, source: Endpoint, destination: Endpoint) -> str:
-        key = id(source), id(destination)  # to hash them takes as long as the rest of a line
+        key = id(source), id(destination)  # hashing them would take as long as the rest of a line
         cached = self._endpoints.get(key)
         if cached is None:
             if len(self._endpoints) > _MOST_KNOWN:
                 self._endpoints.clear()
             text = _endpoints(source, destination, self._widths.endpoints)
-            cached = self._endpoints[key] = text, source, destination  # which keeps the ids theirs
+            cached = self._endpoints[key] = text, source, destination  # keeping them keeps the ids unique
         return cached[0]
 
     def _badge(self, findings: Finding, room: int) -> tuple[str, int]:
-        """Return the painted findings that fit in at most half of the room, and the cells they take."""
+        """Return the painted findings that fit into half of the room, and the cells they take."""
         if not findings:
             return "", 0
         key = findings if room == self._widths.info else None
@@ -321,7 +321,7 @@ def _endpoints(source: Endpoint, destination: Endpoint, width: int) -> str:
 
 
 def _rounded(text: str, room: int) -> str:
-    """Return a number with as many digits as there is room for; any other text as it is."""
+    """Return a number with as many digits as fit into the room; other texts unchanged."""
     if len(text) <= room:
         return text
     try:

@@ -20,15 +20,15 @@ _PLANTUML: Final = re.compile(r"""//|__|\*\*|--|""|[~<]""")
 
 
 class SequenceMessage(msgspec.Struct, frozen=True):
-    """Like packets from one party to another, without a pause.
+    """Similar packets from one party to another, without a pause.
 
     Attributes:
-        source: who sends.
-        destination: who is sent to.
-        label: what is sent.
-        count: how often.
-        first_ns: time of the first, since the capture's first datagram.
-        last_ns: time of the last.
+        source: name of the sender.
+        destination: name of the receiver.
+        label: kind of the packets.
+        count: number of packets.
+        first_ns: time of the first, ns after the capture's first datagram.
+        last_ns: time of the last, ns after the capture's first datagram.
         findings: labels of all findings among them.
     """
 
@@ -42,7 +42,7 @@ class SequenceMessage(msgspec.Struct, frozen=True):
 
     @property
     def period_ns(self) -> float:
-        """Mean time from one to the next; 0 where there is one only."""
+        """Mean time between two of them; 0 for a single one."""
         return (self.last_ns - self.first_ns) / (self.count - 1) if self.count > 1 else 0.0
 
     @property
@@ -93,5 +93,5 @@ def _parties(messages: Sequence[SequenceMessage]) -> dict[str, str]:
 
 
 def mermaid_text(text: str) -> str:
-    """Return a text so that Mermaid reads none of it as its own."""
+    """Return a text, escaped so that Mermaid reads none of it as syntax."""
     return _MERMAID.sub(lambda match: f"#{ord(match[0])};", clean(text))

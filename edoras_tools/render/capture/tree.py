@@ -1,4 +1,4 @@
-"""The tree of one packet: layers, fields, the bytes each was read from, and what is wrong with it."""
+"""The tree of one packet: layers, fields, the bytes of each field, and faults."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MOST_TEXT: Final = 1024
 
 
 def field_text(item: LayerField) -> str:
-    """Return a field's value: its text where it has one, the plain number behind it in brackets.
+    """Return a field's value: its text if it has one, followed by the plain number in brackets.
 
     The result is not yet safe for a terminal: see :func:`edoras_tools.render.terminal.text.clean`.
     """
@@ -37,12 +37,12 @@ def field_text(item: LayerField) -> str:
         return plain
     if isinstance(item.value, bytes):
         return plain if item.text == item.value.hex() else item.text
-    # One word is the number in another base; a text of several words has said what the number means.
+    # A single word is the number in another base; a text of several words already explains the number.
     return f"{item.text} ({plain})" if isinstance(item.value, int) and " " not in item.text else item.text
 
 
 def value_text(value: Any) -> str:
-    """Return a plain value on one line; long lists, bytes and texts are cut and say how long they are."""
+    """Return a plain value on one line; long lists, bytes and texts are cut, and their length is given."""
     match value:
         case str():
             cut = f'"{value[:_MOST_TEXT]}"'
@@ -73,7 +73,7 @@ GUTTER: Final = 11
 _MOST_LABEL: Final = 32
 _LEAST_VALUE: Final = 20
 _MOST_LINES: Final = 8
-"""Lines that one value may take."""
+"""Most lines of one value."""
 _DOC_AT: Final = 64
 """Column where the documentation of fields begins, on lines that are wide enough."""
 _LEAST_DOC: Final = 32
@@ -83,15 +83,15 @@ class TreeRow(NamedTuple):
     """One row of the tree.
 
     Attributes:
-        role: what the row is.
-        depth: how far it is indented; 0 for layers.
+        role: role of the row.
+        depth: level of indentation; 0 for layers.
         label: name of the field or title of the layer.
-        value: the value as people read it; nothing for groups.
+        value: readable value; empty for groups.
         start: first byte, from the start of the UDP payload.
-        end: one past the last byte; ``start`` where the row stands for no bytes.
+        end: one past the last byte; equal to ``start`` if the row stands for no bytes.
         style: the rich style of the link, the layer or the severity.
-        doc: one line on what the field is.
-        align: cells that the labels beside this one take.
+        doc: description of the field, one line.
+        align: width of the labels at this level, in cells.
     """
 
     role: RowRole
@@ -165,13 +165,13 @@ def _layer(layer: Layer, style: str) -> Iterator[TreeRow]:
 
 
 def _repeated(layer: Layer, style: str) -> Iterator[TreeRow]:
-    """Yield one row for a layer of which a packet holds many, such as an SBN subscription."""
+    """Yield one row for a layer that a packet has many times, such as an SBN subscription."""
     value = "  ".join(f"{item.name}: {field_text(item)}" for item in layer.fields)
     yield TreeRow("layer", 0, clean(layer.title), clean(value), layer.start, layer.end, style)
 
 
 def _fields(items: Sequence[LayerField], style: str, depth: int = 1, prefix: str = "") -> Iterator[TreeRow]:
-    """Yield fields, those of one dotted parent under a group of its name."""
+    """Yield fields; fields with the same dotted parent are in one group of its name."""
     blocks = list(_blocks(items, prefix))
     align = min(max((cells(name) for name, _, leaf in blocks if leaf), default=0), _MOST_LABEL)
     for name, members, leaf in blocks:
@@ -188,11 +188,11 @@ def _fields(items: Sequence[LayerField], style: str, depth: int = 1, prefix: str
 
 
 def _blocks(items: Sequence[LayerField], prefix: str) -> Iterator[tuple[str, list[LayerField], bool]]:
-    """Yield (name, its fields, whether it is a field itself) of one level, in wire order."""
+    """Yield (name, its fields, whether it is itself a field) for one level, in wire order."""
     blocks: dict[tuple[str, int], list[LayerField]] = {}
     for index, item in enumerate(items):
         name, dot, _ = item.name[len(prefix) :].partition(".")
-        # Two fields of one name stay two rows.
+        # Two fields with the same name remain two rows.
         blocks.setdefault((name, -1 if dot else index), []).append(item)
     for (name, index), members in blocks.items():
         yield clean(name), members, index >= 0
@@ -204,7 +204,7 @@ def row_lines(row: TreeRow, width: int, paint: palette.Paint, *, closed: bool = 
     Args:
         row: as :func:`rows` yields it.
         width: cells that no line exceeds, at least 40.
-        closed: what is under it is not shown.
+        closed: whether the rows below it are hidden.
     """
     match row.role:
         case "packet":
@@ -227,7 +227,7 @@ def row_lines(row: TreeRow, width: int, paint: palette.Paint, *, closed: bool = 
 def _field(row: TreeRow, width: int, paint: palette.Paint) -> list[str]:
     room = width - GUTTER
     indent = _indent(row, room)
-    # However deep a message nests and however long a name, some of the line is left for the value.
+    # Even for a deeply nested message and a long name, part of the line is left for the value.
     align = max(row.align, cells(row.label)) if width >= FILE_WIDTH else row.align
     label = clip(fit(f"{clip(row.label, align)}:", align + 1), max(4, room - len(indent) - 2 - _LEAST_VALUE))
     used = GUTTER + len(indent) + cells(label) + 2
@@ -260,7 +260,7 @@ def _hang(first: str, used: int, value: str, indent: int, width: int) -> list[st
 
 
 def _range(row: TreeRow) -> str:
-    """Return ``24-75``, both ends inclusive as in the standards; nothing where there are no bytes."""
+    """Return ``24-75``, both ends inclusive as in the standards; empty if the row has no bytes."""
     if row.end <= row.start:
         return ""
     return str(row.start) if row.end == row.start + 1 else f"{row.start}-{row.end - 1}"

@@ -1,4 +1,4 @@
-"""What is shown of a run on standard error, and the line printed at its end."""
+"""The view of a run on standard error, and the line printed at its end."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
 
 def live_table(title: str, console: Console, output: Path | None = None) -> LiveTable[LiveRun]:
-    """Return the table of a run; its last state stays.
+    """Return the live table of a run; its last state stays on the screen.
 
     Args:
-        title: what goes on, as ``eth0 → a.mcap``.
-        output: the file or directory that grows.
+        title: name of the run, as ``eth0 → a.mcap``.
+        output: file or directory whose size is shown.
     """
     return LiveTable(lambda _, moment: view(title, moment), _counts, console, output, transient=False)
 
@@ -47,7 +47,7 @@ def _counts(summary: Mapping[str, Any]) -> dict[object, int]:
 
 
 def view(title: str, moment: Moment) -> Group:
-    """Return what the live table shows; routes that do not fit its height are counted."""
+    """Return the content of the live table; routes that do not fit are only counted."""
     rates = moment.rates or {}
     parts: list[RenderableType] = [title_line(title, moment), one_line(_totals(moment, rates))]
     rows = list(moment.summary.get("routes", ()))
@@ -98,11 +98,11 @@ def _key(row: Mapping[str, Any]) -> object:
 
 _Printed = TypeVar("_Printed", bound="Sized")
 _PATIENCE_S: Final = 0.3
-"""Shorter work shows no bar."""
+"""Time from which work shows a bar, s."""
 
 
 class Followed(SourceOver):
-    """A source that shows how far it is read, where standard error is a terminal and that takes a while."""
+    """A source that shows the progress of reading on a terminal, if reading takes long."""
 
     def __init__(self, source: Source, *, quiet: bool) -> None:
         super().__init__(source)
@@ -121,7 +121,7 @@ class Followed(SourceOver):
             self._clear()
 
     def printed(self, blocks: Iterable[_Printed]) -> Iterator[_Printed]:
-        """Yield what is about to be printed: the bar gives way to it, and waits again."""
+        """Yield blocks to print; the bar disappears before each, and waits again."""
         for block in blocks:
             if len(block):
                 self._clear()
@@ -142,7 +142,7 @@ class Followed(SourceOver):
 
 @contextmanager
 def byte_progress(path: Path, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """Show on standard error how many bytes of a file are checked: yield what takes them and all."""
+    """Show the checked bytes of a file on standard error; yield a function of checked and all bytes."""
     if quiet or not detect_terminal(sys.stderr).interactive:
         yield lambda _count, _all: None
         return
@@ -154,12 +154,12 @@ def byte_progress(path: Path, *, quiet: bool) -> Iterator[Callable[[int, int], N
 
 
 def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | None = None) -> str:
-    """Return the line that says what a recording holds.
+    """Return the line about the contents of a recording.
 
     Args:
         summary: in the shape of ``info --json``.
-        outputs: the files or the directory written, at least one.
-        keep: what was deleted of it again.
+        outputs: written files, or the directory; at least one.
+        keep: deleted parts of it.
     """
     rows = summary.get("routes", ())
     topics = [row.get("count", 0) for row in rows if row.get("topic")]
@@ -170,7 +170,7 @@ def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | N
     on = f"{plural(messages, 'message')} on {plural(len(topics), 'topic')}"
     if samples := summary.get("samples"):
         on += f", {plural(sum(row['count'] for row in samples), 'sample')} of DDS"
-    if "messages" in summary:  # of a recording without datagrams
+    if "messages" in summary:  # a recording without datagrams
         noun, words = "message", [on + over]
     else:
         noun, words = "datagram", [plural(summary.get("datagrams", 0), "datagram"), on]

@@ -36,12 +36,12 @@ FIGURES: Final = {
     "not_captured": "Not seen",
     "unaccounted": "Unaccounted",
 }
-"""Name of each figure to its head."""
+"""Name of each figure to its column title."""
 _ALWAYS: Final = frozenset({"in", "out", "lost"})
 
 
 def shown_rows(result: Diagnosis) -> list[dict[str, Any]]:
-    """Return the rows to show: packets of cFS itself are one row if nothing is missing."""
+    """Return the rows to show: packets of cFS itself are joined to one row if none is missing."""
     balance = [row.as_json(result.topics.get(row.route)) for row in result.balance]
     for item, row_json in zip(result.balance, balance, strict=True):
         if not item.observed:
@@ -54,7 +54,7 @@ def shown_rows(result: Diagnosis) -> list[dict[str, Any]]:
     left_out = {id(row) for row in quiet}
     rest = [row for row in rows if id(row) not in left_out]
     first: dict[tuple[Any, ...], int] = {}
-    for row in quiet:  # a message that crosses two hops is one message
+    for row in quiet:  # count a message that crosses two hops once
         first.setdefault((row["link"], row["msg_id"], row["instance"]), row["in"])
     number = sum(first.values())
     others = {**quiet[0], **dict.fromkeys(FIGURES, 0), "in": number, "out": number, "lost_by": {}}
@@ -63,7 +63,7 @@ def shown_rows(result: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _with_ends(result: Diagnosis, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows, and in front of each command's and behind them the hops that were not counted."""
+    """Return the rows of a table, with the uncounted hops in front of and behind each command's rows."""
     before: dict[int, dict[str, Any]] = {}
     behind: dict[int, dict[str, Any]] = {}
     for chain in result.chains:
@@ -82,14 +82,14 @@ def _with_ends(result: Diagnosis, rows: list[dict[str, Any]]) -> list[dict[str, 
 
 
 def causes(row: Mapping[str, Any]) -> str:
-    """Return why messages of a row were lost: ``92 over a message limit``; of one not counted, what would."""
+    """Return the causes of a row's losses: ``92 over a message limit``; else where they would be counted."""
     if row.get("lost", 0) is None:
         return str(row["not_counted"])
     return ", ".join(f"{number:,} {cause_text(cause)}" for cause, number in row["lost_by"].items())
 
 
 def figure_text(value: int | None) -> str:
-    """Return a figure as text; nothing where it was not counted."""
+    """Return a figure as text; empty if it was not counted."""
     return "" if value is None else units.count(value)
 
 
@@ -104,13 +104,13 @@ def _figure(name: str) -> Any:
 
 
 def balance_table(result: Diagnosis, width: int) -> RenderableType:
-    """Return the table, without the columns that are empty in every row."""
+    """Return the balance as a table, without columns that are empty in every row."""
     last = "Lost by", causes
     return _table(shown_rows(result), FIGURES, {"lost"}, last, width, lambda row: row["msg_id"])
 
 
 def chain_table(chains: Sequence[Chain], width: int) -> RenderableType:
-    """Return the way of each command, a row a hop."""
+    """Return the ways of the commands, one row for each hop."""
     rows = [
         {**hop.as_json(), "msg_id": f"0x{item.msg_id:04x}", "topic": item.topic, "name": item.instance}
         for item in chains
@@ -132,10 +132,10 @@ def _table(
     """Return a table of hops.
 
     Args:
-        figures: name of each figure to its head.
-        always: the figures that have a column even if they are empty in every row.
-        last: head of the last column, and what gives its text.
-        apart: as ``build`` takes it.
+        figures: name of each figure to its column title.
+        always: figures with a column even if it is empty in every row.
+        last: title of the last column, and the function that gives its text.
+        apart: argument of ``build``.
     """
     columns = [
         Column("MsgId", lambda row: msg_id_text(row) if row["msg_id"] else Text(""), justify="left"),

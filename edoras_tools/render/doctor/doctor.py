@@ -35,27 +35,27 @@ _STYLES: Final = {
     Severity.NOTE: Level.NOTE,
 }
 _SCREEN: Final = 23
-"""Lines of the first screen: with the shell's prompt below it the first one stays in sight."""
+"""Lines of the first screen: with the shell's prompt below, the first line stays visible."""
 _WIDEST: Final = 100
 _FULL: Final = 3
-"""So many problems are told in full."""
+"""Problems that are shown in full."""
 _COUNT: Final = 7
-"""Columns of a figure in front of its problem."""
+"""Columns of the figure in front of a problem."""
 _MOST_SPANS: Final = 24
 _ALIKE: Final = 4
-"""So many verdicts of one rule, or more, are one entry with a line each."""
+"""Least number of verdicts of one rule that are shown as one entry, with one line each."""
 _MANY_ERRORS: Final = 12
-"""The same for errors, whose evidence matters more."""
+"""The same number for errors, whose evidence matters more."""
 _STATES: Final = {"connected": "green", "silent": "yellow", "timed_out": "bold red", "disconnected": "yellow"}
 
 
 def screen(result: Diagnosis, width: int, words: str = "", lines: int = _SCREEN) -> RenderableType:
-    """Return what a person reads first, on one screen.
+    """Return the first screen of a diagnosis.
 
     Args:
         width: columns.
-        words: what follows the command's name to examine the same again; empty where that cannot be done.
-        lines: the most that it may take, where fewer problems than three make that possible.
+        words: arguments that examine the same input again; empty if this is impossible.
+        lines: most lines, if this is possible with fewer than three problems.
     """
     summary, width = summarize(result), min(width, _WIDEST)
     head = _wrapped(plain(summary.headline, f"{_style(result)} {palette.STRONG}".strip()), width)
@@ -79,17 +79,17 @@ def screen(result: Diagnosis, width: int, words: str = "", lines: int = _SCREEN)
 
 
 def _shared(problems: Sequence[Problem]) -> Iterator[tuple[Problem, bool]]:
-    """Yield problems, and whether their remedy is told: of several with the same, with the last of them."""
+    """Yield problems, and whether to show their remedy: the last of several with the same remedy does."""
     for place, item in enumerate(problems):
         yield item, bool(item.remedy) and item.remedy not in {other.remedy for other in problems[place + 1 :]}
 
 
 def _problem(item: Problem, remedied: bool, width: int, words: str) -> list[Text]:
-    """Return the lines of a problem: how many in front, then what, where and why, then what to do.
+    """Return the lines of a problem: its number in front, then the text, then the remedy.
 
     Args:
-        remedied: whether what to do is told here.
-        words: as ``screen`` takes them.
+        remedied: whether to show the remedy.
+        words: argument of ``screen``.
     """
     grade = _STYLES[item.severity]
     start = units.count(item.lost) if item.lost else grade.mark
@@ -107,7 +107,7 @@ def _problem(item: Problem, remedied: bool, width: int, words: str) -> list[Text
 
 
 def _hanging(start: Text, text: str, width: int) -> list[Text]:
-    """Return a text behind its label; the lines that follow the first hang below it."""
+    """Return a text behind its label; further lines are indented below it."""
     lines = wrap(clean(text), width - _COUNT - 2)
     first = Text.assemble(start, " " * (_COUNT + 2 - start.cell_len), lines[0])
     return [first, *(Text(f"{'':{_COUNT + 2}}{line}") for line in lines[1:])]
@@ -150,7 +150,7 @@ def _head(result: Diagnosis, name: str) -> Text:
 
 
 def limits(result: Diagnosis) -> list[str]:
-    """Return what was outside the chosen time, and what is not shown, one line each."""
+    """Return notes on datagrams outside the chosen time, and on results that are not shown, one line each."""
     lines = [item.advice for item in result.unnamed]
     if other := result.left_out - result.capture.cut - sum(item.datagrams for item in result.unnamed):
         lines.append(f"{plural(other, 'datagram')} skipped: robot states, or of no known link")
@@ -158,7 +158,7 @@ def limits(result: Diagnosis) -> list[str]:
 
 
 def _selection_notes(result: Diagnosis) -> list[str]:
-    """Return what of the capture is neither examined nor shown because it was not chosen."""
+    """Return notes on parts of the capture that were not chosen, so not examined or not shown."""
     lines = []
     if result.capture.cut:
         lines.append(
@@ -175,7 +175,7 @@ def _selection_notes(result: Diagnosis) -> list[str]:
 
 
 def _verdict(result: Diagnosis, group: Sequence[Verdict]) -> RenderableType:
-    """Return one problem: its worst time span in full, all of its spans in a table."""
+    """Return the view of one problem: its worst time span in full, all of its spans in a table."""
     worst = max(group, key=lambda item: item.lost or 0)
     grade = _STYLES[worst.severity]
     title = Text.assemble((f"{grade.mark} {worst.rule}", grade.style))
@@ -194,7 +194,7 @@ def _verdict(result: Diagnosis, group: Sequence[Verdict]) -> RenderableType:
 
 
 def told_of(group: Sequence[Verdict]) -> str:
-    """Return the sentence of one problem: that of its worst span of time, said to be one of several."""
+    """Return the sentence of one problem: that of its worst time span, marked as one of several."""
     worst = max(group, key=lambda item: item.lost or 0)
     return worst.reason if len(group) == 1 else f"the worst: {worst.reason}"
 
@@ -241,7 +241,7 @@ def _spans(result: Diagnosis, group: Sequence[Verdict]) -> Table:
 
 
 def latency_text(value: Mapping[str, Any] | None, key: str) -> Text:
-    """Return a figure of a latency, in ms; nothing where there is none."""
+    """Return a figure of a latency, ms; empty if there is none."""
     return Text(units.milliseconds(value[key]) if value else "")
 
 
@@ -263,7 +263,7 @@ def _sender(row: Mapping[str, Any]) -> Text:
 
 
 def clean_to(row: Mapping[str, Any]) -> str:
-    """Return to what rate a route gets through, and whether the capture or cFS's usual constants say so."""
+    """Return the rate up to which a route loses nothing, and whether it is measured or assumed."""
     return f"{units.rate(row['limit_hz'])} {row['limit_from']}" if row["limit_hz"] else "not seen"
 
 
@@ -341,7 +341,7 @@ def verdict_table(result: Diagnosis, title: str, height: int) -> RenderableType:
 
 
 def merge_spans(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """Return one verdict for each problem: the last of its spans, with the losses of all."""
+    """Return one verdict for each problem: that of its last span, with the losses of all."""
     by_key: dict[tuple[Any, ...], Verdict] = {}
     for item in verdicts:
         earlier = by_key.get(item.key)
@@ -373,7 +373,7 @@ _BUDGET: Final = (
 
 
 def budgets(routes: Sequence[Budget], width: int) -> RenderableType:
-    """Return the table of what every route can carry."""
+    """Return the table of the capacities of all routes."""
     rows = [item.as_json() for item in routes]
     parts: list[RenderableType] = [build(_BUDGET, rows, width, apart=lambda row: row["link"])]
     parts += [

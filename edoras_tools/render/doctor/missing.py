@@ -29,7 +29,7 @@ def missing_table(missing: Sequence[Missing], start_ns: int, width: int) -> Rend
     """Return the table.
 
     Args:
-        start_ns: the first datagram: times count from it.
+        start_ns: time of the first datagram, zero of the times, ns since 1970.
     """
     lines = [list(alike) for _, alike in groupby(missing, key=_same)]
     rows = [
@@ -62,7 +62,7 @@ def missing_table(missing: Sequence[Missing], start_ns: int, width: int) -> Rend
 
 
 def _same(item: Missing) -> tuple[Any, ...]:
-    """Return what messages on one line have in common; one that is a packet has a line of its own."""
+    """Return the common values of messages that share a line; a message that is a packet has its own."""
     has_number = item.first is not None
     return (
         item.number,

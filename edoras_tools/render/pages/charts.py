@@ -17,15 +17,15 @@ CHART_WIDTH: Final = 720
 CHART_HEIGHT: Final = 202
 LEFT, RIGHT, TOP, BOTTOM = 66, 12, 30, 32
 _COUNTED: Final = ("messages", "runs")
-"""Units of which there are no halves. The margins hold the large letters that a phone is given."""
+"""Units without fractions. The margins hold the large letters that a phone gets."""
 
 
 class TimeSpan(msgspec.Struct, frozen=True):
-    """What a time axis shows.
+    """The span of a time axis.
 
     Attributes:
-        begin: where it begins, in s of any clock.
-        seconds: how long it is.
+        begin: begin, s, on any clock.
+        seconds: length, s.
     """
 
     begin: float
@@ -36,9 +36,9 @@ class Frame:
     """A plot's axes; ``x`` and ``y`` turn values into positions.
 
     Args:
-        drawn: how long it is, and when it began.
+        drawn: length and begin of the time axis.
         title: text for screen readers.
-        height: of the whole, in the view box's units.
+        height: height of the whole chart, in units of the view box.
     """
 
     def __init__(
@@ -49,11 +49,11 @@ class Frame:
         self.parts: list[str] = []
 
     def x(self, value: float) -> float:
-        """Return the place of a time."""
+        """Return the position of a time."""
         return round(LEFT + value / self.x_most * (CHART_WIDTH - LEFT - RIGHT), 1)
 
     def y(self, value: float) -> float:
-        """Return the place of a value."""
+        """Return the position of a value."""
         room = self.height - TOP - BOTTOM
         return round(self.height - BOTTOM - min(value, self.y_most) / self.y_most * room, 1)
 
@@ -63,7 +63,7 @@ class Frame:
         self.parts.append(f'<polyline class="{style}" points="{path}"/>')
 
     def level(self, value: float, style: str, text: str) -> None:
-        """Draw a horizontal line; its name stands above the plot, where no data is."""
+        """Draw a horizontal line; its name stands above the plot, outside the data."""
         if value > self.y_most:
             return
         for x, y in ((LEFT, self.y(value)), (CHART_WIDTH - 40, TOP - 14)):
@@ -72,7 +72,7 @@ class Frame:
         self.parts.append(f'<text class="end" x="{CHART_WIDTH - 46}" y="{TOP - 10}">{escape(text)}</text>')
 
     def bars(self, values: Sequence[float], base: Sequence[float], width: float, style: str) -> None:
-        """Draw bars of ``width`` s on top of others."""
+        """Draw bars of ``width`` s on top of other bars."""
         path = []
         for index, (value, under) in enumerate(zip(values, base, strict=True)):
             if value:

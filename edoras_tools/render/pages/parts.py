@@ -1,4 +1,4 @@
-"""What every page is put together from: its frame, sections, charts in cards, and its footer."""
+"""The parts of every page: its frame, sections, charts in cards, and its footer."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Made(NamedTuple):
 
     Attributes:
         command: the command line that makes it again.
-        time_ns: when, ns since 1970-01-01 UTC.
+        time_ns: time of making, ns since 1970-01-01 UTC.
     """
 
     command: str
@@ -29,7 +29,7 @@ class Made(NamedTuple):
 
 
 def document(title: str, parts: Iterable[str]) -> str:
-    """Return a whole page: it loads nothing from elsewhere."""
+    """Return a whole page; it loads nothing from other places."""
     style = (files("edoras_tools.render.pages") / "style.css").read_text(encoding="utf-8")
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -48,12 +48,12 @@ def contents(sections: Sequence[str]) -> str:
 
 
 def heading(name: str) -> str:
-    """Return the page's heading; a path breaks between its parts, and then only where it must."""
+    """Return the page's heading; a path may break between its parts, and only where necessary."""
     return f"<h1>{escape(name).replace('/', '/<wbr>')}</h1>"
 
 
 def footer(origin: Made) -> str:
-    """Return how and when the page was made."""
+    """Return the footer: how and when the page was made."""
     text = f"edoras-tools {__version__}, {units.utc(origin.time_ns, digits=0)} UTC"
     return f'<footer class="dim">{text}<br><code>{escape(origin.command)}</code></footer>'
 
@@ -65,13 +65,13 @@ def chart_card(title: str, svg: str, note: str = "") -> str:
 
 
 def section(title: str, inside: Iterable[str], lead: str = "") -> str:
-    """Return a section; empty where nothing is in it."""
+    """Return a section; empty if it has no contents."""
     drawn = "".join(inside)
     anchor = title.lower().replace(" ", "-")
     return f'<section id="{anchor}"><h2>{title}</h2>{lead}{drawn}</section>' if drawn else ""
 
 
 def colour_key(entries: Sequence[tuple[str, str]], style: str = "") -> str:
-    """Return what colours mean: each with its text."""
+    """Return the legend of colours: each with its text."""
     spans = "".join(f'<span style="background:var(--{colour})"></span>{text}' for colour, text in entries)
     return f'<p class="key dim {style}">{spans}</p>'

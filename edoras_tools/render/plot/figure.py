@@ -24,11 +24,11 @@ _COLOURS: Final = (
     ("#5d4037", "#c9a58f"), ("#6a1b9a", "#ce93ff"), ("#4a7d29", "#aed581"), ("#5b6067", "#a4abb3"),
 )  # fmt: skip
 LIGHT_COLOURS, DARK_COLOURS = zip(*_COLOURS, strict=True)
-"""Colours of lines on a light and a dark ground, the first after Okabe and Ito; the last is grey."""
+"""Colours of lines on a light and a dark background, the first ones by Okabe and Ito; the last is grey."""
 GREY: Final = -1
-"""The colour of what cFS itself sends, and of what others are held to."""
+"""Number of the colour of cFS's own packets, and of reference lines."""
 DASHES: Final = ("", "7 4", "2 3", "10 3 2 3")
-"""Dashes of lines by recording: colour does not tell alone; the next ones once all colours are used."""
+"""Dashes of lines by recording, so that colour is not the only difference; also used after all colours."""
 _WIDE, _NARROW = frozenset("MWmw@%"), frozenset("iljtfrI.,:;'|!()[]/- ")
 
 
@@ -36,14 +36,14 @@ class PlotLine(msgspec.Struct, frozen=True):
     """Values over time.
 
     Attributes:
-        label: in the legend.
+        label: label in the legend.
         recording: place of its recording in ``Figure.recordings``.
-        seconds: f64, since the start of its recording; they never decrease.
-        values: f64, finite.
-        read: how many values, or messages of a rate, there were before any thinning.
-        not_finite: how many more were NaN or infinite; these are not drawn.
+        seconds: f64 (n,), time since the start of its recording, s, not decreasing.
+        values: f64 (n,), finite.
+        read: number of values, or of messages for a rate, before thinning.
+        not_finite: number of NaN and infinite values, which are not drawn.
         colour: number of its colour, or ``GREY``.
-        sign: of points that no line joins, a character for each in a terminal; empty of a line.
+        sign: character of each point in a terminal, for points without a line; empty for a line.
     """
 
     label: str
@@ -57,14 +57,14 @@ class PlotLine(msgspec.Struct, frozen=True):
 
     @property
     def look(self) -> tuple[int, str]:
-        """Place of its colour in ``LIGHT_COLOURS``, and its dashes."""
+        """Index of its colour in ``LIGHT_COLOURS``, and its dashes."""
         shades = len(LIGHT_COLOURS) - 1
         if self.colour < 0:
             return shades, DASHES[self.recording % len(DASHES)]
         return self.colour % shades, DASHES[(self.recording + self.colour // shades) % len(DASHES)]
 
     def thinned(self, columns: int, span: tuple[float, float]) -> PlotLine:
-        """Return the line with at most two values in each column: the least and the greatest."""
+        """Return the line with at most two values in each column: the smallest and the largest."""
         rows = extremes(self.seconds, self.values, columns, span)
         return replace(self, seconds=self.seconds[rows], values=self.values[rows])
 
@@ -72,13 +72,13 @@ class PlotLine(msgspec.Struct, frozen=True):
 def extremes(
     seconds: NDArray[np.float64], values: NDArray[np.float64], columns: int, span: tuple[float, float]
 ) -> NDArray[np.intp]:
-    """Return the places of the least and the greatest value in each of ``columns`` equal parts of the time.
+    """Return the indices of the smallest and the largest value in each of ``columns`` equal parts of time.
 
     Args:
-        seconds: they never decrease.
-        values: as many.
-        columns: parts.
-        span: begin and end of all parts.
+        seconds: f64 (n,), not decreasing.
+        values: f64 (n,).
+        columns: number of parts.
+        span: begin and end of all parts, s.
     """
     if len(seconds) <= 2 * columns:
         return np.arange(len(seconds))
@@ -92,11 +92,11 @@ class Panel(msgspec.Struct, frozen=True):
     """Lines that share an axis.
 
     Attributes:
-        title: what is drawn.
+        title: name of the values.
         lines: the lines.
-        unit: of the values, if it is known.
-        beneath: it is a smaller one, such as rates; its axis begins at 0.
-        from_zero: its axis begins at 0.
+        unit: unit of the values, if known.
+        beneath: whether it is a smaller panel, such as rates; its axis begins at 0.
+        from_zero: whether its axis begins at 0.
     """
 
     title: str
@@ -112,12 +112,12 @@ class Panel(msgspec.Struct, frozen=True):
 
     @property
     def has_names(self) -> bool:
-        """Whether it needs a legend."""
+        """Whether the panel needs a legend."""
         return len(self.lines) > 1 or any(line.label != self.title for line in self.lines)
 
     @property
     def legend(self) -> list[tuple[str, PlotLine]]:
-        """What each look means; many grey lines of one recording are one entry."""
+        """Entries of the legend; many grey lines of one recording are one entry."""
         entries = []
         for line in self.lines:
             alike = [item for item in self.lines if line.colour < 0 and item.look == line.look]
@@ -128,7 +128,7 @@ class Panel(msgspec.Struct, frozen=True):
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The least and the greatest value of its axis, with some room."""
+        """Lower and upper end of its axis, with some margin."""
         low = min((float(line.values.min()) for line in self.lines if len(line.values)), default=0.0)
         high = max((float(line.values.max()) for line in self.lines if len(line.values)), default=0.0)
         low = min(low, 0.0) if self.beneath or self.from_zero else low
@@ -140,10 +140,10 @@ class EventMark(NamedTuple):
     """An event.
 
     Attributes:
-        seconds: since the start of its recording.
+        seconds: time since the start of its recording, s.
         recording: place of its recording in ``Figure.recordings``.
-        severe: it is an error.
-        text: who sent it, and what it says.
+        severe: whether it is an error.
+        text: sender and text of the event.
     """
 
     seconds: float
@@ -156,12 +156,12 @@ class Figure(msgspec.Struct, frozen=True):
     """A plot.
 
     Attributes:
-        recordings: their names.
-        panels: from top to bottom.
+        recordings: names of the recordings.
+        panels: panels from top to bottom.
         span: begin and end of the time axis, s.
-        marks: the events that are drawn; None if they are not asked for.
-        events: how many events there are; of many close to each other the most severe one is drawn.
-        notes: what else there is to say, a line each.
+        marks: events that are drawn; None if events are not requested.
+        events: number of all events; of several close to each other only the most severe is drawn.
+        notes: further notes, one line each.
         across: name of the axis that all panels share.
     """
 
@@ -175,12 +175,12 @@ class Figure(msgspec.Struct, frozen=True):
 
     @property
     def title(self) -> str:
-        """What is drawn."""
+        """Names of the drawn values."""
         return ", ".join(panel.title for panel in self.panels if not panel.beneath) or "Rates"
 
     @property
     def subtitle(self) -> str:
-        """Of which recordings; several start at 0, each at its own beginning."""
+        """Names of the recordings; if there are several, each starts at 0."""
         names = " and ".join(self.recordings)
         return f"{names}, each from its own start" if len(self.recordings) > 1 else names
 
@@ -191,14 +191,14 @@ class Figure(msgspec.Struct, frozen=True):
         return title if len(self.marks or ()) == self.events else f"{title}, {len(self.marks or ()):,} drawn"
 
     def footnotes(self, columns: int) -> list[str]:
-        """Return the notes, and what thinning to so many columns left out."""
+        """Return the notes, including one on values left out by thinning to ``columns``."""
         thinned = any(len(line.values) > 2 * columns for panel in self.panels for line in panel.lines)
         notes = [f"long lines: least and greatest value in each of {columns:,} columns of time"] * thinned
         return [*self.notes, *notes]
 
 
 def text_width(text: str, size: float) -> float:
-    """Return how wide a text is at most in the usual sans-serif fonts, in the unit of ``size``."""
+    """Return an upper bound of a text's width in the usual sans-serif fonts, in units of ``size``."""
     return size * sum(1.0 if sign in _WIDE else 0.42 if sign in _NARROW else 0.68 for sign in text)
 
 

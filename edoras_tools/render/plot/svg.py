@@ -1,4 +1,4 @@
-"""A plot as SVG: light or dark as the system of its reader, readable at 400 pixels; it loads nothing."""
+"""A plot as SVG: light or dark like the reader's system, readable at 400 pixels; it loads nothing."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ if TYPE_CHECKING:
     from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
 
 PLOT_WIDTH: Final = 640
-"""Of the view box."""
+"""Width of the view box."""
 _LEFT, _RIGHT, _HEIGHT, _HEIGHT_BENEATH = 66, 14, 150, 84
 _ROOM: Final = PLOT_WIDTH - _LEFT - _RIGHT
 _COLUMNS: Final = 2 * _ROOM
 """Columns of long lines: a PNG has two pixels for each unit."""
 _SPARSE: Final = 60
-"""Up to so many values each is a point, too."""
+"""Number of values up to which each is also drawn as a point."""
 _SIZE: Final = 14
-"""Of letters."""
+"""Size of letters."""
 _GROUND: Final = ("#ffffff", "#15171a")
 _INK: Final = ("#1c1e21", "#e6e7e9")
 _DIM: Final = ("#5b6067", "#a4abb3")
@@ -58,8 +58,8 @@ class _Drawing:
     """Draws from top to bottom.
 
     Attributes:
-        y: where the next part begins.
-        parts: what is drawn.
+        y: top of the next part.
+        parts: elements drawn so far.
     """
 
     def __init__(self, figure: Figure) -> None:
@@ -93,7 +93,7 @@ class _Drawing:
         self.parts.append(f'<text x="{x:.1f}" y="{y:.1f}" {more}>{escape(clean(words))}</text>')
 
     def _line(self, words: str, more: str, height: int) -> None:
-        """Write a line of text; what does not fit is cut."""
+        """Write a line of text; the part that does not fit is cut."""
         self.y += height
         self._text(10, self.y - 4, clip(clean(words), 66 if "bold" in more else 86), more)
 

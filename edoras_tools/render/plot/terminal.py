@@ -24,7 +24,7 @@ _ROWS, _ROWS_BENEATH = 10, 5
 _WIDEST, _NARROWEST = 160, 40
 _BLANK: Final = 0x2800
 _DOTS: Final = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], np.uint8)
-"""The bit of each dot of a Braille character: four rows, from the top, of two."""
+"""Bit of each dot of a Braille character: four rows from the top, two columns."""
 
 
 def plot_lines(figure: Figure, width: int, *, colour: bool, rows: int = 0, most: int = _WIDEST) -> list[Text]:
@@ -32,7 +32,7 @@ def plot_lines(figure: Figure, width: int, *, colour: bool, rows: int = 0, most:
 
     Args:
         width: columns of the terminal; at least 40 are used, at most ``most``.
-        colour: whether lines can be told apart by colour; if not, each has its own panel.
+        colour: whether colours distinguish lines; if not, each line has its own panel.
         rows: lines of each panel; 0 for the usual ones.
     """
     width = max(_NARROWEST, min(width, most))
@@ -80,7 +80,7 @@ def _heading(panel: Panel, width: int, *, colour: bool) -> list[Text]:
 
 
 def _style(panel: Panel, line: PlotLine) -> str:
-    """Return the style of a line by its place in the panel: a terminal has no dashes for recordings."""
+    """Return the style of a line by its position in the panel: a terminal has no dashes for recordings."""
     if line.colour < 0:
         return palette.DIM
     coloured = [item for item in panel.lines if item.colour >= 0]
@@ -88,7 +88,7 @@ def _style(panel: Panel, line: PlotLine) -> str:
 
 
 def _parts(panel: Panel) -> Iterator[Panel]:
-    """Yield a panel in parts in which each line has a style of its own; grey ones are in the first."""
+    """Yield a panel in parts in which each line has its own style; grey ones are in the first."""
     coloured = [line for line in panel.lines if line.colour >= 0]
     grey = [line for line in panel.lines if line.colour < 0]
     for first in range(0, max(1, len(coloured)), len(_STYLES)):
@@ -128,7 +128,7 @@ def _field(panel: Panel, span: tuple[float, float], size: tuple[int, int], margi
 def _dots(
     line: PlotLine, span: tuple[float, float], ends: tuple[float, float], last_y: int, last_x: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the dots of a line and of the straight ways between its values; y counts from the top."""
+    """Return the dots of a line, including the straight connections of its values; y counts from the top."""
     x = (line.seconds - span[0]) / (span[1] - span[0]) * last_x
     y = (ends[1] - line.values) / (ends[1] - ends[0]) * last_y
     if line.sign:
@@ -147,8 +147,8 @@ def scale_line(labels: Sequence[tuple[int, str]], room: int) -> str:
     """Return the line below a horizontal axis.
 
     Args:
-        labels: cell and text of each; one that would touch the one before it is left out.
-        room: cells.
+        labels: cell and text of each label; a label that would touch the previous one is left out.
+        room: width in cells.
     """
     scale = ""
     for cell, text in labels:

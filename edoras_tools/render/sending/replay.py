@@ -22,7 +22,7 @@ _MOST_EVENTS: Final = 20
 
 
 def plan(summary: Mapping[str, Any]) -> RenderableType:
-    """Return what ``--dry-run`` says."""
+    """Return the view of ``--dry-run``."""
     facts = facts_grid()
     many = summary["datagrams"]
     datagrams = "without end" if many is None else plural(many, "datagram")
@@ -41,11 +41,11 @@ def plan(summary: Mapping[str, Any]) -> RenderableType:
 
 
 def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
-    """Return what was sent and what came back.
+    """Return the view of sent and received messages.
 
     Args:
         summary: in the shape of ``replay --json``.
-        target: where it went.
+        target: target of the datagrams.
     """
     facts = facts_grid()
     over = f" over {units.duration(summary['duration_s'])}" if summary["duration_s"] else ""
@@ -89,7 +89,7 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
 
 
 def _ingested(ingest: Mapping[str, Any] | None) -> Text | None:
-    """Return how much of what was sent Command Ingest has read, where its count shows it."""
+    """Return how many of the sent datagrams Command Ingest has read, if its count shows it."""
     if ingest is None or ingest["state"] == "unknown":
         return None
     read, sent, missing = ingest["read"], ingest["sent"], ingest["missing"]

@@ -1,4 +1,4 @@
-"""The progress of a replay or an inject that is under way; without rich, which takes long to import."""
+"""The progress of a running replay or inject; without rich, which takes long to import."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class StatusLine:
     """One line on standard error that shows the progress; nothing if standard error is not a terminal.
 
     Args:
-        out: where to.
+        out: output stream.
         total: datagrams to send; None for no end.
     """
 

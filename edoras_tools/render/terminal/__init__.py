@@ -1,1 +1,1 @@
-"""What all views use: consoles, colours, tables, progress."""
+"""Common parts of all views: consoles, colours, tables, progress."""

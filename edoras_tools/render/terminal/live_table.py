@@ -1,12 +1,12 @@
 """Views that are redrawn on a terminal while a run continues.
 
-The rules of all of them:
+Rules for all of them:
 
 1. Only ``update`` draws, from the caller's thread: rich's own thread would read counts while they change.
-2. It draws the first time at once, then four times a second at most.
+2. The first drawing comes at once, later ones at most four times a second.
 3. Rates are those of the last two seconds.
 4. If the console is not a terminal, nothing is drawn and nothing is computed.
-5. Nobody waits for a terminal: while it takes nothing, nothing is drawn.
+5. The run never waits for a terminal: while the terminal accepts no output, nothing is drawn.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ if TYPE_CHECKING:
 
 
 _LAST_S: Final = 2.0
-"""How long the end waits for a terminal that takes nothing."""
+"""Time to wait at the end for a terminal that accepts no output, s."""
 
 
 class BackgroundStream(io.TextIOBase):
-    """A text stream whose writes a thread hands on to another one.
+    """A text stream whose writes are passed on to another stream by a thread.
 
     Args:
-        stream: the other one.
+        stream: the other stream.
     """
 
     def __init__(self, stream: IO[str]) -> None:
@@ -59,11 +59,11 @@ class BackgroundStream(io.TextIOBase):
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
-        """That of the other stream."""
+        """Encoding of the other stream."""
         return str(getattr(self._stream, "encoding", "utf-8"))
 
     def isatty(self) -> bool:
-        """Tell whether the other stream is a terminal."""
+        """Return whether the other stream is a terminal."""
         return self._stream.isatty()
 
     def fileno(self) -> int:
@@ -72,11 +72,11 @@ class BackgroundStream(io.TextIOBase):
 
     @property
     def idle(self) -> bool:
-        """Whether everything is handed on."""
+        """Whether all text is passed on."""
         return not (self._waiting or self._writing)
 
     def write(self, text: str) -> int:
-        """Take text.
+        """Accept text.
 
         Raises:
             OSError: the other stream has failed.
@@ -87,7 +87,7 @@ class BackgroundStream(io.TextIOBase):
         return len(text)
 
     def flush(self) -> None:
-        """Have the thread hand on what was taken; do not wait for it."""
+        """Let the thread pass the text on; do not wait for it."""
         if self._parts:
             with self._changed:
                 self._waiting += "".join(self._parts)
@@ -98,7 +98,7 @@ class BackgroundStream(io.TextIOBase):
                 self._thread.start()
 
     def finish(self) -> None:
-        """Wait until all is handed on, but not for ever."""
+        """Wait until all text is passed on, but only for a limited time."""
         self.flush()
         with self._changed:
             self._changed.wait_for(lambda: self.idle, _LAST_S)
@@ -120,13 +120,13 @@ class BackgroundStream(io.TextIOBase):
 
 @contextmanager
 def background(console: Console) -> Iterator[BackgroundStream | None]:
-    """Have a console's terminal written to by a thread; yield what does, None where it is no terminal."""
+    """Write a console's terminal output in a thread; yield the stream, None if it is no terminal."""
     stream = console.file
     if not stream.isatty():
         yield None
         return
     background_stream = BackgroundStream(stream)
-    console.file = cast("IO[str]", background_stream)  # all that rich needs of it
+    console.file = cast("IO[str]", background_stream)  # it has the methods that rich uses
     try:
         yield background_stream
     finally:
@@ -139,13 +139,13 @@ _REFRESH_S: Final = 0.25
 
 
 class Rates:
-    """Rates over the last two seconds, from counts that only grow."""
+    """Rates over the last two seconds, computed from growing counts."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, Mapping[object, int]]] = deque()
 
     def add(self, now: float, counts: Mapping[object, int]) -> dict[object, float]:
-        """Take the counts of ``now``, in s, and return every key's rate per second."""
+        """Add the counts at the time ``now``, s, and return the rate of every key per second."""
         while len(self._samples) > 1 and now - self._samples[1][0] >= _WINDOW_S:
             self._samples.popleft()
         then, before = self._samples[0] if self._samples else (now, counts)
@@ -157,10 +157,10 @@ class Rates:
 
 
 class LiveRun(Protocol):
-    """What is under way."""
+    """A run in progress."""
 
     def summary(self) -> Mapping[str, Any]:
-        """Return what there is so far, in the shape of the command's ``--json``."""
+        """Return the results so far, in the shape of the command's ``--json``."""
         ...
 
 
@@ -172,12 +172,12 @@ class Moment(NamedTuple):
     """A run at one moment, as a view shows it.
 
     Attributes:
-        summary: what there is so far; empty for a run without counts.
-        rates: per second, by the keys of the view's counts; None once the run is over.
-        elapsed: s since it began; None once it is over.
-        written: bytes of the file that grows; None where there is none.
+        summary: results so far; empty for a run without counts.
+        rates: rates per second, by the keys of the view's counts; None after the end.
+        elapsed: time since the begin, s; None after the end.
+        written: size of the growing output file, bytes; None if there is none.
         width: columns of the terminal.
-        height: its lines.
+        height: lines of the terminal.
     """
 
     summary: Mapping[str, Any]
@@ -189,14 +189,14 @@ class Moment(NamedTuple):
 
 
 class LiveView(Generic[_T]):
-    """Draws a run anew over its last drawing; a context manager with an ``update`` that is cheap to call.
+    """Redraws a run over its last drawing; a context manager with an ``update`` that is cheap to call.
 
     Nothing more is drawn after the terminal was closed; the run continues.
 
     Args:
-        show: the run, and the time in s, to what is drawn.
-        transient: whether the view goes away at the end, as where a report takes its place; else its last
-            state stays.
+        show: function of the run and the time in s that returns the drawing.
+        transient: whether the view disappears at the end, because a report follows; else its last state
+            stays.
         clock: monotonic time in s.
     """
 
@@ -235,7 +235,7 @@ class LiveView(Generic[_T]):
         self._stack.close()
 
     def update(self, run: _T, /) -> None:
-        """Draw, if the last drawing is long enough ago; from one thread only."""
+        """Draw the run if the last drawing is old enough; call it from one thread only."""
         if self._live is None:
             return
         now, self._last = self._clock(), run
@@ -254,13 +254,13 @@ class LiveView(Generic[_T]):
 
 
 class LiveTable(LiveView[_R]):
-    """Shows a run with its counts: a ``LiveView`` that works out rates, time and the size of the output.
+    """Shows a run with its counts: a ``LiveView`` that computes rates, time and the size of the output.
 
     Args:
-        show: the view of a run at a moment.
-        counts: a summary to the counts whose rates the view shows, by any key.
-        output: the file or directory that grows.
-        transient: as of ``LiveView``.
+        show: function that draws a run at a moment.
+        counts: function that returns, from a summary, the counts whose rates are shown, by any key.
+        output: growing file or directory.
+        transient: see ``LiveView``.
         clock: monotonic time in s.
     """
 
@@ -293,7 +293,7 @@ class LiveTable(LiveView[_R]):
 
 
 def title_line(title: str, moment: Moment) -> Text:
-    """Return the first line of a live table: what runs, for how long, what is recorded, what was lost."""
+    """Return the first line of a live table: name of the run, time, output and losses."""
     line = plain(title, palette.STRONG)
     if moment.elapsed is not None:
         line.append(f"   {units.duration(moment.elapsed)}", palette.DIM)

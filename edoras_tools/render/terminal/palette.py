@@ -1,8 +1,8 @@
-"""Colours: one meaning each, read on light and on dark.
+"""Colours with one meaning each, readable on light and on dark backgrounds.
 
 Red, green, yellow, magenta, cyan and bright blue; dim, bold and reverse. Not plain blue, which is too dark on
 black, and no other bright colour: cyan and yellow vanish on white, and Solarized's background is its bright
-black. What a colour says is told by a word or a mark, too.
+black. A word or a mark always repeats the meaning of a colour.
 
 xterm's own yellow, cyan and green vanish on white (1.7 to 2.2 to 1). Where a terminal has 256 colours they
 are shades with 3.1 to 6.3 to 1 on white, black and both grounds of Solarized.
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 _WIDE: Final = "256color" in os.environ.get("TERM", "") or "COLORTERM" in os.environ
 SHADES: Final = {"yellow": "color(136)", "cyan": "color(30)", "green": "color(64)"} if _WIDE else {}
-"""What stands for a name; empty where there are sixteen colours, and in views with a theme of their own."""
+"""Name of a colour to a darker shade; empty on terminals with sixteen colours."""
 
 DIM: Final = "dim"
 STRONG: Final = "bold"
 GOOD: Final = "green"
 CHOSEN: Final = "reverse"
-"""Bytes that the user points at."""
+"""Style of bytes that the user selected."""
 
 _ORANGE: Final = "color(166)" if _WIDE else "bold bright_blue"
 _LAYERS: Final = {
@@ -47,7 +47,7 @@ _LAYERS: Final = {
 }
 _BODY: Final = "green"
 _FREE: Final = ("cyan", "yellow", "magenta", "bright_blue", _BODY, _ORANGE)
-"""What a layer has whose own style another one of its packet has already."""
+"""Styles for layers whose own style is already used by another layer of the packet."""
 
 
 def layer(name: str) -> str:
@@ -56,7 +56,7 @@ def layer(name: str) -> str:
 
 
 def layers(names: Iterable[str]) -> dict[str, str]:
-    """Return the style of each layer of a packet, outermost first: none twice while there are six of them."""
+    """Return the style of each layer of a packet, outermost first: all different, up to six layers."""
     styles: dict[str, str] = {}
     for name in dict.fromkeys(names):
         style = layer(name)
@@ -75,7 +75,7 @@ def escapes(style: str) -> tuple[str, str]:
 
 
 class Paint:
-    """Puts styles on text; without colour it returns the text as it is."""
+    """Applies styles to text; without colour it returns the text unchanged."""
 
     __slots__ = ("colour",)
 

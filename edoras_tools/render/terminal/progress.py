@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 _REFRESH_S: Final = 0.1
 _PATIENCE_S: Final = 0.3
-"""Shorter work shows no bar."""
+"""Time from which work shows a bar, s."""
 _LABEL: Final = 32
 
 
 class FileProgress:
-    """Shows how far sources are read and judged; a context manager whose methods are cheap to call.
+    """Shows the progress of reading and judging; a context manager whose methods are cheap to call.
 
-    It draws from the caller's thread, at most ten times a second, and nothing at all where the console is no
-    terminal or the work is done at once. The bar vanishes at the end.
+    It draws from the caller's thread, at most ten times a second, and nothing if the console is no terminal
+    or if the work is short. The bar disappears at the end.
 
     Args:
-        label: what is read, as a file's name.
+        label: name of the input, such as a file's name.
         quiet: draw nothing.
         clock: monotonic time in s.
     """
@@ -72,14 +72,14 @@ class FileProgress:
             self._progress.stop()
 
     def update(self, report: ReadingRun) -> None:
-        """Draw how far a run's source is read."""
+        """Draw the progress of reading a run's source."""
         self.read(report.source)
 
     def read(self, source: Source) -> None:
-        """Draw how far the source is read, if the last drawing is long enough ago."""
+        """Draw the progress of reading a source, if the last drawing is old enough."""
         statistics = source.statistics
         if self._source not in (None, source):
-            self._since = self._clock()  # the next of several
+            self._since = self._clock()  # the next of several sources
         self._source = source
         total = statistics.total_bytes
         position = min(statistics.position, total) if total else 0
@@ -88,7 +88,7 @@ class FileProgress:
         )
 
     def step(self, activity: str, count: int, of: int, number_text: Callable[[int], str] = str) -> None:
-        """Draw how far other work is, if the last drawing is long enough ago."""
+        """Draw the progress of other work, if the last drawing is old enough."""
         self._draw(lambda _: f"{activity}, {number_text(count)} of {number_text(of)}", count, of)
 
     def _draw(self, text: Callable[[float], str], position: int, of: int | None) -> None:
@@ -102,7 +102,7 @@ class FileProgress:
 
 
 def figures(statistics: SourceStatistics, elapsed: float) -> str:
-    """Return ``41%  12.4 MiB  310,000 packets/s  3.2 s left``, as far as it is known.
+    """Return ``41%  12.4 MiB  310,000 packets/s  3.2 s left``, as far as known.
 
     Args:
         elapsed: s since reading began, more than 0.

@@ -16,18 +16,19 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
 _LEAST_NAME: Final = 16
-"""The least width of the elastic column, where its content is that wide."""
+"""Least width of the elastic column, if its content is that wide."""
 
 
 class Column(msgspec.Struct, frozen=True):
     """One column.
 
     Attributes:
-        title: its head.
-        cell: a row to the text in the column.
-        rank: 0 is always shown, 1 if there is room, 2 and up in this order once the elastic one is whole.
+        title: title of the column.
+        cell: function from a row to the text in the column.
+        rank: 0 is always shown, 1 if there is room, 2 and up in this order after the elastic one has its
+            width.
         justify: alignment.
-        elastic: the one column that may be cut, in the middle.
+        elastic: whether it is the one column that may be cut, in the middle.
     """
 
     title: str
@@ -48,8 +49,8 @@ def build(
 
     Args:
         columns: in the order shown; exactly one is elastic, of rank 0.
-        rows: what the columns' ``cell`` functions take.
-        apart: a blank line goes between rows for which this differs.
+        rows: rows, as the columns' ``cell`` functions accept them.
+        apart: function of a row; a blank line separates rows with different results.
     """
     gap = 2 if width >= 100 else 1
     cells = {column.title: [column.cell(row) for row in rows] for column in columns}
@@ -69,7 +70,7 @@ def build(
 
 
 def facts_grid() -> Table:
-    """Return an empty table of facts: what each is about, and what is so."""
+    """Return an empty table of facts: a name and a value in each row."""
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(style=palette.DIM, no_wrap=True)
     table.add_column(overflow="fold")

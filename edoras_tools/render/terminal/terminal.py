@@ -1,4 +1,4 @@
-"""What the stream that a view goes to can show."""
+"""The abilities of the stream that a view is written to."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _DEFAULT_WIDTH: Final = 80
 
 
 class Terminal(NamedTuple):
-    """Where a view goes.
+    """The output of a view.
 
     Attributes:
         width: columns.
@@ -60,13 +60,13 @@ class Terminal(NamedTuple):
 
 
 def detect_terminal(stream: TextIO, environ: Mapping[str, str] | None = None) -> Terminal:
-    """Find out what a stream can show.
+    """Return the abilities of a stream.
 
     ``NO_COLOR`` and ``TERM=dumb`` forbid colour, ``FORCE_COLOR`` asks for it, ``COLUMNS`` sets the width.
 
     Args:
         stream: usually ``sys.stdout`` or ``sys.stderr``.
-        environ: instead of the process's own.
+        environ: environment in place of the process's own.
     """
     environ = os.environ if environ is None else environ
     tty = stream.isatty()

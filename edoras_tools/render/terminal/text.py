@@ -21,11 +21,11 @@ class Progress(Protocol):
     """Receives the progress of long work; cheap to call."""
 
     def read(self, source: Source) -> None:
-        """Take how far a source is read."""
+        """Show the progress of reading a source."""
         ...
 
     def step(self, activity: str, count: int, of: int) -> None:
-        """Take how far other work is, as ``judging``, 3, 57."""
+        """Show the progress of other work, as ``judging``, 3, 57."""
         ...
 
 
@@ -34,23 +34,23 @@ class ReadingRun(Protocol):
 
     @property
     def source(self) -> Source:
-        """Where the datagrams come from."""
+        """Source of the datagrams."""
         ...
 
     def summary(self) -> Mapping[str, Any]:
-        """Return what there is so far, in the shape of ``info --json``."""
+        """Return the results so far, in the shape of ``info --json``."""
         ...
 
 
 class Watcher(Protocol[_Run_contra]):
-    """A view that is shown a run again and again; cheap enough to be called for every batch."""
+    """A view that shows a run repeatedly; cheap enough to be called for every batch."""
 
     def update(self, run: _Run_contra, /) -> None:
-        """Show the run as it is now."""
+        """Show the present state of the run."""
 
 
 def size_of(path: Path) -> int:
-    """Return the bytes of a file, or of a directory's files; 0 while there is none."""
+    """Return the bytes of a file, or of a directory's files; 0 if it does not exist."""
     try:
         return sum(item.stat().st_size for item in path.iterdir()) if path.is_dir() else path.stat().st_size
     except OSError:
@@ -59,7 +59,8 @@ def size_of(path: Path) -> int:
 
 ELLIPSIS: Final = "…"
 _NAMED: Final = {"\n": r"\n", "\r": r"\r", "\t": r"\t", "\0": r"\0"}
-# Variation selectors are printable to Python, and terminals disagree on how wide they make their neighbour.
+# Variation selectors are printable for Python, but terminals disagree on the width that they give a
+# character.
 _SELECTORS: Final = re.compile("[\ufe00-\ufe0f\U000e0100-\U000e01ef]")
 _STYLES: Final = re.compile("\x1b\\[[0-9;]*m")
 
@@ -99,7 +100,7 @@ def clip(text: str, width: int) -> str:
 
 
 def clip_left(text: str, width: int) -> str:
-    """Cut the front of clean text, so that at most ``width`` cells of its end are left."""
+    """Cut the front of clean text so that at most ``width`` cells of its end remain."""
     if cells(text) <= width:
         return text
     if width <= 0:
@@ -111,7 +112,7 @@ def clip_left(text: str, width: int) -> str:
 
 
 def clip_middle(text: str, width: int) -> str:
-    """Cut the middle of clean text, as of a topic whose two ends tell it from others."""
+    """Cut the middle of clean text, for topics whose two ends identify them."""
     if cells(text) <= width:
         return text
     tail = clip_left(text, width - width // 3)
