@@ -1,13 +1,14 @@
-"""The command lines: one file for each command, which parses, calls a pipeline and renders.
+"""The command lines: one file for each command, which parses options, calls a pipeline, and renders.
 
-There is no logic here.
+These files contain no logic.
 
-Options that go together are a ``NamedTuple``, and a command takes it as one value: ``declare.grouped`` makes
-an option from each field. A group has a method that returns what pipelines take: ``decoding.settings()``. It
-is not a dataclass because creating a dataclass takes three times as long, at every start.
+Options that belong together are a ``NamedTuple``, and a command takes it as one value: ``declare.grouped``
+makes an option from each field. A method of the group returns the value that pipelines take:
+``decoding.settings()``. It is not a dataclass because creating a dataclass takes three times as long, at
+every start.
 
 Imports stand at the top of a file, with two exceptions, so that ``edoras --help`` and the first line of
-``edoras sniff -r`` come at once. A command imports what it needs when it runs. Elsewhere a function imports
-only a library that may be absent, or a module that is slow to import and seldom needed:
-``tests/test_imports.py`` names these modules, what each imports later, and why.
+``edoras sniff -r`` appear at once. A command imports its pipeline when it runs. In other folders a function
+imports only libraries that may be absent, and modules that are slow to import and seldom needed:
+``tests/test_imports.py`` lists these modules, their late imports, and the reasons.
 """

@@ -62,7 +62,7 @@ class RosOptions(NamedTuple):
 
 @headed("ROS 2")
 class NodeOptions(NamedTuple):
-    """What a node of ROS 2 is told."""
+    """Settings of a ROS 2 node."""
 
     ros_args: Annotated[
         list[str] | None,
@@ -74,7 +74,7 @@ class NodeOptions(NamedTuple):
 
 
 class PacketOptions(NamedTuple):
-    """What is sent to cFS, and what is requested from it."""
+    """Settings of the packets sent to cFS, and requests to cFS."""
 
     max_rate: Annotated[
         list[str] | None,
@@ -89,7 +89,7 @@ class PacketOptions(NamedTuple):
 
 
 class RunOptions(NamedTuple):
-    """How long the bridges run, and whether they run at all."""
+    """Settings of the run: its duration, and whether to run at all."""
 
     duration: options.Duration = None
     yes: Yes = False
@@ -180,7 +180,7 @@ def _options(way: str, ros_options: list[Any] | None, outputs: RelayOutputOption
 
 
 def _begin(bridges: Bridges) -> None:
-    """Say what is bridged, and who can reach it."""
+    """Print which topics are bridged, and who can reach the bridges."""
     for station in bridges.stations:
         topics = plural(len(station.machine.routes), "topic")
         say(

@@ -1,12 +1,12 @@
-"""Groups of options: a command takes what belongs together as one value.
+"""Groups of options: a command takes options that belong together as one value.
 
-Commands are functions whose parameters are declared as Typer's users know it, with
-``Annotated[..., typer.Option(...)]``. Typer has no groups, so these two are added:
+Commands are functions whose parameters are declared as Typer requires, with
+``Annotated[..., typer.Option(...)]``. Typer has no groups; this file adds them:
 
-1. Options that go together are the fields of a ``NamedTuple``, which holds their declarations and defaults.
-   ``grouped`` lets a command take such a group as one value; a method of it makes the value that pipelines
-   take.
-2. ``headed`` gives a group a heading of its own in help texts, Typer's ``rich_help_panel``.
+1. Options that belong together are the fields of a ``NamedTuple``, with their declarations and defaults.
+   ``grouped`` lets a command take such a group as one value. A method of the group returns the value that
+   pipelines take.
+2. ``headed`` gives a group its own heading in help texts, Typer's ``rich_help_panel``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _Group = TypeVar("_Group", bound=type)
 
 
 def headed(text: str) -> Callable[[_Group], _Group]:
-    """Give a group of options a heading of its own in help texts; groups inside it have the same."""
+    """Give a group of options its own heading in help texts; groups inside it get the same heading."""
 
     def mark(group: _Group) -> _Group:
         group.heading = text  # type: ignore[attr-defined]
@@ -77,7 +77,7 @@ def _filled(holder: Callable[..., Any], values: Mapping[str, Any]) -> Any:
 def parameters(holder: Callable[..., Any]) -> list[inspect.Parameter]:
     """Return keyword parameters with evaluated annotations, as Typer needs them."""
     hints = get_type_hints(holder, include_extras=True)
-    if sys.version_info < (3, 11):  # there a default of None makes ``X`` to ``X | None``
+    if sys.version_info < (3, 11):  # there a default of None changes ``X`` to ``X | None``
         hints = {
             name: next((item for item in get_args(hint) if hasattr(item, "__metadata__")), hint)
             for name, hint in hints.items()

@@ -38,7 +38,7 @@ class Listing(StrEnum):
 
 
 class TaskOptions(NamedTuple):
-    """What to do; the default is a diagnosis."""
+    """The task; a diagnosis by default."""
 
     against: Annotated[Path | None, Option(help="Only compare with this second capture of it.")] = None
     bag: Annotated[
@@ -105,10 +105,10 @@ def doctor(
 
 
 def _check_task(task: TaskOptions, inputs: InputOptions, duration: int | None, constants: list[str]) -> None:
-    """Refuse options that have no effect with each other.
+    """Refuse options that have no effect together.
 
     Raises:
-        ConfigError: there are such.
+        ConfigError: there are such options.
     """
     options.check_duration(duration, inputs.paths)
     tasks: dict[str, object] = {"--predict": task.predict, "--list-lost": task.list_lost}

@@ -1,4 +1,4 @@
-"""What a command prints at its end, and its exit code."""
+"""The last output of a command, and its exit code."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def no_datagrams(source: Source) -> None:
     """Raise an error if a file contained no UDP datagram.
 
     Raises:
-        CaptureError: it contained none.
+        CaptureError: the file contained none.
     """
     statistics = source.statistics
     if not statistics.datagrams:
@@ -39,12 +39,12 @@ def no_datagrams(source: Source) -> None:
 
 
 def nothing_shown(source: Source, count: int, context: Context, *, live: bool, every: bool) -> None:
-    """Print why a list is empty, what was recognised from the bytes, and what the capture lost.
+    """Print why a list is empty, notes from decoding, and the capture's losses.
 
     Args:
-        count: how many packets were shown.
-        live: the source has no end.
-        every: datagrams of no link were shown too.
+        count: number of packets shown.
+        live: whether the source has no end.
+        every: whether datagrams of no link were shown too.
 
     Raises:
         CaptureError: a file contained no UDP at all.
@@ -99,7 +99,7 @@ def tell(line: str) -> None:
 
 
 def tell_reach(endpoint: Endpoint, may: str, **words: str) -> None:
-    """Print who may send to a port, before any traffic; not of one on loopback. See ``reach_note``."""
+    """Print before any traffic who may send to a port, except on loopback. See ``reach_note``."""
     from edoras_tools.io.net.address import reach_note
 
     if note := reach_note(endpoint, may, **words):
@@ -142,7 +142,7 @@ def no_messages(source: Source, count: int) -> None:
     """Print that no message was selected.
 
     Raises:
-        CaptureError: the recording has none.
+        CaptureError: the recording has no message.
     """
     total = source.statistics.datagrams
     if not total:

@@ -132,7 +132,7 @@ def _export(
 
 
 def tell_written(summary: dict[str, Any], printing: options.PrintOptions) -> None:
-    """Print what was written."""
+    """Print which files were written."""
     if printing.json:
         print_json(summary)
     elif not printing.quiet:

@@ -140,7 +140,7 @@ def help_(
 
 
 def _decoding(context: Any) -> str:
-    """Return what ``--set`` and ``edoras.toml`` can say of how packets are decoded."""
+    """Return the decoding settings for ``--set`` and ``edoras.toml``."""
     from edoras_tools.cfs.profile import SimProfile, constant_names
 
     formatter = context.make_formatter()

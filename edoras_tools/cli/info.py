@@ -64,7 +64,7 @@ def info(
         from edoras_tools.render.capture.info import capture_summary
 
         summary = report.summary()
-        warnings = () if bench.mission.recorded else summary["warnings"]  # told below
+        warnings = () if bench.mission.recorded else summary["warnings"]  # printed below
         print_view(capture_summary({**summary, "warnings": warnings}))
     finish(report, live=False)
 

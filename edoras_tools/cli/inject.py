@@ -47,7 +47,7 @@ def _named_arguments(ctx: Context, incomplete: str) -> list[str]:
 
 
 class MessageOptions(NamedTuple):
-    """What is sent."""
+    """The message or command to send."""
 
     what: Annotated[
         str,
@@ -79,10 +79,10 @@ class MessageOptions(NamedTuple):
         """Return these options in the form that pipelines take.
 
         Args:
-            seed: of the random values.
+            seed: seed of the random values.
 
         Raises:
-            ConfigError: nothing is named, or more than one thing.
+            ConfigError: no message or command is given, or more than one.
             typer.BadParameter: a MsgId or a code is not a number.
         """
         from edoras_tools.pipelines.sending.inject import Injection

@@ -52,14 +52,14 @@ class FileOptions(NamedTuple):
 
     @property
     def paths(self) -> list[Path]:
-        """All of them."""
+        """All paths."""
         return [*(self.read or ()), *(self.files or ())]
 
     def required(self) -> list[Path]:
-        """Return all of them, at least one.
+        """Return all paths, at least one.
 
         Raises:
-            ConfigError: there is none.
+            ConfigError: there is no path.
         """
         if not self.paths:
             raise ConfigError("name the input to read: FILE...")
@@ -90,14 +90,15 @@ def open_input(
 ) -> tuple[Source, Workbench]:
     """Open the one input that was named, and set up the decoders for it.
 
-    A live capture prints a line on stderr when it is ready: no packet sent after that is missed.
+    A live capture prints a line on stderr when it is ready: packets sent after that are not missed.
 
     Args:
         every_port: capture all UDP, not only the ports of the links.
-        aligned: align the clocks of several files by their content, and take datagrams that several captured
-            only once.
-        messages: also open recordings without datagrams; the workbench's mission then has their topics.
-        output: the file that will be written, perhaps as another user.
+        aligned: align the clocks of several files by their content, and keep datagrams that several files
+            captured only once.
+        messages: whether recordings without datagrams are accepted; the workbench's mission then has their
+            topics.
+        output: file that will be written, perhaps as another user.
         progress: shows the progress while clocks are aligned.
 
     Raises:

@@ -48,7 +48,7 @@ _OF_THE_CORE: Final = {
     "Connect": ("bridge",),
     "Try": ("samples", "help"),
 }
-"""Each is a function, or a group of commands, in a module of the same name."""
+"""Commands and groups of commands by heading, each in a module of its name."""
 _OF_EDORAS: Final = frozenset(
     {"", "-h", "--help", "--version", "--color", "--install-completion", "--show-completion"}
 )
@@ -68,7 +68,7 @@ def _groups() -> dict[str, list[str]]:
 
 
 GROUPS: Final = _groups()
-"""The commands of each group: those of the core, and those of add-ons, also of absent ones."""
+"""Commands by heading: those of the core and of add-ons, including absent ones."""
 COMMANDS: Final = {name: group for group, names in GROUPS.items() for name in names}
 """The group of each command."""
 
@@ -90,7 +90,7 @@ def _set_colour(when: str | None) -> None:
 
 
 def _eager(name: str, text: str, call: Callable[[Any], None], **keywords: Any) -> Any:
-    """Make an option that acts before the others, and of which commands know nothing."""
+    """Make an option that acts before all others and is not passed to the command."""
     return typer.core.TyperOption(
         param_decls=[name],
         help=text,
@@ -102,7 +102,7 @@ def _eager(name: str, text: str, call: Callable[[Any], None], **keywords: Any) -
 
 
 class Command(typer.core.TyperCommand):
-    """A command. ``edoras.toml`` holds defaults of its options; ``--sync`` is ``--sync=1s``."""
+    """A command. ``edoras.toml`` provides defaults of its options; ``--sync`` means ``--sync=1s``."""
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
@@ -150,7 +150,7 @@ class Command(typer.core.TyperCommand):
             option = str(getattr(getattr(error, "param", None), "name", ""))
             if file is not None and option in (ctx.default_map or ()) and not _is_given(ctx, option):
                 error.message = f"{file.path}: {error.message}"
-            error.ctx = error.ctx or ctx  # of an option without its argument, click does not tell it
+            error.ctx = error.ctx or ctx  # click leaves it empty if an option's argument is missing
             raise
         verbose = ctx.params.get("verbose", False)
         if not self._own_verbose:
@@ -186,7 +186,7 @@ class Program(Command):
 
 
 def _tell_setup(ctx: Any, file: settings.SettingsFile | None) -> None:
-    """Print what a command works with: versions, the settings file, missions and the like."""
+    """Print the setup of a command: versions, the settings file, missions and the like."""
     python = ".".join(map(str, sys.version_info[:3]))
     used = file.path if file and not file.left_out else f"no {settings.NAME}"
     lines = [f"edoras-tools {__version__}, Python {python}", f"settings: {used}"]
@@ -205,7 +205,7 @@ class Group(typer.core.TyperGroup):
     """Several commands.
 
     Attributes:
-        hides_colour: leaves --color out of its help text, which that of ``edoras`` has.
+        hides_colour: whether its help text leaves --color out, because that of ``edoras`` has it.
     """
 
     hides_colour = True
@@ -218,7 +218,7 @@ class Group(typer.core.TyperGroup):
 
 
 def command_group(name: str, text: str, kind: type[Group] = Group) -> typer.Typer:
-    """Make a group of commands, which prints its help text when none is named."""
+    """Make a group of commands; without a command it prints its help text."""
     return typer.Typer(
         name=name, cls=kind, help=text, no_args_is_help=True, add_completion=False, rich_markup_mode=None
     )
@@ -230,7 +230,7 @@ def _is_given(ctx: Any, option: str) -> bool:
 
 
 def _name(ctx: Any) -> str:
-    """Return the name of the command that runs, also in a program of its own."""
+    """Return the name of the running command, also in its own program."""
     names = [ctx.info_name]
     while ctx.parent is not None:
         ctx = ctx.parent
@@ -261,8 +261,8 @@ def program(*names: str, completes: bool = False) -> typer.Typer:
     """Make the ``edoras`` command line.
 
     Args:
-        names: commands to add; all if empty. Adding a command takes time, and most are not run.
-        completes: a shell asks what can follow on its command line.
+        names: names of the commands to add; all if empty. Adding a command takes time, and most are not run.
+        completes: whether a shell requests completions.
     """
     app = typer.Typer(
         name="edoras",
@@ -289,12 +289,12 @@ def program(*names: str, completes: bool = False) -> typer.Typer:
 
 
 def with_command(words: list[str]) -> list[str]:
-    """Return a command line with its command: ``doctor`` where a file stands in its place, or none does.
+    """Return a command line with its command: ``doctor`` if it begins with a file, or is empty.
 
     ``convert A B`` is ``record A -o B``. Commands are made one at a time, so their name must be known before.
 
     Args:
-        words: what follows ``edoras``.
+        words: words after ``edoras``.
     """
     words = _joined(words)
     options = [*takewhile({"-q", "-v", "--quiet", "--verbose"}.__contains__, words)]
@@ -329,7 +329,7 @@ def _joined(words: list[str]) -> list[str]:
 
 
 def is_command(word: str) -> bool:
-    """Tell whether a word is a command; packages are asked only for what does not ship."""
+    """Return whether a word is a command; other packages are asked only for words unknown here."""
     return word in COMMANDS or (word[:1].isalpha() and doors.find("commands", word) is not None)
 
 
@@ -348,7 +348,7 @@ def _command(name: str) -> Any:
 
 
 def _absent(name: str, error: ConfigError) -> Callable[[], None]:
-    """Return a function that raises an error when its command runs; its help text says so too."""
+    """Return a function that raises an error when its command runs; its help text gives the error."""
 
     def absent() -> None:
         raise error
@@ -395,7 +395,7 @@ def run(app: typer.Typer) -> NoReturn:
         see = f"{' See' if text.endswith('?') else '; see'} {command} -h"
         _say(f"{text.removesuffix('.')}{see}" if text and not text.startswith("Usage: ") else text, "usage")
     except SystemExit as error:
-        # click ends this way at a broken pipe: the reader of the output, such as `head`, has closed it.
+        # click ends like this if the pipe is broken: the reader of the output, such as `head`, has closed it.
         code = 0 if isinstance(error.__context__, BrokenPipeError) else error.code
         _abandon_output()
     except BrokenPipeError:
@@ -417,10 +417,10 @@ def run(app: typer.Typer) -> NoReturn:
 
 
 def _limit(error: BaseException) -> str:
-    """Return what to do when the system has no more memory or files; empty for other errors."""
+    """Return advice for a system without memory or files left; empty for other errors."""
     number, text = getattr(error, "errno", None), str(error)
     if error.__context__ is not None and (limit := _limit(error.__context__)):
-        return limit  # what came of it
+        return limit  # the cause of this error
     if number in {errno.EMFILE, errno.ENFILE} or "cannot open shared object file: Error 2" in text:
         return "too many open files: close other programs, or allow more with 'ulimit -n'"
     if isinstance(error, MemoryError) or number == errno.ENOMEM or any(item in text for item in _NO_MEMORY):

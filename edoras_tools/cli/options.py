@@ -1,7 +1,7 @@
 """Options that several commands share, and the parsers of their values.
 
-Options that go together are a ``NamedTuple``, which holds their names, help texts and defaults. ``grouped``
-lets a command take such a group as one value; a method of the group makes the value that pipelines take.
+Options that belong together are a ``NamedTuple`` with their names, help texts and defaults. ``grouped`` lets
+a command take such a group as one value; a method of the group returns the value that pipelines take.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ _CLOCK = (
 
 
 def amount(text: str) -> tuple[str, int]:
-    """Read a number, a time as ``10m`` or a size as ``500M``, with which of them it is."""
+    """Read a number, a time as ``10m`` or a size as ``500M``; return its kind too."""
     if text.isdecimal():
         return "count", count(text)
     for kind, read in (("time", duration), ("size", size)):
@@ -154,7 +154,7 @@ def at(text: str, zone: tzinfo | None) -> ClockTime:
 
     Args:
         text: as ``moment`` accepted it.
-        zone: where it has none itself; None for this machine's.
+        zone: zone for a text without one; None for this machine's.
     """
     from datetime import date, time, timedelta, timezone
 
@@ -179,7 +179,7 @@ def at(text: str, zone: tzinfo | None) -> ClockTime:
 
 
 def time_zone(text: str) -> tuple[tzinfo | None]:
-    """Read the name of a time zone, in a tuple: ``local`` is this machine's, None, as no option is."""
+    """Read the name of a time zone; return it in a tuple, with None for ``local``, this machine's zone."""
     if text.lower() == "local":
         return (None,)
     if text.upper() in {"UTC", "Z"}:
@@ -241,7 +241,7 @@ def where(text: str) -> str:
 
 
 def link_port(text: str) -> tuple[Link, int]:
-    """Read ``LINK:PORT``, as ``ci:5010``; 0 for ``LINK:any`` of a link that four bytes tell: ``rtps:any``."""
+    """Read ``LINK:PORT``, as ``ci:5010``; port 0 for ``LINK:any``, for links with magic bytes as ``rtps``."""
     name, _, port = text.partition(":")
     if port == "any" and len(getattr(link(name), "magic", b"")) == 4:  # the kernel's filter compares as many
         return link(name), 0
@@ -259,7 +259,7 @@ def name_value(text: str) -> tuple[str, str]:
 
 
 def completing(names: Iterable[str]) -> Callable[[str], list[str]]:
-    """Return what gives a shell those of some names that begin with what is typed."""
+    """Return a function that completes a word from names."""
     return lambda incomplete: [name for name in names if name.startswith(incomplete)]
 
 
@@ -290,7 +290,7 @@ Unproved = Annotated[bool, Option("--unproved", help="Also keep messages that no
 Jobs = Annotated[int | None, Option(parser=count, help="Processes to use; default: free cores, up to 3.")]
 EveryPort = Annotated[bool, Option("--all", "-a", help="Live: also UDP that belongs to no link.")]
 RosDomain = Annotated[int | None, Option(min=0, max=MOST_DOMAIN, hidden=True)]
-"""Usually it is said by ROS_DOMAIN_ID, as ROS has it."""
+"""Usually ROS_DOMAIN_ID sets it, as in ROS."""
 RosOption = Annotated[
     list[Any] | None, Option("--ros-option", parser=name_value, metavar="NAME=VALUE", help="Option of --ros.")
 ]
@@ -321,7 +321,7 @@ OLD_NAMES: Final[Mapping[str, str]] = {
     "--enable": "--no-enable",
     "--bridges": "--no-bridges",
 }
-"""Names that options had, and what they are called now; of a switch for no, its yes."""
+"""Old names of options to their present names; an old negative switch to the positive one."""
 
 
 SCENARIOS: Final = "A demo of the EDORAS paper: rover, arm, two-rovers or two-arms."
@@ -357,7 +357,7 @@ SETTINGS: Final[Mapping[str, Callable[[str], Any]]] = {
     "telemetry_header": number,
     "msg_id_version": number,
 }
-"""What ``--set`` and ``edoras.toml`` say of how packets are decoded, with the readers of values."""
+"""Decoding settings for ``--set`` and ``edoras.toml``, with the parsers of their values."""
 
 
 def _named_settings(incomplete: str) -> list[str]:
@@ -367,9 +367,9 @@ def _named_settings(incomplete: str) -> list[str]:
 
 @headed("Decoding")
 class DecodingOptions(NamedTuple):
-    """Missions, types, and how packets are decoded.
+    """Missions, types, and settings of decoding.
 
-    Each of ``SETTINGS`` is an option too, as it was before there was ``--set``.
+    Each of ``SETTINGS`` is also an option, as before ``--set`` existed.
     """
 
     config: Config = None
@@ -390,13 +390,13 @@ class DecodingOptions(NamedTuple):
 
     @property
     def constants(self) -> list[str]:
-        """What ``--set`` says of the constants of cFS, ``NAME=VALUE`` each."""
+        """Constants of cFS from ``--set``, ``NAME=VALUE`` each."""
         return [
             f"{name}={text}" for name, text in self.set_values or () if name.replace("-", "_") not in SETTINGS
         ]
 
     def merged(self) -> DecodingOptions:
-        """Return these options with what ``--set`` says of them."""
+        """Return these options with the settings from ``--set``."""
         changes: dict[str, Any] = {}
         for option, text in self.set_values or ():
             name = option.replace("-", "_")
@@ -445,7 +445,7 @@ class DecodingOptions(NamedTuple):
 
 
 def _refuse_constants(constants: Sequence[str]) -> None:
-    """Refuse constants that the command line gives to a command that uses none; a settings file may."""
+    """Refuse constants on the command line of a command that uses none; a settings file may have them."""
     from edoras_tools.cli.settings import in_effect
     from edoras_tools.words import did_you_mean
 
@@ -492,10 +492,10 @@ class SelectionOptions(NamedTuple):
 
 
 def check_duration(duration_ns: int | None, files: Sequence[Path]) -> None:
-    """Refuse to read files for a duration: how much of them that is depends on the machine.
+    """Refuse to read files for a duration: the amount read would depend on the machine.
 
     Raises:
-        ConfigError: a duration is given, and files.
+        ConfigError: a duration and files are given.
     """
     if duration_ns and files and "-" not in map(str, files):
         raise ConfigError("--duration ends live traffic; of a file, --end selects a part")
@@ -562,7 +562,7 @@ class PartOptions(NamedTuple):
         """Return these options in the form that pipelines take.
 
         Args:
-            files: what is read, if it is not live.
+            files: files to read; none for a live source.
 
         Raises:
             ConfigError: the end is not after the start, or files are to be read for a duration.
@@ -575,7 +575,7 @@ class PartOptions(NamedTuple):
 
 @headed("Printing")
 class PrintOptions(NamedTuple):
-    """What is reported, and how."""
+    """Settings of the report."""
 
     json: Json = False
     quiet: Quiet = False

@@ -1,4 +1,4 @@
-"""What commands print: views, JSON and CSV on standard output, progress on standard error."""
+"""The output of commands: views, JSON and CSV on standard output, progress on standard error."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 def watcher(
     source: Source, output: Path | None, *, quiet: bool, live: bool
 ) -> AbstractContextManager[Watcher[ReadingRun] | None]:
-    """Return what shows a run on standard error: a live table, a progress bar, or nothing.
+    """Return the view of a run on standard error: a live table, a progress bar, or nothing.
 
     Args:
-        output: what is written, if anything is.
-        quiet: show nothing; neither is anything shown where standard error is no terminal.
-        live: the source is live, so there is no end for a progress bar.
+        output: output file, if any.
+        quiet: whether to show nothing; if standard error is no terminal, nothing is shown either.
+        live: whether the source is live, so that a progress bar would have no end.
     """
     if quiet or not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
         return nullcontext()  # and nothing is loaded that shows
@@ -70,12 +70,12 @@ Metrics = Annotated[
 
 
 def measured(watcher: AbstractContextManager[Any], metrics: Endpoint | None) -> AbstractContextManager[Any]:
-    """Return a watcher that also serves the figures of what it watches, where that is asked for."""
+    """Return a watcher that also serves the figures of the run, if this is requested."""
     return doors.part("metrics")(watcher, metrics) if metrics else watcher
 
 
 def print_json(value: Mapping[str, Any]) -> None:
-    """Print one JSON object, as ``docs/schemas`` describe it.
+    """Print one JSON object, as ``docs/schemas`` describes it.
 
     ``schema`` is the version of its shape, 1 unless the value has another one; ``settings`` is the path of
     the settings file, if there is one.
@@ -109,10 +109,10 @@ def write_csv(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
 
 
 def print_view(view: RenderableType | Callable[[int], RenderableType], *, is_whole: bool = False) -> None:
-    """Print a view for people; one that depends on the width is made for that of the terminal.
+    """Print a view for people; a function of the width is called with that of the terminal.
 
     Args:
-        is_whole: its lines are broken already; what is longer is to be pasted, and stays in one piece.
+        is_whole: whether its lines are already wrapped; longer ones are for pasting, and stay whole.
     """
     from edoras_tools.render.terminal.terminal import output_console
 
@@ -121,7 +121,7 @@ def print_view(view: RenderableType | Callable[[int], RenderableType], *, is_who
 
 
 def file_progress(names: Iterable[object], *, quiet: bool) -> FileProgress:
-    """Return what shows how far files, whose names are given, are read and judged."""
+    """Return the progress bar for reading and judging the named files."""
     from edoras_tools.render.terminal.progress import FileProgress
     from edoras_tools.render.terminal.terminal import error_console
 

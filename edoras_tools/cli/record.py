@@ -66,7 +66,7 @@ def span(text: str) -> tuple[str, int]:
 
 @headed("Snapshots")
 class SnapshotOptions(NamedTuple):
-    """Whether only what is around a trigger is written."""
+    """Settings for writing only the traffic around a trigger."""
 
     snapshot: Annotated[bool, Option("--snapshot", help="Write only what is around a trigger.")] = False
     before: Annotated[list[Any] | None, Option(parser=span, help="Kept before; default 30s and 512M.")] = None
@@ -84,10 +84,10 @@ class SnapshotOptions(NamedTuple):
     fire: Annotated[Path | None, Option(help="Only ask the recorder at this socket to fire.")] = None
 
     def check(self, *, splits: bool) -> None:
-        """Refuse options that have no effect with each other.
+        """Refuse options that have no effect together.
 
         Raises:
-            ConfigError: there are such.
+            ConfigError: there are such options.
         """
         needs = [name for name, value in self._asdict().items() if value is not None and value is not False]
         needs = [f"--{name.replace('_', '-')}" for name in needs if name not in {"snapshot", "fire"}]
@@ -148,10 +148,10 @@ class TargetOptions(NamedTuple):
     ] = None
 
     def merged(self) -> TargetOptions:
-        """Return these options as their older names say them.
+        """Return these options with the values of their old names.
 
         Raises:
-            ConfigError: --keep has a time.
+            ConfigError: --keep is given a time.
         """
         split, keep = dict(self.split or ()), dict(self.keep or ())
         if "time" in keep:
@@ -234,7 +234,7 @@ def record(
 
 
 def _tell_report(report: CaptureReport, printing: options.PrintOptions) -> None:
-    """Print what was recorded."""
+    """Print the result of a recording."""
     if printing.json:
         print_json(
             {
@@ -251,7 +251,7 @@ def _tell_report(report: CaptureReport, printing: options.PrintOptions) -> None:
 
 
 def _tell_unnamed(routes: Sequence[Mapping[str, Any]], output: Path) -> None:
-    """Say what to do where no message has a topic, because no mission names its MsgId."""
+    """Print advice if no message has a topic, because no mission has its MsgId."""
     unnamed = [row["msg_id"] for row in routes if "unknown_msg_id" in row["findings"]]
     if unnamed and not any(row["topic"] for row in routes):
         tell(
@@ -261,7 +261,7 @@ def _tell_unnamed(routes: Sequence[Mapping[str, Any]], output: Path) -> None:
 
 
 def _check_named_last(inputs: Sequence[Path], output: Path | None) -> None:
-    """Refuse what is named as an input, and is to be written.
+    """Refuse an output that is also an input.
 
     Raises:
         ConfigError: it is.
@@ -273,7 +273,7 @@ def _check_named_last(inputs: Sequence[Path], output: Path | None) -> None:
 
 
 def _stream(files: TargetOptions, printing: options.PrintOptions) -> Format | None:
-    """Return the format of what goes to standard output; None if a file is written.
+    """Return the format on standard output; None if a file is written.
 
     Raises:
         ConfigError: standard output is a terminal, or is needed for the report.
@@ -290,7 +290,7 @@ def _stream(files: TargetOptions, printing: options.PrintOptions) -> Format | No
 
 
 def _target(files: TargetOptions, printing: options.PrintOptions, usual: str) -> Target:
-    """Return where to write; ``usual`` is the name without suffix if none is given."""
+    """Return the target; ``usual`` is the name without suffix if none is given."""
     from edoras_tools.pipelines.capture.record import Target
 
     return Target(

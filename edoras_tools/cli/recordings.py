@@ -68,7 +68,7 @@ def recording_target(output: Path | None, *, force: bool, inputs: Sequence[Path]
 
 
 def text_output(output: Path | None, inputs: Sequence[Path] = (), *, force: bool) -> Path | None:
-    """Return where a text is written, checked before anything is read; None, also of ``-``: standard output.
+    """Return the path of a text output, checked before anything is read; None for standard output or ``-``.
 
     Raises:
         ConfigError: it is an input, or it exists.
@@ -80,7 +80,7 @@ def text_output(output: Path | None, inputs: Sequence[Path] = (), *, force: bool
 
 
 def put_text(text: str, output: Path | None) -> None:
-    """Write a text where ``text_output`` says."""
+    """Write a text to the path that ``text_output`` returned."""
     if output is None:
         echo(text, nl=False)
     else:

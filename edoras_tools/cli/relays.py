@@ -65,10 +65,10 @@ class RelayOutputOptions(NamedTuple):
     def recorder(
         self, workbench: Callable[[], Workbench], name: str, **how: Any
     ) -> Callable[[], RelayRecorder] | None:
-        """Return what starts the recorder, its target already checked; None if nothing is recorded or shown.
+        """Check the target; return a function that starts the recorder, None if nothing is recorded or shown.
 
         Args:
-            workbench: gives what the recorder decodes with.
+            workbench: returns the workbench for decoding.
             how: see ``RelayRecorder``.
         """
         if self.output is None and self.live is None:
@@ -83,7 +83,7 @@ class RelayOutputOptions(NamedTuple):
 
 
 class Relay(Protocol):
-    """What passes traffic on until it is stopped."""
+    """A program part that forwards traffic until it is stopped."""
 
     @property
     def run(self) -> Callable[..., None]:
@@ -98,15 +98,15 @@ class Relay(Protocol):
 
 
 class SummedRelay(Protocol):
-    """What passed traffic on, and counted it."""
+    """A relay that has ended, with its counts."""
 
     @property
     def recorder(self) -> RelayRecorder | None:
-        """What recorded it."""
+        """The recorder of its traffic."""
         ...
 
     def summary(self) -> dict[str, Any]:
-        """Return what it passed on and lost, as JSON has it."""
+        """Return the forwarded and the lost traffic, in the shape of JSON."""
         ...
 
 
@@ -119,14 +119,14 @@ def run_relay(
     keyboard: bool = False,
     metrics: Endpoint | None = None,
 ) -> EdorasError | None:
-    """Pass traffic on until the end, and close the relay; return the error that ended it early, or None.
+    """Forward traffic until the end, and close the relay; return the error that ended it early, or None.
 
     Args:
-        begin: says what runs.
-        duration_ns: how long; None or 0: until Ctrl-C.
-        table: makes the table that shows it; None shows none.
+        begin: prints what runs.
+        duration_ns: duration, ns; None or 0: until Ctrl-C.
+        table: makes the live table; None: no table.
         keyboard: whether keys switch faults while the table is shown.
-        metrics: where the figures are served; None: nowhere.
+        metrics: address where the figures are served; None: they are not.
     """
     from edoras_tools.pipelines.interrupt import on_interrupt
 

@@ -36,7 +36,7 @@ def speed(text: str) -> float:
 
 
 class SourceOptions(NamedTuple):
-    """What is sent, and where."""
+    """The input and the receiver."""
 
     file: Annotated[Path, Argument(metavar="FILE", help=f"{READ}; with --from-topics also rosbag2.")]
     to: Annotated[
@@ -83,7 +83,7 @@ class PartOptions(NamedTuple):
 
 
 class ChangeOptions(NamedTuple):
-    """What is changed in the packets."""
+    """Changes of the packets."""
 
     write_headers: Annotated[str | None, Option(help="Another cFE's: 16, 12, extended, extended-v2.")] = None
     remap: Annotated[
@@ -93,7 +93,7 @@ class ChangeOptions(NamedTuple):
 
 
 def _towards(send_options: SendOptions, text: str, bench: Workbench) -> SendOptions:
-    """Return options with the receiver, and what it and the mission say."""
+    """Return options with the receiver, and the values that it and the mission determine."""
     from edoras_tools.pipelines.sending.options import receiver
 
     to, target = receiver(text, bench.columns.context)

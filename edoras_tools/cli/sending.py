@@ -69,7 +69,7 @@ def factor(text: str) -> float:
 
 
 def limit(text: str) -> float:
-    """Read a limit of a rate; 0 for none."""
+    """Read a limit of a rate, Hz; 0 for none."""
     return 0.0 if text == "0" else factor(text)
 
 
@@ -136,7 +136,7 @@ class SendingOptions(NamedTuple):
         """Return these options in the form that pipelines take.
 
         Raises:
-            typer.BadParameter: there is no such role or rule.
+            typer.BadParameter: a role or rule does not exist.
         """
         from edoras_tools.pipelines.sending.options import Role, SendOptions
         from edoras_tools.sessions.outgoing import ChecksumRule, SequenceRule
@@ -168,7 +168,7 @@ class SendingOptions(NamedTuple):
 
 
 class EndingOptions(NamedTuple):
-    """What a command that sends records and prints."""
+    """Settings of the recording and the report of a command that sends."""
 
     output: recordings.Output = None
     force: recordings.Force = False
@@ -191,16 +191,17 @@ def carry_out(
     ending: EndingOptions,
     inputs: tuple[Path, ...] = (),
 ) -> None:
-    """Send, or print what would be sent, and report the result.
+    """Send the datagrams, or print the plan, and report the result.
 
     Args:
-        ending: where to record the traffic, whether to send at all, and what to print.
-        inputs: files that are read and must not be overwritten.
+        ending: settings of recording and report, and whether to send at all.
+        inputs: input files, which must not be overwritten.
 
     Raises:
-        EdorasError: it could not be sent.
-        typer.Exit: with code 3, if a datagram was certainly lost, or more than may be, if something expected
-            did not come, or the recording was removed; with code 130, if Ctrl-C ended it before it was done.
+        EdorasError: sending failed.
+        typer.Exit: with code 3, if a datagram was certainly lost, or more than accepted, if an expected
+        result
+            did not come, or if the recording was removed; with code 130, if Ctrl-C ended it too early.
     """
     from edoras_tools.pipelines.sending.expect import AwaitedResults
     from edoras_tools.render.sending.status import send_status
@@ -267,7 +268,7 @@ def carry_out(
 def _goal(
     send_options: SendOptions, ending: EndingOptions, inputs: tuple[Path, ...], stack: ExitStack
 ) -> RecordingTarget | None:
-    """Return what is recorded: what -o says, or for what is held against a good run, a temporary file."""
+    """Return the recording's target: that of -o, or a temporary file for a comparison with a good run."""
     output = ending.output
     if send_options.expect_runs and output is None:
         output = Path(stack.enter_context(TemporaryDirectory())) / "run.mcap"
@@ -280,7 +281,7 @@ def _goal(
 
 
 def _print(summary: dict[str, Any], target: str = "") -> None:
-    """Print what would be sent; or what was sent to a target, once it is."""
+    """Print the plan; or, with a target, the result."""
     from edoras_tools.render.sending import replay as view
     from edoras_tools.render.terminal.terminal import error_console
 

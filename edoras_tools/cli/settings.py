@@ -1,14 +1,14 @@
-"""``edoras.toml``: values of options that one would repeat at every command.
+"""``edoras.toml``: values of options that the user would repeat for every command.
 
 Rules:
 
-1. The file is looked for in the working folder, then in its parents as far as the root of the repository or
+1. The file is searched in the working folder, then in its parents up to the root of the repository or
    the home folder; outside of both only in the working folder. ``EDORAS_CONFIG`` names a file instead.
-2. A file that was found, not named, must belong to the user, and others must not be able to write to it: a
-   project that somebody unpacked in a shared folder must not change what a command does.
+   2. A file from the search must belong to the user, and others must not be able to write to it: a project
+      that somebody unpacked in a shared folder must not change the effect of a command.
 3. Only the options in ``SETTABLE`` can be set. None of them listens, sends, confirms, overwrites or leaves
    data out.
-4. What the command line or an environment variable says counts more than the file.
+4. The command line and environment variables take precedence over the file.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ class SettingsFile(NamedTuple):
     """A settings file.
 
     Attributes:
-        path: absolute.
-        values: by option name; those of one command in a table of its name.
-        left_out: why it is not used; empty if it is.
+        path: absolute path.
+        values: values by option name; those for one command are in a table of its name.
+        left_out: reason why it is not used; empty if it is used.
     """
 
     path: Path
@@ -85,7 +85,7 @@ class SettingsFile(NamedTuple):
         """Return the values for a command, by option name, with values as click's ``default_map`` has them.
 
         Args:
-            options: the names of its options, and whether they take several values.
+            options: names of its options, each with whether it takes several values.
 
         Raises:
             ConfigError: a value is a table, or a list where one value is needed.

@@ -47,7 +47,7 @@ class Diagram(StrEnum):
 
 
 class Statistic(StrEnum):
-    """What is counted."""
+    """The table to print."""
 
     ROUTES = "routes"
     SBN = "sbn"
@@ -80,7 +80,7 @@ class ViewOptions(NamedTuple):
         return self.time or TimeFormat.RELATIVE
 
     def check(self, *, verbose: bool) -> None:
-        """Refuse several views at the same time, and options that the view does not have.
+        """Refuse several views at once, and options that have no effect on the view.
 
         Args:
             verbose: whether ``-v`` is given.
@@ -108,13 +108,13 @@ class ViewOptions(NamedTuple):
                 raise ConfigError(f"{name} has no effect with {view}; leave one of them out")
 
     def check_recorded(self, source: Source, *, every: bool) -> None:
-        """Refuse what a recording without datagrams cannot show; the source is then closed.
+        """Refuse views that a recording without datagrams cannot show; the source is then closed.
 
         Args:
             every: whether ``-a`` is given.
 
         Raises:
-            ConfigError: something cannot be shown.
+            ConfigError: a view is impossible.
         """
         views = {
             "--tui": self.tui,
@@ -134,11 +134,11 @@ _NEED_DATAGRAMS: Final = {
     "--stat sbn": "SBN is in",
     "-a": "-a also shows",
 }
-"""What cannot be used with recordings without datagrams, and the words in front of "datagrams"."""
+"""Options that are impossible for recordings without datagrams, with the words in front of "datagrams"."""
 
 
 def print_packets(blocks: Iterable[list[str]], header: str, *, flush: bool) -> int:
-    """Print what is shown of packets as they come, below a header if there is one; return their number."""
+    """Print texts of packets as they come, below a header if there is one; return their number."""
     out, count = sys.stdout, 0
     for block in blocks:
         if header and block and not count:
@@ -209,7 +209,7 @@ def print_sequence(blocks: Iterable[ColumnRows], bench: Workbench, diagram: Diag
 
 
 class _UntilFailure(msgspec.Struct):
-    """Blocks of a source, whose failure waits until what was read before it is shown."""
+    """Blocks of a source, whose failure is raised after everything read before it is shown."""
 
     blocks: Iterable[ColumnRows]
     failure: CaptureError | None = None

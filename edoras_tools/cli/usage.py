@@ -1,8 +1,8 @@
-"""Help texts, as click prints them, on a screen: ``-h`` names what ``edoras help COMMAND`` explains.
+"""Help texts in click's style, on one screen: ``-h`` names options that ``edoras help COMMAND`` explains.
 
-Typer would draw them with rich, which takes longer to import than all the rest of ``--help``; and neither has
-a short form. So two methods stand in for Typer's: options that belong together are named on a line under
-``-h``, and commands stand in their groups.
+Typer would draw them with rich, which takes longer to import than all the rest of ``--help``; and neither
+has a short form. So two methods replace Typer's: below ``-h``, options that belong together share one line,
+and commands stand in their groups.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ WHOLE: Final = "edoras.whole"
 """Key of a context's ``meta``: all options are explained."""
 _TYPE: Final = re.compile(r"<([\w ]+)>")
 _VALUES: Final = {"str": "text", "int range": "number", "float range": "number", "recording_path": "path"}
-"""What stands for the name of a parser; of others the name itself."""
+"""Name of a parser to its name in help texts; other parsers keep their names."""
 _EVERYWHERE: Final = "Every command: -q, -v, --color WHEN"
 
 
 def sections(command: Any, ctx: Any) -> Mapping[str, list[tuple[str, str]]]:
-    """Return the names and texts of what a command takes, by heading, its own first."""
+    """Return the names and texts of a command's parameters by heading, its own heading first."""
     rows: dict[str, list[tuple[str, str]]] = {OWN: []}
     for item in command.get_params(ctx):
-        if record := item.get_help_record(ctx):  # none of a hidden one
+        if record := item.get_help_record(ctx):  # a hidden parameter has none
             names, text = record
             names = _TYPE.sub(lambda match: _VALUES.get(match[1], match[1]).upper(), names)
             text = text.removesuffix("  [default: True]")  # of a switch that only has its no
@@ -40,7 +40,7 @@ def sections(command: Any, ctx: Any) -> Mapping[str, list[tuple[str, str]]]:
 
 
 def write_options(command: Any, ctx: Any, formatter: Any) -> None:
-    """Write what a command takes: what stands under a heading is only named, if not all is asked for."""
+    """Write a command's parameters; without full help, those under a heading are only named."""
     whole, summaries = ctx.meta.get(WHOLE, False), []
     for heading, rows in sections(command, ctx).items():
         if whole or (heading == OWN and not hasattr(command, "commands")):
@@ -60,7 +60,7 @@ def write_options(command: Any, ctx: Any, formatter: Any) -> None:
 
 
 def _write_commands(command: Any, formatter: Any) -> None:
-    """Write what the commands of a group do; a heading stands in front of its first one."""
+    """Write the commands of a group with their texts; a heading stands in front of its first one."""
     commands = {name: item for name, item in command.commands.items() if not item.hidden}
     rows = []
     column = max(len(item.rich_help_panel or "") for item in commands.values())
@@ -74,5 +74,5 @@ def _write_commands(command: Any, formatter: Any) -> None:
 
 
 def first_line(command: Any) -> str:
-    """Return what a command does, in a sentence."""
+    """Return the first sentence about a command."""
     return re.split(r"(?<=\.) ", " ".join((command.help or "").partition("\n\n")[0].split()))[0]

@@ -16,10 +16,11 @@ class Qos(msgspec.Struct, frozen=True):
     """Quality of service of one topic, by ROS's names (https://design.ros2.org/articles/qos.html).
 
     Attributes:
-        reliable: lost samples are sent again; False is ``best_effort``. None, of a subscription: what each
-            publisher offers.
-        transient_local: late subscribers get the last samples; False is ``volatile``. None as above.
-        depth: samples kept (``keep_last``); 0 is ``keep_all``.
+        reliable: True: lost samples are sent again; False: ``best_effort``; None, for a subscription: the
+            policy that each publisher offers.
+        transient_local: True: late subscribers get the last samples; False: ``volatile``; None as for
+            ``reliable``.
+        depth: number of samples kept (``keep_last``); 0 is ``keep_all``.
     """
 
     reliable: bool | None = True
@@ -27,20 +28,21 @@ class Qos(msgspec.Struct, frozen=True):
     depth: int = 10
 
     def words(self) -> dict[str, str | int]:
-        """Return the policies by ROS's names; ``automatic`` is what each publisher offers."""
+        """Return the policies by ROS's names; ``automatic`` stands for the offer of each publisher."""
         reliability = {True: "reliable", False: "best_effort", None: _AUTOMATIC}[self.reliable]
         durability = {True: "transient_local", False: "volatile", None: _AUTOMATIC}[self.transient_local]
         return {"reliability": reliability, "durability": durability, "depth": self.depth}
 
 
 class TopicState(NamedTuple):
-    """How a topic of a node is connected now, and what was lost on it so far.
+    """The connection of a topic of a node, and its losses so far.
 
     Attributes:
-        qos: in force; of a subscription that follows its publishers one for each kind of them.
-        missed: messages that a publisher's history or the network lost before they came here; None where the
-            middleware does not tell.
-        overwritten: messages overwritten in a history of ours, at the most.
+        qos: policies in force; for a subscription that follows its publishers, one for each kind of
+            publisher.
+        missed: messages that a publisher's history or the network lost before they arrived; None if the
+            middleware does not count them.
+        overwritten: upper bound of the messages overwritten in our own history.
     """
 
     qos: tuple[Qos, ...]
@@ -56,48 +58,48 @@ class Graph(Protocol):
     """
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
-        """Call ``heard(cdr)`` for each message, on a thread of the middleware's: it must not block.
+        """Call ``heard(cdr)`` for each message, on a thread of the middleware: it must not block.
 
         Raises:
             ConfigError: the type is unknown, or the middleware refuses the topic.
         """
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
-        """Return what publishes one message of a topic; it may be called from any one thread at a time.
+        """Return a function that publishes a message of a topic; only one thread at a time may call it.
 
         Raises:
             ConfigError: the type is unknown, or the middleware refuses the topic.
         """
 
     def states(self) -> Mapping[str, TopicState]:
-        """Return the state of each topic by name; those without are as they were asked for."""
+        """Return the state of topics by name; a topic without a state has its requested policies."""
 
     def dropped(self) -> int:
-        """Return the datagrams that the kernel dropped before the middleware read them, where it is known."""
+        """Return the datagrams that the kernel dropped before the middleware read them, as far as known."""
 
     def subscribers(self, topic: str) -> int | None:
-        """Return how many subscriptions of others a topic has that is published on here; None: not known."""
+        """Return the number of others' subscriptions to a topic that this node publishes; None: unknown."""
 
     def notes(self) -> list[str]:
-        """Return new notes for the user: incompatible peers, where to connect to."""
+        """Return new notes for the user, such as incompatible peers, or an address to connect to."""
 
     def close(self) -> None:
-        """Leave the graph. Nothing is heard after this returns; calling it again does nothing."""
+        """Leave the graph. No message is received after this returns; a second call does nothing."""
 
 
 class Middleware(NamedTuple):
-    """A way to join a ROS 2 graph; nothing of it is imported before somebody joins.
+    """A way to join a ROS 2 graph; its modules are imported only then.
 
     Attributes:
-        place: of its ``open_graph(store, node, *, domain, options)``, which returns a ``Graph``, as
-            ``module:function``.
-        needs: what an error says that it needs, and how to get it, where its library cannot be imported;
-            ``{why}`` becomes the reason.
-        implementation: value of ``RMW_IMPLEMENTATION`` that means it; empty if none does.
-        usual: whether it is meant where that variable names no other.
+        place: ``module:function`` of its ``open_graph(store, node, *, domain, options)``, which returns a
+            ``Graph``.
+        needs: text of the error if its library cannot be imported: the requirement, and how to get it;
+            ``{why}`` is replaced by the reason.
+        implementation: value of ``RMW_IMPLEMENTATION`` that selects it; empty if none does.
+        usual: whether it is selected if that variable selects no other.
         open: whether every node of its domain's network can publish.
-        peers: place of a function that takes domain and options, and returns the ROS 2 distribution of other
-            nodes, or None; empty if they do not tell.
+        peers: ``module:function`` that takes domain and options, and returns the ROS 2 distribution of other
+            nodes, or None; empty if they do not announce it.
     """
 
     place: str

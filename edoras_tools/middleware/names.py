@@ -1,4 +1,4 @@
-"""What a node and a topic may be called, and what DDS calls a type; the options of a middleware.
+"""Names of nodes and topics in ROS, names of types in DDS, and names of a middleware's options.
 
 The rules: https://design.ros2.org/articles/topic_and_service_names.html
 """
@@ -21,10 +21,10 @@ def check_name(name: str, noun: str) -> str:
     """Return a fully qualified ROS name.
 
     Args:
-        noun: what an error calls it, ``topic`` or ``node``.
+        noun: noun for errors, ``topic`` or ``node``.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: it is not a valid name.
     """
     if not _NAME.fullmatch(name):
         raise ConfigError(
@@ -34,10 +34,10 @@ def check_name(name: str, noun: str) -> str:
 
 
 def node_name(node: str) -> tuple[str, str]:
-    """Return the namespace, ``/`` or ``/robot``, and the name of a node given as ``NAME`` or ``/robot/NAME``.
+    """Return the namespace, ``/`` or ``/robot``, and the name of a node from ``NAME`` or ``/robot/NAME``.
 
     Raises:
-        ConfigError: it is not a name for a node.
+        ConfigError: it is not a valid name of a node.
     """
     full = check_name(node if node.startswith("/") else "/" + node, "node")
     namespace, _, name = full.rpartition("/")
@@ -51,7 +51,7 @@ def dds_name(type_name: str) -> str:
 
 
 def ros_name(dds_type: str) -> str:
-    """Return the ROS name of a DDS type; the name itself where it is of no ROS type."""
+    """Return the ROS name of a DDS type; the DDS name itself if it is not a ROS type."""
     parts = dds_type.split("::")
     is_ros = len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_")
     return f"{parts[0]}/{parts[1]}/{parts[3].removesuffix('_')}" if is_ros else dds_type
@@ -61,8 +61,8 @@ def unknown_options(ros: str, options: Iterable[str], existing: Sequence[str]) -
     """Return a line for each option that a middleware does not have.
 
     Args:
-        options: names of those given.
-        existing: names of those that there are.
+        options: names of the given options.
+        existing: names of the options that exist.
     """
     hint = f"there are {', '.join(existing)}" if existing else "leave it out"
     return [f"--ros {ros} has no option {name!r}; {hint}" for name in options if name not in existing]

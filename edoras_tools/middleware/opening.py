@@ -1,4 +1,4 @@
-"""Joining a ROS 2 graph through a middleware chosen by name; nothing of the others is imported."""
+"""Joining a ROS 2 graph through a middleware chosen by name; the others are not imported."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ _OF_THE_CORE: Final = {
 
 
 def names() -> list[str]:
-    """Return the names of all that ship."""
+    """Return the names of all middlewares that ship."""
     return sorted([*doors.shipped("middleware"), *_OF_THE_CORE])
 
 
 def middleware(ros: str) -> Middleware:
-    """Return the middleware of a name.
+    """Return the middleware with a name.
 
     Raises:
-        ConfigError: there is none, or its add-on was deleted.
+        ConfigError: there is no such name, or its add-on was deleted.
     """
     if ros in _OF_THE_CORE:
         return _OF_THE_CORE[ros]
@@ -55,7 +55,7 @@ def usual(environ: Mapping[str, str] | None = None) -> str:
     """Return the middleware that the environment selects: DDS unless it names Zenoh.
 
     Raises:
-        ConfigError: this installation has none.
+        ConfigError: this installation does not have it.
     """
     rmw = (os.environ if environ is None else environ).get("RMW_IMPLEMENTATION", "")
     installed = {name: item.load() for name, item in doors.shipped("middleware").items() if not item.absent}
@@ -69,10 +69,10 @@ def usual(environ: Mapping[str, str] | None = None) -> str:
 
 
 def usual_domain(environ: Mapping[str, str] | None = None) -> int:
-    """Return ``ROS_DOMAIN_ID``, 0 where it is not set.
+    """Return ``ROS_DOMAIN_ID``, 0 if it is not set.
 
     Raises:
-        ConfigError: it is not a domain.
+        ConfigError: it is not a number of a domain.
     """
     text = (os.environ if environ is None else environ).get("ROS_DOMAIN_ID", "").strip() or "0"
     if not text.isascii() or not text.isdecimal() or int(text) > MOST_DOMAIN:
@@ -88,7 +88,7 @@ def open_graph(
     Args:
         ros: name of a middleware.
         domain: ROS 2 domain.
-        options: of the middleware, by name.
+        options: options of the middleware, by name.
 
     Raises:
         ConfigError: there is no such middleware, its library is not installed, or it refuses.
@@ -103,9 +103,9 @@ def open_graph(
 
 
 def distro_of_peers(ros: str, domain: int, options: Mapping[str, str] = {}) -> str | None:
-    """Return the ROS 2 distribution that other nodes tell; None where nobody does: only nodes on DDS can.
+    """Return the ROS 2 distribution that other nodes announce; None if no node does: only DDS can show it.
 
-    What prevents it is told when the graph is joined.
+    Errors are ignored here: joining the graph reports them.
     """
     place = middleware(ros).peers
     if not place:
@@ -118,10 +118,10 @@ def distro_of_peers(ros: str, domain: int, options: Mapping[str, str] = {}) -> s
 
 
 def _imported(ros: str, place: str) -> Any:
-    """Import what a place names.
+    """Import the object of a place.
 
     Raises:
-        ConfigError: its library is installed, and does not load.
+        ConfigError: its library is installed, but does not load.
         ImportError: its library is not installed.
     """
     try:

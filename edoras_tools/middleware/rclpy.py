@@ -1,4 +1,4 @@
-"""A node of an installed ROS 2, whatever its middleware, through ``rclpy``; see docs/zenoh.md."""
+"""A node of an installed ROS 2, with any middleware, through ``rclpy``; see docs/zenoh.md."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _ECHO_SECONDS: Final = 1.0
 _MOST_ECHOES: Final = 10_000
 _FOLLOW_S: Final = 0.25
 _LEAST_WAITING: Final = 1000
-"""Messages that may wait for the thread that reads them, whatever the depth."""
+"""Least number of messages that may wait for the reading thread, whatever the depth."""
 
 
 class RclpyGraph:
-    """A ``Graph`` over one ``rclpy`` node, in a context of its own, spun by a thread.
+    """A ``Graph`` over one ``rclpy`` node, in its own context, spun by a thread.
 
     Args:
         node: name of the node, or ``/namespace/name``.
@@ -85,7 +85,7 @@ class RclpyGraph:
             raise ConfigError(f"{topic}: refused by rclpy: {rclpy_line(error)}") from error
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
-        """Return what publishes one message of a topic; see ``Graph``. Once closed, it does nothing."""
+        """Return a function that publishes on a topic; see ``Graph``. After ``close`` it does nothing."""
         kind = self._type(topic, type_name)
         listening = self._echoes[topic]
         try:
@@ -106,11 +106,11 @@ class RclpyGraph:
         return publish
 
     def states(self) -> Mapping[str, TopicState]:
-        """See ``Graph``: what rclpy's event ``message_lost`` counts is missed."""
+        """See ``Graph``: ``missed`` is the count of rclpy's event ``message_lost``."""
         return {item.topic: TopicState((item.asked,), item.missed) for item in self._listeners}
 
     def dropped(self) -> int:
-        """See ``Graph``: not known."""
+        """See ``Graph``: unknown."""
         return 0
 
     def subscribers(self, topic: str) -> int:
@@ -138,7 +138,7 @@ class RclpyGraph:
             with suppress(shut_down):
                 self._executor.spin()
         except Exception:
-            if not self._closed:  # a context that goes away while it is waited for makes more than one
+            if not self._closed:  # a context destroyed during the wait raises several kinds of errors
                 raise
 
     def _type(self, topic: str, type_name: str) -> Any:
@@ -156,14 +156,15 @@ class RclpyGraph:
 
 
 class _Listener:
-    """A subscription; where it follows its publishers, it asks for what all of them offer, as rosbag2 does.
+    """A subscription; if it follows its publishers, it requests the policies that all offer, as rosbag2 does.
 
-    It is made anew when that changes; the old one stays for a while, and what both hear is heard once.
+    It is replaced when these change. The old one stays for some time; a message that both receive counts
+    once.
 
     Attributes:
-        topic: its topic.
-        asked: the quality of service that it asks for.
-        missed: messages that rclpy says were lost.
+        topic: name of the topic.
+        asked: policies that it requests.
+        missed: lost messages as counted by rclpy.
     """
 
     def __init__(self, node: Any, kind: Any, topic: str, qos: Qos, receive: Callable[[bytes], None]) -> None:
@@ -174,7 +175,7 @@ class _Listener:
         self._subscriptions = [self._create()]
 
     def follow(self) -> None:
-        """Ask for what the publishers offer now."""
+        """Request the policies that the publishers offer now."""
         for old in self._subscriptions[:-1]:
             self._node.destroy_subscription(old)
         del self._subscriptions[:-1]
@@ -212,7 +213,7 @@ class _Listener:
         make = partial(self._node.create_subscription, self._kind, self.topic, self._hear, profile, raw=True)
         try:
             return make(event_callbacks=handlers.SubscriptionEventCallbacks(message_lost=lost))
-        except handlers.UnsupportedEventTypeError:  # a middleware need not count
+        except handlers.UnsupportedEventTypeError:  # a middleware may not count
             return make()
 
     def _hear(self, cdr: bytes, info: Mapping[str, int]) -> None:
@@ -226,10 +227,10 @@ class _Listener:
 
 
 class _Echoes:
-    """Messages of its own node that a subscription is going to receive: rclpy cannot exclude them.
+    """Messages of its own node that a subscription will receive: rclpy cannot exclude them.
 
-    An echo is told by its bytes. Where another node says just the same, it does not matter which of the two
-    is left out.
+    The bytes identify an echo. If another node sends the same bytes, it does not matter which of the two
+    messages is left out.
     """
 
     def __init__(self) -> None:
@@ -237,12 +238,12 @@ class _Echoes:
         self._expected: deque[tuple[float, bytes]] = deque(maxlen=_MOST_ECHOES)
 
     def expect(self, cdr: bytes) -> None:
-        """Note what is about to be published."""
+        """Record a message that is about to be published."""
         with self._lock:
             self._expected.append((time.monotonic(), cdr))
 
     def take(self, cdr: bytes) -> bool:
-        """Tell whether what was heard is an echo; it is expected once less."""
+        """Return whether a received message is an echo; then one echo fewer is expected."""
         with self._lock:
             oldest = time.monotonic() - _ECHO_SECONDS
             while self._expected and self._expected[0][0] < oldest:
@@ -262,7 +263,7 @@ def open_graph(
     Args:
         node: name of the node, or ``/namespace/name``.
         domain: ``ROS_DOMAIN_ID``.
-        options: there are none.
+        options: must be empty.
 
     Raises:
         ConfigError: an option is given, or ``rclpy`` refuses.
@@ -281,7 +282,7 @@ def open_graph(
 
 
 def qos_profile(qos: Qos) -> Any:
-    """Return a quality of service as rclpy has it."""
+    """Return a quality of service as a profile of rclpy."""
     names = import_module("rclpy.qos")
     reliability, durability = names.ReliabilityPolicy, names.DurabilityPolicy
     history = names.HistoryPolicy
@@ -294,5 +295,5 @@ def qos_profile(qos: Qos) -> Any:
 
 
 def rclpy_line(error: Exception) -> str:
-    """Return what an error of rclpy says, in one line."""
+    """Return the text of an rclpy error in one line."""
     return (str(error).strip() or type(error).__name__).partition("\n")[0]
