@@ -150,7 +150,7 @@ def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> N
 
 
 def _begin(running: Demo, *, quiet: bool) -> None:
-    """Say what is emulated, and where it is shown."""
+    """Print what is emulated, and where it is shown."""
     if quiet:
         return
     from edoras_tools.addons.lab.views.view import beside

@@ -1,4 +1,4 @@
-"""``edoras doctor --prove``: what was lost, beside what an emulated cFS loses of the same input."""
+"""``edoras doctor --prove``: the losses of a capture beside those of an emulated cFS with the same input."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 def prove(inputs: InputOptions, settings: Settings, printing: PrintOptions, task: TaskOptions) -> None:
-    """Prove a capture, and print that; where a file is named for the output, draw it too.
+    """Prove a capture, and print the proof; with an output file, draw it too.
 
     Raises:
         ConfigError: the picture cannot be written.
-        Exit: the model does not explain what was lost, or an advice does not keep what was promised.
+        Exit: the model does not explain the losses, or an advice does not keep its promise.
     """
     output = task.output
     if output is not None:

@@ -16,7 +16,7 @@ from edoras_tools.cli.options import SCENARIOS, Scenario
 
 
 class FlightOptions(NamedTuple):
-    """How the emulated cFS is configured."""
+    """Configuration of the emulated cFS."""
 
     limit: Annotated[int, Option(min=0, max=255, hidden=True)] = 0
     msg_max: Annotated[int, Option(min=0, hidden=True)] = 0
@@ -60,7 +60,7 @@ def sim(
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.interrupt import on_interrupt
 
-    # When bound to every address, the parts still use loopback among themselves.
+    # If the sockets are bound to every address, the parts still use loopback among themselves.
     address = "127.0.0.1" if host == "0.0.0.0" else host  # noqa: S104  the user asked for it
     built = options.DecodingOptions(
         config=config,
@@ -70,7 +70,7 @@ def sim(
     )
     bench = built.merged().settings(constants=True).workbench()
     profile = mission_profile(bench)
-    # The lab's table names the first processor too: each of its cFS has the others as peers.
+    # The lab's table contains the first processor too: each of its cFS has the others as peers.
     first = SimProfile()
     table = (SbnPeerConfig(first.peer, first.sbn_port), *profile.sbn_peers)
     peers = tuple(replace(peer, address=address) for peer in table if peer.peer != profile.peer)

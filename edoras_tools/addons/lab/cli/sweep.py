@@ -38,7 +38,7 @@ def span(text: str) -> tuple[int, int]:
 
 
 class StepOptions(NamedTuple):
-    """What to try, for how long, and where."""
+    """The steps, their duration, and the receiver."""
 
     rate: Annotated[Any, Option(parser=span, metavar="FROM..TO", help="Hz to try; default 1..1000.")] = None
     size: Annotated[
@@ -55,7 +55,7 @@ class StepOptions(NamedTuple):
 
     @property
     def by_size(self) -> bool:
-        """Whether to vary sizes instead of rates."""
+        """Whether sizes are varied instead of rates."""
         return self.size is not None and self.size[0] != self.size[1]
 
     def check(self, target: Endpoint | None) -> None:
@@ -98,7 +98,7 @@ class StepOptions(NamedTuple):
 
 @headed("Sending")
 class SendingOptions(NamedTuple):
-    """How to send."""
+    """Settings of sending."""
 
     target: sending.Target = None
     listen: sending.Listen = None
@@ -113,8 +113,8 @@ class SendingOptions(NamedTuple):
         """Return these options in the form that pipelines take, for a route of this link.
 
         Args:
-            link: of the route.
-            headers: those of the cFE; None for the usual ones.
+            link: link of the route.
+            headers: headers of the cFE; None for the usual ones.
         """
         from edoras_tools.addons.lab.sweep.plan import command_receiver
         from edoras_tools.pipelines.sending.options import SendOptions
@@ -145,10 +145,10 @@ class ChartOptions(NamedTuple):
     force: recordings.Force = False
 
     def merged(self) -> ChartOptions:
-        """Return these options with the output as that of its form.
+        """Return these options with the output file assigned to the option of its format.
 
         Raises:
-            ConfigError: its suffix is of neither.
+            ConfigError: its suffix is of neither format.
         """
         if self.output is None:
             return self

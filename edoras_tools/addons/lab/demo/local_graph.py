@@ -1,4 +1,4 @@
-"""A ROS 2 graph inside one process, for tests and demos: heard is at once what is published.
+"""A ROS 2 graph inside one process, for tests and demos: a message is delivered during the publishing call.
 
 Quality of service is matched as DDS does: a subscription that asks for more than is offered receives nothing.
 """
@@ -53,8 +53,8 @@ def open_graph(
     """Join the graph of this process.
 
     Args:
-        domain: nodes of other domains are not heard.
-        options: there are none.
+        domain: ROS 2 domain; nodes of different domains are not connected.
+        options: must be empty.
 
     Raises:
         ConfigError: an option is given.
@@ -68,7 +68,7 @@ class LocalGraph:
     """A node of the graph.
 
     Attributes:
-        node: its name.
+        node: name of the node.
     """
 
     def __init__(self, store: TypeStore, node: str, domain: int) -> None:
@@ -116,7 +116,7 @@ class LocalGraph:
         return publish
 
     def states(self) -> Mapping[str, TopicState]:
-        """See ``Graph``: what follows its publishers has what they offer; nothing is lost."""
+        """See ``Graph``: a subscription that follows its publishers has their policies; nothing is lost."""
         with self._domain.lock:
             return {
                 name: TopicState(tuple(dict.fromkeys(item.qos for item in topic.publishers)))
@@ -125,7 +125,7 @@ class LocalGraph:
             }
 
     def dropped(self) -> int:
-        """See ``Graph``: not known."""
+        """See ``Graph``: unknown."""
         return 0
 
     def subscribers(self, topic: str) -> int:
@@ -133,7 +133,7 @@ class LocalGraph:
         return sum(item.node is not self for item in self._domain.topics[topic].subscriptions)
 
     def notes(self) -> list[str]:
-        """See ``Graph``: there is nothing to tell."""
+        """See ``Graph``: there are no notes."""
         return []
 
     def close(self) -> None:
@@ -158,6 +158,6 @@ class LocalGraph:
 
 
 def _match(offered: Qos, requested: Qos) -> bool:
-    """Tell whether a publisher offers all that a subscription asks for; what it follows, it does not ask."""
+    """Return whether a publisher offers all requested policies; a followed policy is not requested."""
     pairs = (offered.reliable, requested.reliable), (offered.transient_local, requested.transient_local)
     return all(offer or not request for offer, request in pairs)

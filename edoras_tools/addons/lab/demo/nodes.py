@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 _BEHIND_NS: Final = SECOND // 4
-"""A periodic call that is later than this does not make up for the missed ones."""
+"""Delay from which a periodic call skips the missed ones."""
 
 
 class CallScheduler:
@@ -87,16 +87,16 @@ class CallScheduler:
 
 
 _GIVES_WAY_NS: Final = 5 * SECOND
-"""After a command of another node, the ground station sends none to that robot for this time."""
+"""Time without commands of the ground station to a robot after a command of another node."""
 _TRACK: Final = 400
 _QOS: Final = Qos()
 
 
 class RobotState(msgspec.Struct):
-    """What the ground station knows about a robot.
+    """The ground station's knowledge of a robot.
 
     Attributes:
-        place: of a rover x, y in m and heading in rad; of an arm its joints in rad; empty at first.
+        place: for a rover x, y in m and heading in rad; for an arm its joints in rad; empty at first.
         start: the first place.
         way: distance moved: in m for a rover, in rad over all joints for an arm.
         track: some places of a rover, oldest first.
@@ -110,7 +110,7 @@ class RobotState(msgspec.Struct):
     updates: int = 0
 
     def take(self, values: Mapping[str, Any]) -> None:
-        """Add a PoseStamped or a JointState."""
+        """Process a PoseStamped or a JointState."""
         place = place_of(values)
         if not self.updates:
             self.start = place
@@ -144,7 +144,7 @@ class GroundStation:
         rate_hz: commands per second for each robot; 0 for none.
 
     Attributes:
-        seen: what it knows about each robot.
+        seen: last state of each robot.
         others: number of commands from other nodes, for each robot.
     """
 
@@ -304,7 +304,7 @@ def make_robot(lane: Lane, index: int) -> Robot:
 
 
 def commands(lanes: Sequence[Lane], types: TypeStore, graph: Graph) -> Any:
-    """Return what lets a Foxglove server's clients publish the robots' commands, which go to the graph.
+    """Return a publisher of the robots' commands for clients of a Foxglove server; they go to the graph.
 
     Raises:
         ConfigError: this installation has no such server.

@@ -98,16 +98,16 @@ def _is_running() -> bool:
 
 _ATTEMPTS: Final = 4
 _PATIENCE_NS: Final = 3 * SECOND
-"""If a peer cannot connect within this time, the demo starts anyway, so that the failure is visible."""
+"""Time to wait for a peer's connection; then the demo starts anyway, so that the failure is visible."""
 _DRAIN_NS: Final = 1_200_000_000
-"""Two wake-ups of cFS and some extra time: all messages have arrived by then."""
+"""Time in which all messages arrive: two wake-ups of cFS, and a reserve."""
 _LAST_EVENTS: Final = 40
 STATE_HZ: Final = 250.0
 """The rate at which Gazebo publishes poses."""
 
 
 class DemoPlan(msgspec.Struct, frozen=True):
-    """What to run.
+    """The demo to run.
 
     Attributes:
         scenario: one of the four demos.
@@ -117,9 +117,9 @@ class DemoPlan(msgspec.Struct, frozen=True):
         max_rate: states per second that the flight bridge forwards; 0 for all.
         ros: the middleware.
         domain: ROS 2 domain.
-        options: of the middleware.
+        options: options of the middleware.
         distro: ROS 2 distribution.
-        live: where Foxglove connects; None: no server.
+        live: address for Foxglove; None: no server.
         replace: overwrite an existing recording.
     """
 
@@ -187,7 +187,7 @@ class Demo:
                     try:
                         self._open(parts, folder, target)
                     except CaptureError:
-                        # Another program may have taken a port meanwhile; any other failure is repeated.
+                        # Another program may have taken a port in between; any other failure is raised again.
                         if attempt == _ATTEMPTS - 1:
                             raise
                     else:
@@ -198,7 +198,7 @@ class Demo:
 
     @property
     def seconds(self) -> float:
-        """How long it has been running, in s."""
+        """Time since the start, s."""
         ended = self._elapsed_ns or (time.monotonic_ns() - self._began_ns if self._began_ns else 0)
         return ended / 1e9
 
@@ -214,7 +214,7 @@ class Demo:
 
     @property
     def failure(self) -> EdorasError | None:
-        """Why recording ended early, if it did."""
+        """Error that ended recording early, if any."""
         return self.bridges.recorder.failure if self.bridges.recorder else None
 
     def run(self, *, duration_ns: int = 0, watcher: Watcher[Demo] | None = None) -> None:

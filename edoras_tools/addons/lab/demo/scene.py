@@ -30,18 +30,18 @@ LAYOUTS: Final = {
     "two-arms": "foxglove_layout_two_arms",
 }
 _TO_LIMIT: Final = 20
-"""Packets of one state that may wait in Telemetry Output: half a second at 30 Hz, and a reserve."""
+"""Packets of one state that may wait in Telemetry Output: those of 0.5 s at 30 Hz, and a reserve."""
 
 
 class Lane(msgspec.Struct, frozen=True):
     """One robot and its four topics.
 
     Attributes:
-        robot: its name.
+        robot: name.
         command: the ground route to cFS.
         state: the ground route from cFS.
         board_command: the command route at the robot; None if the robot is part of the flight application.
-        board_state: the state route at the robot; None likewise.
+        board_state: the state route at the robot; None if the robot is part of the flight application.
     """
 
     robot: str
@@ -54,7 +54,7 @@ class Lane(msgspec.Struct, frozen=True):
 def free_ports() -> Ports:
     """Return free ports.
 
-    They are not the default ports: the demo would also receive what other programs send to those.
+    They are not the default ports: the demo would also receive other programs' traffic on those.
 
     Raises:
         CaptureError: the system has no free port.
@@ -78,7 +78,7 @@ def write_missions(scenario: Scenario, folder: Path, ports: Ports, max_rate: flo
     """Write a demo's mission files.
 
     Args:
-        ports: replace the default ports.
+        ports: ports that replace the default ones.
         max_rate: states per second that the flight bridge forwards for each robot; 0 for all.
 
     Raises:

@@ -34,9 +34,9 @@ class Tour(msgspec.Struct, frozen=True):
 
     Attributes:
         live: the recording of the live link.
-        real: the recording of the sample capture, which was made on a running cFS.
-        folder: contains the recordings, the missions and the Foxglove layout.
-        captured: whether the link was really captured; if not, it ran in simulated time.
+        real: recording of the sample capture, which was made on a running cFS.
+        folder: folder with the recordings, the missions and the Foxglove layout.
+        captured: whether the link was captured; if not, it ran in simulated time.
     """
 
     live: CaptureReport
@@ -49,14 +49,14 @@ def unpack(folder: Path, *, replace: bool = False) -> tuple[Path, Path]:
     """Copy the sample missions, the capture and the Foxglove layout into the user's folder.
 
     Args:
-        folder: where to; it is made.
+        folder: target; it is created.
         replace: overwrite files of these names.
 
     Returns:
         The folder of missions, and the capture.
 
     Raises:
-        ConfigError: such a file is there, and differs.
+        ConfigError: such a file exists, and has other contents.
         CaptureError: a file cannot be written.
     """
     with as_file(SAMPLES) as samples:
@@ -83,11 +83,11 @@ def tour(
 
     Args:
         show: called with every packet of the live link.
-        notice: called with a line on what happens.
+        notice: called with each note, one line.
         replace: overwrite the files of another tour in that folder.
 
     Raises:
-        ConfigError: files of these names are there.
+        ConfigError: files of these names exist.
         CaptureError: a port is in use, or the folder cannot be written.
     """
     live = Target(folder / "two_rovers.mcap", transforms=True, replace=replace)

@@ -1,6 +1,6 @@
 """Follows messages by their bytes, from node to node through bridges and cFS.
 
-Time that a message spends in cFS counts for cFS; the rest for bridges, sockets and middleware.
+The time that a message spends in cFS belongs to cFS; the rest to bridges, sockets and middleware.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Endpoint
 
 _MOST: Final = 8192
-"""Maximum number of messages under way that are kept."""
+"""Maximum number of messages in transit that are kept."""
 _SBN_HEADER: Final = sbn.HEADER.size
 _ENVELOPE: Final = Envelope(envelope.DEFAULT)
 
@@ -44,9 +44,9 @@ class Leg:
         said: messages that the first node published.
         entered: datagrams with a message that cFS received, from any sender.
         arrived: messages of the first node that reached the last node, byte for byte.
-        strange: messages that reached the last node and were not published by the first.
+        strange: messages that reached the last node, but were not published by the first.
         total: time from publishing to arrival.
-        added: the same without the time that cFS needs from reading a message to sending it.
+        added: time from publishing to arrival, without the time between reading and sending in cFS.
     """
 
     def __init__(self) -> None:
@@ -108,8 +108,8 @@ class Trace:
     """The two paths of every robot; a ``Watch`` of the emulated cFS.
 
     Attributes:
-        commands: one for each robot.
-        states: one for each robot.
+        commands: path of the commands of each robot.
+        states: path of the states of each robot.
     """
 
     def __init__(self, lanes: Sequence[Lane]) -> None:

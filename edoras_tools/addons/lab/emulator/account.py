@@ -1,11 +1,11 @@
-"""What became of everything in an emulated cFS: each arrival at a pipe or socket, where and when it ended.
+"""The arrivals at the pipes and sockets of an emulated cFS: where and when each one ended.
 
-The emulator keeps it beside what cFS counts itself. It is the whole truth that a diagnosis of the same
-traffic is judged by. Its rules:
+The emulator keeps this account in addition to cFS's own counters. A diagnosis of the same traffic is judged
+by it. Rules:
 
-1. An arrival is a packet at one pipe, or a datagram at one socket: two pipes have two.
+1. An arrival is a packet at one pipe, or a datagram at one socket: a packet at two pipes is two arrivals.
 2. It waits until its pipe or socket is read or closed; a queue is read in the order of arrival.
-3. What its reader does with it afterwards is not told here.
+3. The account ends there: it does not contain what the reader does with the packet.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ LOST: Final = frozenset({QueueEnd.MSG_LIMIT, QueueEnd.PIPE_OVERFLOW, QueueEnd.SO
 
 
 class Fifo(msgspec.Struct, Generic[_Message], eq=False):
-    """A queue that messages enter and leave one at a time.
+    """A first-in, first-out queue with message limits.
 
     Attributes:
         depth: messages that fit.
-        limits: MsgId to the messages of it that may wait; one that is not here has no limit.
-        messages: MsgId and message of those that wait, oldest first.
-        waiting: MsgId to how many of it wait.
-        on_change: called with MsgId and ``WAITING`` of a message that enters, ``DELIVERED`` of one that is
-            read, ``CLOSED`` of one that was in a queue when it was cleared, else why it was not let in.
+        limits: MsgId to the number of its messages that may wait; a MsgId that is absent has no limit.
+        messages: MsgId and message of each waiting message, oldest first.
+        waiting: MsgId to the number of its waiting messages.
+        on_change: called with a MsgId and ``WAITING`` for a message that enters, ``DELIVERED`` for one that
+            is read, ``CLOSED`` for one in the queue when it was cleared, else the reason of the refusal.
     """
 
     depth: int
@@ -44,7 +44,7 @@ class Fifo(msgspec.Struct, Generic[_Message], eq=False):
     on_change: Callable[[int, QueueEnd], object] | None = None
 
     def put(self, message: _Message, msg_id: int = 0) -> QueueEnd:
-        """Add a message where ``admission`` lets it in; return what it said."""
+        """Add a message if ``admission`` accepts it; return the result of ``admission``."""
         limit = self.limits.get(msg_id, NO_LIMIT)
         outcome = admission(self.waiting[msg_id], limit, len(self.messages), self.depth)
         if outcome is QueueEnd.WAITING:
@@ -55,7 +55,7 @@ class Fifo(msgspec.Struct, Generic[_Message], eq=False):
         return outcome
 
     def get(self) -> _Message | None:
-        """Take the oldest message, or None."""
+        """Remove and return the oldest message; None if there is none."""
         if not self.messages:
             return None
         msg_id, message = self.messages.popleft()
@@ -65,7 +65,7 @@ class Fifo(msgspec.Struct, Generic[_Message], eq=False):
         return message
 
     def clear(self) -> None:
-        """Drop what waits."""
+        """Drop all waiting messages."""
         if self.on_change:
             for msg_id, _ in self.messages:
                 self.on_change(msg_id, QueueEnd.CLOSED)
@@ -81,10 +81,10 @@ class QueueArrival(msgspec.Struct):
 
     Attributes:
         hop: name of the pipe, or ``socket PORT``.
-        msg_id: as on the bus; 0 at a socket, which knows none.
-        begin_ns: time of its coming.
-        end: ``WAITING`` as long as it waits.
-        end_ns: time of its end; -1 as long as it waits.
+        msg_id: MsgId on the bus; 0 at a socket, which does not read it.
+        begin_ns: time of arrival, ns.
+        end: end of the arrival; ``WAITING`` as long as it waits.
+        end_ns: time of the end, ns; -1 as long as it waits.
     """
 
     hop: str
@@ -95,14 +95,14 @@ class QueueArrival(msgspec.Struct):
 
 
 class ArrivalAccount:
-    """Every arrival in an emulated cFS, over all its boots.
+    """All arrivals in an emulated cFS, over all its boots.
 
     Args:
-        now: returns the time in ns.
-        is_on: whether anything is noted; a simulation without end would fill the memory.
+        now: function that returns the time, ns.
+        is_on: whether arrivals are recorded; a simulation without end would fill the memory.
 
     Attributes:
-        arrivals: in order of their coming.
+        arrivals: arrivals in order of time.
     """
 
     def __init__(self, now: Callable[[], int], *, is_on: bool) -> None:
@@ -112,13 +112,13 @@ class ArrivalAccount:
         self._waiting: dict[str, deque[QueueArrival]] = {}
 
     def watch(self, queue: Fifo[_Message], hop: str) -> Fifo[_Message]:
-        """Note from now on what becomes of everything in a queue; return it."""
+        """Record the arrivals at a queue from now on; return the queue."""
         if self._is_on:
             queue.on_change = partial(self.note, hop)
         return queue
 
     def note(self, hop: str, msg_id: int, outcome: QueueEnd) -> None:
-        """Note that something entered a queue, left it, or was not let in."""
+        """Record that a message entered a queue, left it, or was refused."""
         if not self._is_on:
             return
         now, waiting = self._now(), self._waiting.setdefault(hop, deque())
@@ -134,13 +134,13 @@ class ArrivalAccount:
             arrival.end, arrival.end_ns = outcome, now
 
     def close(self, *hops: str) -> None:
-        """Note that queues are gone with what is in them; all, where none is named."""
+        """Record that queues were closed with their contents; all queues, if none is named."""
         for hop in hops or list(self._waiting):
             for arrival in self._waiting.pop(hop, ()):
                 arrival.end, arrival.end_ns = QueueEnd.CLOSED, self._now()
 
     def losses(self, start_ns: int = 0) -> Counter[tuple[str, int, QueueEnd]]:
-        """Return how many arrivals were lost since a time, by hop, MsgId and end."""
+        """Return the number of arrivals lost since a time, by hop, MsgId and end."""
         return Counter(
             (item.hop, item.msg_id, item.end)
             for item in self.arrivals
@@ -149,5 +149,5 @@ class ArrivalAccount:
 
 
 def socket(port: int) -> str:
-    """Return the hop that a UDP port is."""
+    """Return the name of a UDP port as a hop."""
     return f"socket {port}"

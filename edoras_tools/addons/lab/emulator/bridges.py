@@ -45,10 +45,10 @@ class GroundOperator(msgspec.Struct, frozen=True):
 
     Attributes:
         command_type: ROS type of a command.
-        msg_ids: MsgId of each robot.
+        msg_ids: MsgId of the commands of each robot.
         rate_hz: commands per second and robot.
         routes: types and envelopes of the MsgIds.
-        start_ns: first command, from the start of the simulation.
+        start_ns: time of the first command, ns from the start of the simulation.
         count: commands per robot; None for no end.
     """
 
@@ -60,14 +60,14 @@ class GroundOperator(msgspec.Struct, frozen=True):
     routes: SystemRoutes | None = None
 
     def packet(self, index: int, robot: int, headers: cfe.Headers) -> bytes:
-        """Return command number ``index`` for robot number ``robot`` as it is sent."""
+        """Return command number ``index`` for robot number ``robot`` as a packet."""
         msg_id, form = self.msg_ids[robot], DEFAULT
         if self.routes is not None:
             form = self.routes.envelope(headers.msg_ids.standard(msg_id))
         return command_packet(msg_id, self.cdr(index, robot), headers, form)
 
     def cdr(self, index: int, robot: int) -> bytes:
-        """Return command number ``index`` for robot number ``robot``: arcs for rovers, targets for arms."""
+        """Return command ``index`` for robot number ``robot`` as CDR: arcs for rovers, targets for arms."""
         phase = index / self.rate_hz + robot
         if self.command_type == messages.TWIST:
             return messages.twist(0.5 + 0.1 * sin(phase / 3), 0.2 * cos(phase / 2))
@@ -77,13 +77,13 @@ class GroundOperator(msgspec.Struct, frozen=True):
 
 
 class GroundBridge:
-    """The ground bridge: enables telemetry, sends commands to Command Ingest, receives what TO sends.
+    """The ground bridge: enables telemetry, sends commands to Command Ingest, receives TO's packets.
 
     Attributes:
-        endpoint: its one socket: TO's destination, and where its commands come from.
+        endpoint: address of its one socket: TO's destination, and source of its commands.
         received: MsgId to packets that arrived.
         sent: commands sent.
-        headers: of its packets. The public bridges know the usual ones alone.
+        headers: headers of its packets. The public bridges know the usual ones only.
     """
 
     headers = cfe.STANDARD
@@ -101,7 +101,7 @@ class GroundBridge:
             scheduler.call_at(self._first_ns, self._command, 0)
 
     def receive_datagram(self, data: bytes) -> None:
-        """Take a datagram of cFS; the buffer holds 1024 bytes."""
+        """Process a datagram of cFS; the buffer holds 1024 bytes."""
         if len(data[: limits.BRIDGE_BUFFER]) >= cfe.COMMAND_HEADER_BYTES:
             msg_id = self.headers.msg_ids.of(data)
             self.received[msg_id] = self.received.get(msg_id, 0) + 1
@@ -131,10 +131,10 @@ class FlightBridge:
     """The flight bridge and the robots behind it.
 
     Attributes:
-        endpoint: its one socket.
+        endpoint: address of its one socket.
         received: MsgId to packets that arrived.
         sent: robot states sent.
-        headers: as those of the ground bridge.
+        headers: headers of its packets, as for the ground bridge.
         routes: types and envelopes of the MsgIds.
     """
 
@@ -151,11 +151,11 @@ class FlightBridge:
         rate_hz: float,
         send: SendFrom,
     ) -> None:
-        """Start.
+        """Start the bridge.
 
         Args:
-            own: as it calls itself.
-            sbn: cFS's socket.
+            own: its own SBN identity.
+            sbn: address of cFS's socket.
             robots: (MsgId of the state, MsgId of the command) to the robot.
             rate_hz: states per second and robot.
             send: called with source, destination and payload.
@@ -174,7 +174,7 @@ class FlightBridge:
             scheduler.call_at(self._first_ns, self._state, 0)
 
     def receive_datagram(self, data: bytes) -> None:
-        """Take a datagram of cFS; the next poll reads it."""
+        """Queue a datagram of cFS; the next poll reads it."""
         self._connection.receive_datagram(data, now=self._scheduler.now)
 
     def _poll(self) -> None:

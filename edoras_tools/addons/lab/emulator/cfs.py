@@ -1,7 +1,7 @@
 """An emulated cFS: one software bus, one event service, a clock and sockets, in simulated time.
 
-It is not flight software. It emulates what decides which messages arrive, and when: wake-ups, pipes,
-limits, two shared processors. ``docs/sim.md`` lists what is emulated and what is not.
+It is not flight software. It emulates the mechanisms that decide which messages arrive, and when: wake-ups,
+pipes, limits, two shared processors. ``docs/sim.md`` lists what is emulated and what is not.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ if TYPE_CHECKING:
 EMULATOR_VERSION: Final = "edoras-tools emulated cFS, not flight software"
 _MANY: Final = 100
 ANY_PORT: Final = 49152
-"""Source port of telemetry in simulated time, where no operating system chooses one."""
+"""Source port of telemetry in simulated time, where no operating system chooses a port."""
 
 
 class Cfs:
     """One emulated instance.
 
     Attributes:
-        profile: its constants.
-        scheduler: its clock and its tasks; several instances may share one.
-        begin: starts all applications at each boot.
-        boots: how often it has booted.
-        bus: its software bus.
-        events: its event services.
-        executive: its executive services: the applications that run.
-        clock: its time services.
-        routes: the messages of its EDORAS application.
-        account: what became of everything at its pipes and sockets.
-        console: its last lines, ``(time_ns, text)``, events as ``EVS Port1 66/1/APP ID: text``.
+        profile: constants.
+        scheduler: clock and tasks; several instances may share one.
+        begin: function that starts all applications; called at each boot.
+        boots: number of boots.
+        bus: software bus.
+        events: event services.
+        executive: executive services, with the applications.
+        clock: time services.
+        routes: messages of its EDORAS application.
+        account: arrivals at its pipes and sockets, with their ends.
+        console: last lines, ``(time_ns, text)``, events as ``EVS Port1 66/1/APP ID: text``.
         listener: called with every line.
-        muted: MsgIds of telemetry that its applications do not publish here: somebody else does.
+        muted: MsgIds of telemetry that its applications do not publish, because another source does.
     """
 
     def __init__(
@@ -61,11 +61,11 @@ class Cfs:
         *,
         with_account: bool = False,
     ) -> None:
-        """Make it, without any application: ``simulation.Apps`` starts those.
+        """Create it without applications: ``simulation.Apps`` starts them.
 
         Args:
             send: called with source, destination and payload of each datagram that leaves.
-            with_account: keep what became of each arrival at a pipe or socket.
+            with_account: whether to record the arrivals at pipes and sockets.
         """
         self.profile = profile
         self.scheduler = scheduler
@@ -94,13 +94,13 @@ class Cfs:
         self.clock = Clock(self.profile, self.scheduler.now)
 
     def boot(self) -> None:
-        """Start all applications anew, now; after ``halt``."""
+        """Start all applications afresh, now; after ``halt``."""
         self.boots += 1
         self._reset()
         self.begin()
 
     def halt(self) -> None:
-        """Stop everything, now: what waits anywhere is lost, and nothing listens."""
+        """Stop everything, now: all waiting messages are lost, and no port is open."""
         for task in self._tasks:
             self.scheduler.end(task)
         for application in self.executive.applications.values():
@@ -110,12 +110,12 @@ class Cfs:
         self.account.close()
 
     def restart(self) -> None:
-        """Restart the processor: halt, and boot again after the time that it takes."""
+        """Restart the processor: halt, and boot again after ``boot_ns``."""
         self.halt()
         self.scheduler.call_at(self.scheduler.now + self.profile.boot_ns, self.boot)
 
     def clean_up(self, application: LoadedApp) -> None:
-        """End the tasks of an application, and close its pipes and sockets with what is in them."""
+        """End the tasks of an application, and close its pipes and sockets with their contents."""
         for task in application.tasks:
             self.scheduler.end(task)
         for name in (*application.pipes, *application.more_pipes()):
@@ -126,18 +126,18 @@ class Cfs:
         self.events.unregister(application.name)
 
     def open_telemetry_socket(self) -> None:
-        """Choose the port that telemetry leaves by: another one each time, unless the profile names it."""
+        """Choose the source port of telemetry: another one each time, unless the profile names it."""
         if not self.profile.to_source_port:
             self._to_sockets += 1
             self.to_endpoint = Endpoint(self.profile.address, ANY_PORT + self._to_sockets)
 
     @property
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """The sockets: Command Ingest, SBN, and the one that telemetry leaves by."""
+        """The sockets: Command Ingest, SBN, and the source of telemetry."""
         return self.ci_endpoint, self.sbn_endpoint, self.to_endpoint
 
     def receive_datagram(self, destination: Endpoint, data: bytes) -> None:
-        """Take a datagram, now; it is dropped where nothing listens on its port."""
+        """Process a datagram now; it is dropped if no application listens on its port."""
         receive = self._listening.get(destination.port)
         if receive:
             receive(data)
@@ -145,21 +145,21 @@ class Cfs:
             self.account.note(socket(destination.port), 0, QueueEnd.CLOSED)
 
     def is_listening(self, port: int) -> bool:
-        """Tell whether an application takes the datagrams of a port."""
+        """Return whether an application listens on a port."""
         return port in self._listening
 
     def listen(self, port: int, receive: Callable[[bytes], object]) -> None:
-        """Have the datagrams of a port handed to an application."""
+        """Pass the datagrams of a port to an application."""
         self._listening[port] = receive
         self.executive.owns(port=port)
 
     def mission_time(self) -> tuple[int, int]:
-        """Return mission time as telemetry headers hold it: seconds, and subseconds of 1/65536 s."""
+        """Return mission time as in telemetry headers: seconds, and subseconds of 1/65536 s."""
         seconds, rest = divmod(self.clock.time_ns(self.scheduler.now), SECOND)
         return seconds & 0xFFFFFFFF, (rest << 16) // SECOND
 
     def create_pipe(self, name: str, *msg_ids: int, limit: int | None = None) -> Pipe:
-        """Make an application's pipe and subscribe it."""
+        """Create an application's pipe and subscribe it."""
         pipe = self.bus.create_pipe(name, self.profile.app_pipe_depth)
         self.executive.owns(pipe=name)
         for item in msg_ids:
@@ -167,12 +167,12 @@ class Cfs:
         return pipe
 
     def publish(self, packet: bytes, sender: str, *, stamp: bool = True) -> Publication:
-        """Put a packet on the bus, wake the tasks that wait for it, report the events of the bus."""
+        """Put a packet on the bus, wake the tasks that wait for it, and report the events of the bus."""
         publication = self.bus.publish(packet, sender, stamp=stamp)
         for pipe in publication.delivered:
             self.scheduler.notify(pipe)
         for event in publication.events:
-            # As in cFE: reporting a bus error must not report the same error again.
+            # As in cFE: the report of a bus error must not cause the same error again.
             if event.event_id not in self._reporting:
                 self._reporting.add(event.event_id)
                 self.report(event)
@@ -180,7 +180,7 @@ class Cfs:
         return publication
 
     def telemetry(self, msg_id: int, payload: bytes, sender: str) -> Publication:
-        """Publish a telemetry packet with the time now."""
+        """Publish a telemetry packet with the present time."""
         if msg_id in self.muted:
             return Publication(payload)
         seconds, subseconds = self.mission_time()
@@ -193,13 +193,13 @@ class Cfs:
         self.report(Event.of(event, **values))
 
     def report(self, event: Event) -> None:
-        """Report an event: it may be filtered or squelched, else it is printed and published."""
+        """Report an event: unless it is filtered or squelched, it is printed and published."""
         for item in self.events.report(event, now=self.scheduler.now):
             self.print(f"EVS Port1 {self.profile.spacecraft_id}/{self.profile.processor_id}/{item}")
             self.telemetry(cfe.EVENT_MSG_ID, self.events.payload(item), item.app)
 
     def print(self, text: str) -> None:
-        """Write a line on the console."""
+        """Write a line to the console."""
         line = self.scheduler.now, text.rstrip()
         self.console.append(line)
         if self.listener:

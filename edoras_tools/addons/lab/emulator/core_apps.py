@@ -14,22 +14,22 @@ if TYPE_CHECKING:
 
 
 class CoreApp(msgspec.Struct, frozen=True):
-    """What tells the five apart.
+    """The differences between the five applications.
 
     Attributes:
-        name: as events print it.
-        pipe: its pipe's name.
+        name: name in events.
+        pipe: name of its pipe.
         command: MsgId of its commands.
         request: MsgId of the housekeeping request.
         telemetry: MsgId of its housekeeping packet.
         others: further MsgIds that it subscribes to.
         no_op_id: number of the no-op event.
-        no_op_text: how that event begins; the version follows.
-        bad_length_id: number of the event for a command of a wrong length; None where none was seen.
-        bad_length_msg_id: how it writes the MsgId.
+        no_op_text: start of that event's text; the version follows.
+        bad_length_id: number of the event for a command of a wrong length; None if none was ever captured.
+        bad_length_msg_id: format of the MsgId in that event.
         bad_code_id: number of the event for a function code that it does not have.
         bad_code_text: text of that event.
-        packets: function code to a packet that the command asks for: MsgId and payload bytes.
+        packets: function code to the packet that the command requests: MsgId and payload bytes.
     """
 
     name: str
@@ -48,7 +48,7 @@ class CoreApp(msgspec.Struct, frozen=True):
 
     @property
     def initialized(self) -> EventText:
-        """Return the event at start."""
+        """Return the event at the start."""
         short = self.name.removeprefix("CFE_")
         return EventText(self.name, 1, f"cFE {short} Initialized:  {{version}}")
 
@@ -59,7 +59,7 @@ class CoreApp(msgspec.Struct, frozen=True):
 
     @property
     def bad_code(self) -> EventText:
-        """Return the event of a function code that it does not have."""
+        """Return the event of an unknown function code."""
         return EventText(self.name, self.bad_code_id, self.bad_code_text, EventType.ERROR)
 
     @property
@@ -97,4 +97,4 @@ CORE: Final = (
     ),
     CoreApp("CFE_TBL", "TBL_CMD_PIPE", 0x1804, 0x180C, 0x0804, 10, 51),
 )
-"""In the order in which they start."""
+"""The five applications in the order in which they start."""

@@ -30,7 +30,7 @@ def _types() -> TypeStore:
 
 
 def from_link(packet: bytes, profile: SimProfile) -> bytes:
-    """Return a packet of a link as it is on the bus, where headers are always the usual ones."""
+    """Return a packet of a link in its form on the bus, where headers are always the standard ones."""
     return cfe.with_headers(packet, profile.headers, cfe.STANDARD)
 
 
@@ -39,11 +39,11 @@ _NUMBERS: Final = {
     cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
     command_ingest.HOUSEKEEPING_MSG_ID: cfe.COMMAND_INGEST_HOUSEKEEPING,
 }
-"""Payloads with numbers that a link shows; the other counters are zeros, or of one byte."""
+"""Payloads with numbers longer than a byte that a link shows; in other payloads such counters are 0."""
 
 
 def to_link(packet: bytes, profile: SimProfile) -> bytes:
-    """Return a packet of the bus as it is on a link."""
+    """Return a packet of the bus in its form on a link."""
     layout = _NUMBERS.get(cfe.msg_id_of(packet)) if profile.big_endian else None
     if layout is not None:
         data, at = bytearray(packet), cfe.TELEMETRY_HEADER_BYTES
@@ -56,7 +56,7 @@ def to_link(packet: bytes, profile: SimProfile) -> bytes:
 
 
 def _retimed(packet: bytes, profile: SimProfile) -> bytes:
-    """Return a packet of a link with its mission time as the profile has it; a command as it is."""
+    """Return a packet of a link with its mission time in the profile's format; a command is unchanged."""
     headers, time = profile.headers, profile.time
     if headers.msg_ids.is_command(headers.msg_ids.of(packet)) or len(packet) < headers.telemetry_bytes:
         return packet
@@ -67,17 +67,17 @@ def _retimed(packet: bytes, profile: SimProfile) -> bytes:
 
 
 def bus_id(msg_id: int, profile: SimProfile) -> int:
-    """Return what a MsgId of a link, or in a payload, is on the bus."""
+    """Return the MsgId on the bus for a MsgId on a link, or in a payload."""
     return profile.headers.msg_ids.standard(msg_id)
 
 
 def link_id(msg_id: int, profile: SimProfile) -> int:
-    """Return what a MsgId of the bus is on a link, and in payloads and events."""
+    """Return the MsgId on a link, and in payloads and events, for a MsgId on the bus."""
     return profile.headers.msg_ids.of_known(msg_id)
 
 
 def command_length(size: int, profile: SimProfile) -> int:
-    """Return the bytes on a link of a command that has ``size`` on the bus, as events tell them."""
+    """Return the size on a link, as in events, of a command with ``size`` bytes on the bus."""
     return size + profile.headers.command_bytes - cfe.COMMAND_HEADER_BYTES
 
 
@@ -85,11 +85,11 @@ class FixedStruct:
     """A C struct that messages are copied into: after a shorter message, bytes of a longer one remain.
 
     Args:
-        size: bytes; 0 for as many as the longest message so far.
-        form: of the envelope.
+        size: size in bytes; 0: it grows to the longest message so far.
+        form: format of the envelope.
 
     Attributes:
-        data: the whole struct.
+        data: bytes of the whole struct.
     """
 
     def __init__(self, size: int, form: envelope.EnvelopeFormat = envelope.DEFAULT) -> None:
@@ -101,10 +101,10 @@ class FixedStruct:
         return bytes(self._bytes)
 
     def put(self, cdr: bytes) -> None:
-        """Copy a message in, envelope first.
+        """Copy a message into the struct, envelope first.
 
         Raises:
-            FieldError: it does not fit; flight code would write past the end.
+            FieldError: it is too long; flight code would write past the end.
         """
         content = self._form.emit(cdr)
         if self._grows:
@@ -118,7 +118,7 @@ def encode(type_name: str, values: Mapping[str, Any], store: TypeStore | None = 
     """Return the CDR of a message, encapsulation included.
 
     Args:
-        store: of types that the demos have not.
+        store: types, if it is not a type of the demos.
     """
     return (store or _types()).encode(type_name, values)
 
@@ -129,7 +129,7 @@ def decode_envelope(
     form: envelope.EnvelopeFormat = envelope.DEFAULT,
     store: TypeStore | None = None,
 ) -> Mapping[str, Any] | None:
-    """Return the values of a message in its envelope, or None where they cannot be read."""
+    """Return the values of a message in its envelope; None if they cannot be decoded."""
     try:
         length, _ = form.parse(data)
         return (store or _types()).decode(type_name, data[form.size : form.size + length])
@@ -138,14 +138,14 @@ def decode_envelope(
 
 
 def std_header(now: int, frame_id: str) -> dict[str, Any]:
-    """Return a std_msgs/Header of a time in ns."""
+    """Return a std_msgs/Header for a time in ns."""
     seconds, nanoseconds = divmod(now, SECOND)
-    # 32 bits of seconds: simulated clocks may be set anywhere.
+    # Only 31 bits of seconds: a simulated clock may have any time.
     return {"stamp": {"sec": seconds & 0x7FFFFFFF, "nanosec": nanoseconds}, "frame_id": frame_id}
 
 
 def pose(x: float, y: float, z: float = 0.0, qz: float = 0.0, qw: float = 1.0) -> dict[str, Any]:
-    """Return a geometry_msgs/Pose turned about z."""
+    """Return a geometry_msgs/Pose with a rotation about z."""
     return {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": 0.0, "y": 0.0, "z": qz, "w": qw}}
 
 
@@ -174,7 +174,7 @@ def joint_state(now: int, names: Sequence[str], positions: Sequence[float]) -> b
 
 
 def robot_datagram(values: Mapping[str, Any]) -> bytes | None:
-    """Return a Twist or a Pose as the public flight applications send it to their robot; None of others."""
+    """Return a Twist or a Pose as the public flight applications send it to their robot; else None."""
     for layout, names in ((ROBOT_COMMAND, ("linear", "angular")), (ROBOT_POSE, ("position", "orientation"))):
         if names[0] in values:
             return layout.emit(
@@ -184,6 +184,6 @@ def robot_datagram(values: Mapping[str, Any]) -> bytes | None:
 
 
 def whole_packet(packet: bytes) -> bytes:
-    """Return as many bytes as the length field states, padded with zeros if the buffer is shorter."""
+    """Return the bytes that the length field states, padded with zeros if the buffer is shorter."""
     size = cfe.length_of(packet)
     return packet if len(packet) == size else packet[:size].ljust(size, b"\0")

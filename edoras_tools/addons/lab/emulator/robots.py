@@ -1,4 +1,4 @@
-"""Two robots simple enough to check by hand: a rover on a plane, and an arm that moves to its target."""
+"""Two robots that are easy to check by hand: a rover on a plane, and an arm that moves to its target."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ if TYPE_CHECKING:
 ARM_JOINTS: Final = 7
 ARM_TIME_CONSTANT_S: Final = 0.5
 COMMAND_AGE_S: Final = 5.0
-"""A rover stops when it received no command for this time."""
+"""Time without a command after which a rover stops, s."""
 
 
 class Robot(Protocol):
-    """What the applications and bridges need from a robot.
+    """The interface of a robot for applications and bridges.
 
     Attributes:
         command_type: ROS type of its commands.
-        state_type: ROS type that it reports.
+        state_type: ROS type of its state.
     """
 
     command_type: str
     state_type: str
 
     def obey(self, values: Mapping[str, Any], *, now: int) -> None:
-        """Take a command."""
+        """Execute a command."""
 
     def state(self, *, now: int) -> bytes:
         """Return the state as CDR."""
 
 
 class Rover:
-    """A unicycle: drives forward and turns, as the last Twist said.
+    """A unicycle: drives and turns as the last Twist commands.
 
     Attributes:
         x: position, m.
         y: position, m.
-        heading: rad, counter-clockwise from x.
+        heading: angle, rad, counter-clockwise from x.
     """
 
     command_type = messages.TWIST
@@ -55,7 +55,7 @@ class Rover:
         self._moved_ns = self._told_ns = now
 
     def obey(self, values: Mapping[str, Any], *, now: int) -> None:
-        """Take a Twist: ``linear.x`` m/s and ``angular.z`` rad/s."""
+        """Execute a Twist: ``linear.x`` m/s and ``angular.z`` rad/s."""
         self._move(now)
         self._speed, self._turn = float(values["linear"]["x"]), float(values["angular"]["z"])
         self._told_ns = now
@@ -69,7 +69,7 @@ class Rover:
         until = min(now, self._told_ns + int(COMMAND_AGE_S * SECOND))
         seconds = max(0, until - self._moved_ns) / SECOND
         self._moved_ns = now
-        # The exact arc; a straight line where it hardly turns.
+        # The exact arc; a straight line if it hardly turns.
         start, end = self.heading, self.heading + self._turn * seconds
         if abs(self._turn) > 1e-9:
             radius = self._speed / self._turn
@@ -82,13 +82,13 @@ class Rover:
 
 
 class StillRobot:
-    """One that takes commands of any type, and reports its state as it was first."""
+    """A robot that accepts commands of any type, and always reports its first state."""
 
     def __init__(self, command_type: str, state_type: str, state: bytes) -> None:
         self.command_type, self.state_type, self._state = command_type, state_type, state
 
     def obey(self, values: Mapping[str, Any], *, now: int) -> None:
-        """Take a command; nothing moves."""
+        """Accept a command; nothing moves."""
 
     def state(self, *, now: int) -> bytes:
         """Return the state."""
@@ -98,7 +98,7 @@ class StillRobot:
 class Arm:
     """Seven joints that move towards a target pose, each by its own share.
 
-    No kinematics: joint ``i`` goes to ``(i + 1) / 7`` of the target's distance. What matters is the traffic.
+    No kinematics: joint ``i`` goes to ``(i + 1) / 7`` of the target's distance. Only the traffic matters.
     """
 
     command_type = messages.POSE
@@ -111,7 +111,7 @@ class Arm:
         self._moved_ns = now
 
     def obey(self, values: Mapping[str, Any], *, now: int) -> None:
-        """Take a Pose."""
+        """Execute a Pose."""
         self._move(now)
         distance = sum(float(item) ** 2 for item in values["position"].values()) ** 0.5
         self._target = [distance * (joint + 1) / ARM_JOINTS for joint in range(ARM_JOINTS)]
@@ -132,10 +132,10 @@ class Arm:
 def robot_of(
     command_type: str, state_type: str, store: TypeStore | None, *, now: int, number: int = 0
 ) -> Robot:
-    """Return the robot for messages of some types: a rover, an arm, or one that stands still.
+    """Return the robot for messages of some types: a rover, an arm, or one that does not move.
 
     Args:
-        number: of the robot, from 0.
+        number: number of the robot, from 0.
     """
     if (command_type, state_type) == (Rover.command_type, Rover.state_type):
         return Rover(now=now, y=float(number))

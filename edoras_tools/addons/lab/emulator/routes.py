@@ -1,4 +1,4 @@
-"""The messages of an emulated system: those of a demo, or those that a mission file names."""
+"""The messages of an emulated system: those of a demo, or those in a mission file."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ Scenario = Literal["rover", "arm", "two-rovers", "two-arms"]
 
 
 class SystemRoutes(msgspec.Struct, frozen=True):
-    """MsgIds as on the bus, types and envelopes.
+    """MsgIds on the bus, with types and envelopes.
 
     Attributes:
-        types: ROS type by MsgId.
-        commands: of the ground, the first that of the robot that the application has itself.
-        telemetry: to the ground.
-        states: of the robots on SBN, in the order of ``telemetry``.
-        flight: commands to those, in the order of ``commands``.
-        envelopes: by MsgId, where it is not the usual one.
-        bridge: the flight bridge as it calls itself.
-        store: of the types; None for that of the demos.
+        types: MsgId to ROS type.
+        commands: MsgIds of commands from the ground; the first belongs to the application's own robot.
+        telemetry: MsgIds of telemetry to the ground.
+        states: MsgIds of the states of robots on SBN, in the order of ``telemetry``.
+        flight: MsgIds of commands to robots on SBN, in the order of ``commands``.
+        envelopes: MsgId to its envelope, if it is not the usual one.
+        bridge: SBN identity of the flight bridge.
+        store: types; None for those of the demos.
     """
 
     types: Mapping[int, str]
@@ -71,10 +71,10 @@ DEMO_ROUTES: Final[Mapping[Scenario, SystemRoutes]] = {
 
 
 def routes_of(bench: Workbench) -> SystemRoutes:
-    """Return the messages of a mission; of several bridges of a kind, of the first.
+    """Return the messages of a mission: those of its first bridge of each kind.
 
     Raises:
-        ConfigError: no bridge of it sends commands over CI, or receives from TO.
+        ConfigError: its ground bridge has no topic, or there is none.
     """
     mission, standard = bench.mission, bench.mission.msg_ids.standard
 
@@ -101,7 +101,7 @@ def routes_of(bench: Workbench) -> SystemRoutes:
 
 
 def mission_profile(bench: Workbench) -> SimProfile:
-    """Return the constants of a mission's cFS, with its ports and SBN peers; of several, of the first."""
+    """Return the constants of a mission's cFS, with ports and SBN peers of the first bridge of each kind."""
     mission, profile = bench.mission, bench.mission.software.profile
     ports: dict[str, Any] = {}
     for ground in mission.ground[:1]:
@@ -120,7 +120,7 @@ def mission_profile(bench: Workbench) -> SimProfile:
 
 
 def with_limit(profile: SimProfile, limit: int) -> SimProfile:
-    """Return constants with the limit of every MsgId at Telemetry Output of which nobody said another one."""
+    """Return constants with ``limit`` for each MsgId at TO whose limit is the usual one and not stated."""
     usual = SimProfile().to_default_limit
     limits = {msg_id: limit if room == usual else room for msg_id, room in TO_TABLE.items()}
     limits |= {msg_id: room for msg_id, room in profile.to_limits.items() if msg_id in profile.stated}

@@ -1,6 +1,6 @@
-"""Tasks on a few processors, in simulated time: this makes messages wait, and so some are lost.
+"""Tasks on a few processors, in simulated time: they make messages wait, so that some are lost.
 
-A task is a generator that yields what it waits for, much as flight code calls the operating system::
+A task is a generator that yields requests to wait, similar to flight code's calls of the operating system::
 
     def ci_lab():
         while True:
@@ -8,12 +8,12 @@ A task is a generator that yields what it waits for, much as flight code calls t
             ...
             yield Work(8_000)
 
-Rules that it keeps:
+Rules:
 
-1. A task that may run waits for its latency, then in a queue for a processor.
+1. A task that may run first waits for its latency, then in a queue for a processor.
 2. After each ``Work`` it goes to the end of that queue.
 3. Latencies come from a seeded generator: the same seed gives the same run.
-4. Only ``Work`` takes processor time; what a task does between two yields takes none.
+4. Only ``Work`` takes processor time; code between two yields takes none.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 
 
 class Waitable(Protocol):
-    """What a task can wait on: a pipe, a socket."""
+    """An object that a task can wait for: a pipe, a socket."""
 
     def get(self) -> Any:
-        """Take the oldest item, or None."""
+        """Remove and return the oldest item; None if there is none."""
 
     def __len__(self) -> int: ...
 
@@ -48,19 +48,19 @@ class Receive(msgspec.Struct, frozen=True):
 
 
 class Sleep(msgspec.Struct, frozen=True):
-    """Wait for so many ns (``OS_TaskDelay``): a loop with it drifts by the time that its body takes."""
+    """Wait for a duration in ns (``OS_TaskDelay``): a loop with it drifts by the time that its body takes."""
 
     ns: int
 
 
 class SleepUntil(msgspec.Struct, frozen=True):
-    """Wait for a point in time (a timer): a loop with it keeps an exact period."""
+    """Wait until a time (a timer): a loop with it keeps an exact period."""
 
     time_ns: int
 
 
 class Work(msgspec.Struct, frozen=True):
-    """Use a processor for about so many ns, then let others run."""
+    """Use a processor for about this many ns, then let other tasks run."""
 
     ns: int
 
@@ -70,7 +70,7 @@ if TYPE_CHECKING:
 
 
 class Running:
-    """A task and what it waits for. A time-out whose ``ticket`` is old is ignored."""
+    """A task and its request to wait. A time-out whose ``ticket`` is old is ignored."""
 
     __slots__ = ("is_done", "steps", "ticket", "value", "waits_on")
 
@@ -90,7 +90,7 @@ class Scheduler:
     """The clock, the processors and the tasks.
 
     Attributes:
-        now: ns; never goes back.
+        now: time, ns; never goes back.
     """
 
     def __init__(self, profile: SimProfile, *, start_ns: int) -> None:
@@ -105,13 +105,13 @@ class Scheduler:
         self._count = 0
 
     def spawn(self, steps: Task) -> Running:
-        """Start a task, now; return it, so that it can be ended."""
+        """Start a task now; return it, so that it can be ended."""
         task = Running(steps)
         self.call_at(self.now, self._enqueue, task)
         return task
 
     def end(self, task: Running) -> None:
-        """End a task wherever it stands, now."""
+        """End a task now, wherever it is."""
         task.steps = _nothing()
         if task.waits_on is not None:
             self._waiting.pop(id(task.waits_on), None)
@@ -120,12 +120,12 @@ class Scheduler:
         task.value = None
 
     def call_at(self, time_ns: int, call: Callable[..., None], *arguments: Any) -> None:
-        """Call something that takes no processor time: the outside world, an interrupt."""
+        """Call a function that takes no processor time: the outside world, an interrupt."""
         self._count += 1
         heapq.heappush(self._agenda, (max(time_ns, self.now), self._count, call, arguments))
 
     def notify(self, queue: Waitable) -> None:
-        """Note that an item was put into a queue: tasks that wait on it may run after their latency."""
+        """Wake the task that waits for a queue, after an item was put into it; it runs after its latency."""
         task = self._waiting.pop(id(queue), None)
         if task is not None:
             task.waits_on = None
@@ -135,7 +135,7 @@ class Scheduler:
 
     @property
     def next_ns(self) -> int | None:
-        """When something happens next; None when nothing will."""
+        """Time of the next event, ns; None if there is none."""
         return self._agenda[0][0] if self._agenda else None
 
     def run(self, until_ns: int) -> None:
@@ -171,7 +171,7 @@ class Scheduler:
         self._dispatch()
 
     def _step(self, task: Running) -> None:
-        """Run a task on the processor it was given, up to what it waits for next."""
+        """Run a task on its processor up to its next request to wait."""
         value, task.value = task.value, None
         if value is not None:
             value = value.get()

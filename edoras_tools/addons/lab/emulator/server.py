@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     from edoras_tools.addons.lab.emulator.simulation import Simulation, WireDatagram
 
 _LONGEST_WAIT_S: Final = 0.1
-"""A stop takes effect within this time."""
+"""Longest time until a stop takes effect, s."""
 
 
 class Watch(Protocol):
-    """Observes a simulation while it is served."""
+    """An observer of a simulation on sockets."""
 
     def received(self, endpoint: Endpoint, data: bytes, /) -> None:
-        """Take a datagram that a socket has just received."""
+        """Process a datagram that a socket has just received."""
 
     def sent(self, sent: WireDatagram, /) -> None:
-        """Take a datagram that is sent now."""
+        """Process a datagram that is sent now."""
 
 
 def serve(
@@ -46,17 +46,17 @@ def serve(
     ready: Callable[[], None] | None = None,
     watch: Watch | None = None,
 ) -> int:
-    """Run a simulation on UDP sockets, and SBN's TCP connections, until it is told to stop.
+    """Run a simulation on UDP sockets, and SBN's TCP connections, until it is stopped.
 
     Args:
-        simulation: what to run; its clock goes on from where it stands.
-        host: address to bind every socket to; loopback unless told otherwise.
-        duration: seconds to run; None for no end.
-        stop: ends it when set.
+        simulation: simulation to run; its clock continues.
+        host: address to bind every socket to; loopback by default.
+        duration: duration, s; None for no end.
+        stop: event that ends it.
         ready: called once all sockets are bound, before the first datagram leaves.
 
     Returns:
-        datagrams sent.
+        The number of datagrams sent.
 
     Raises:
         CaptureError: a port is in use, or may not be bound.
@@ -78,7 +78,7 @@ def serve(
             for data in _waiting(opened):
                 if watch:
                     watch.received(endpoint, data)
-                # Queued, not delivered: the simulation's clock is still at the time of its last run.
+                # Queued, not delivered: the simulation's clock still has the time of its last run.
                 simulation.feed(now, endpoint, data)
 
         streams: PeerStreams | None = None
@@ -90,7 +90,7 @@ def serve(
                 open_socket(endpoint)
         if ready:
             ready()
-        # The simulation's clock counts from its start; the host's from now.
+        # The simulation's clock counts from its start, the host's from now.
         offset = simulation.now - time.monotonic_ns()
         end_ns = None if duration is None else simulation.now + int(duration * SECOND)
         sent = 0
@@ -104,7 +104,7 @@ def serve(
                 if streams and item.source == simulation.cfs.sbn_endpoint:
                     sent += streams.send(item)
                     continue
-                if item.source not in sockets:  # Telemetry Output began anew, with another socket
+                if item.source not in sockets:  # Telemetry Output restarted, with another socket
                     open_socket(item.source)
                 sent += _send(sockets[item.source], item)
             if streams:
@@ -115,7 +115,7 @@ def serve(
 
 
 class Served:
-    """A simulation on its sockets, in a thread of its own, for as long as a ``with`` block lasts.
+    """A simulation on its sockets, in its own thread, during a ``with`` block.
 
     Raises:
         CaptureError: a port is in use, or may not be bound; on entering.
@@ -148,7 +148,7 @@ class Served:
 
 
 def _is_chosen(simulation: Simulation, endpoint: Endpoint) -> bool:
-    """Tell whether a port is asked for; telemetry's source is the operating system's choice unless it is."""
+    """Return whether a port is fixed; the operating system chooses telemetry's source unless it is set."""
     return endpoint != simulation.cfs.to_endpoint or simulation.cfs.profile.to_source_port != 0
 
 
@@ -166,6 +166,6 @@ def _wait_s(simulation: Simulation, now: int) -> float:
 
 
 def _waiting(opened: socket.socket) -> Iterator[bytes]:
-    with suppress(OSError):  # an error of an earlier datagram's
+    with suppress(OSError):  # the error of an earlier datagram
         for data, _ in received(opened):
             yield data

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Apps:
-    """The applications of one emulated cFS whose state can be looked at: those that run now, or ran last.
+    """The applications of one emulated cFS, for access to their state: those that run now, or ran last.
 
     Attributes:
         sbn: the Software Bus Network.
@@ -75,7 +75,7 @@ MISSIONS: Final[Mapping[Scenario, tuple[str, ...]]] = {
 }
 """The missions of a scenario, as files of ``samples/missions``."""
 BOOT_NS: Final = 3 * SECOND
-"""The emulated cFS has booted, and its bridges are connected, by then."""
+"""Time in which the emulated cFS boots and its bridges connect."""
 _LOOPBACK_NS: Final = 20 * MICROSECOND
 
 
@@ -92,13 +92,13 @@ class Simulation:
     """An emulated cFS with the EDORAS application of a demo.
 
     Attributes:
-        scenario: which demo; ``mission`` of a system of its own.
-        routes: its messages.
+        scenario: name of the demo; ``mission`` for other messages.
+        routes: messages.
         cfs: the flight side.
-        apps: what runs on it.
-        ground: the emulated ground bridge; None where the caller takes its place.
-        flight: the emulated flight bridge; None where there is none, or the caller takes its place.
-        routed: whether datagrams between the parts are delivered here; a server leaves that to its sockets.
+        apps: applications of ``cfs``.
+        ground: emulated ground bridge; None if the caller replaces it.
+        flight: emulated flight bridge; None if there is none, or if the caller replaces it.
+        routed: whether datagrams between the parts are delivered here; with a server, sockets deliver them.
     """
 
     def __init__(
@@ -113,19 +113,20 @@ class Simulation:
         state_rate_hz: float = 5.0,
         with_account: bool = False,
     ) -> None:
-        """Boot, at ``start_ns``.
+        """Boot at ``start_ns``.
 
         Args:
-            scenario: a demo, or the messages of a system: ``rover`` and ``arm`` have the robot behind the
-                application, the others have two on SBN.
-            start_ns: what the clock shows at start, ns since 1970.
+            scenario: demo, or messages of a system: ``rover`` and ``arm`` have the robot behind the
+                application, the others have two robots on SBN.
+            start_ns: time of the clock at the start, ns since 1970.
             command_rate_hz: commands per second and robot.
             command_count: commands per robot; None for no end.
             state_rate_hz: robot states per second and robot on the SBN link.
-            with_account: keep in ``cfs.account`` what became of each arrival at a pipe or socket.
+            with_account: whether to record the arrivals at pipes and sockets in ``cfs.account``.
 
         Raises:
-            ConfigError: there is no such scenario, a rate is below 0, or the profile lacks the bridge's peer.
+            ConfigError: there is no such scenario, a rate is below 0, or the profile does not have the
+            bridge's peer.
         """
         if not isinstance(scenario, SystemRoutes) and scenario not in SCENARIOS:
             raise ConfigError(f"scenario {scenario!r} is not known; there are {', '.join(SCENARIOS)}")
@@ -156,7 +157,7 @@ class Simulation:
         """Start the bridges now; see ``__init__``.
 
         Args:
-            after_ns: the first command comes so much later.
+            after_ns: time until the first command, ns.
         """
         profile, routes = self.cfs.profile, self.routes
         commands = _on_links(routes.commands, profile)
@@ -193,7 +194,7 @@ class Simulation:
         )
 
     def boot(self) -> Self:
-        """Let the first ``BOOT_NS`` pass without observers; return this.
+        """Let the first ``BOOT_NS`` pass, dropping its datagrams; return the simulation.
 
         If the clock starts at ``now - BOOT_NS``, cFS has booted at ``now``.
         """
@@ -203,12 +204,12 @@ class Simulation:
 
     @property
     def now(self) -> int:
-        """The clock, ns."""
+        """Time of the clock, ns."""
         return self._scheduler.now
 
     @property
     def next_ns(self) -> int | None:
-        """When something happens next."""
+        """Time of the next event, ns; None if there is none."""
         return self._scheduler.next_ns
 
     @property
@@ -220,7 +221,7 @@ class Simulation:
         return *self.cfs.endpoints, *parts
 
     def deliver(self, destination: Endpoint, data: bytes) -> None:
-        """Hand a datagram to the part that listens at a port, now."""
+        """Pass a datagram now to the part that listens at a port."""
         for part in (self.ground, self.flight):
             if part is not None and part.endpoint == destination:
                 part.receive_datagram(data)
@@ -228,15 +229,15 @@ class Simulation:
         self.cfs.receive_datagram(destination, data)
 
     def feed(self, time_ns: int, destination: Endpoint, data: bytes) -> None:
-        """Have a datagram arrive from outside at a time that is not past."""
+        """Let a datagram arrive from outside at a time that is not past."""
         self._scheduler.call_at(time_ns, self.deliver, destination, data)
 
     def call_at(self, time_ns: int, action: Callable[[], None]) -> None:
-        """Have something done at a time that is not past."""
+        """Call a function at a time that is not past."""
         self._scheduler.call_at(time_ns, action)
 
     def inject(self, time_ns: int, packet: bytes, sender: str) -> None:
-        """Have a packet published on the software bus at a time, as if by application ``sender``."""
+        """Publish a packet on the software bus at a time, as if by application ``sender``."""
 
         def publish() -> None:
             self.cfs.publish(packet, sender, stamp=False)
@@ -244,9 +245,9 @@ class Simulation:
         self._scheduler.call_at(time_ns, publish)
 
     def run(self, until_ns: int) -> Iterator[WireDatagram]:
-        """Let time pass up to ``until_ns``; yield every datagram that was sent, in order of time.
+        """Let time pass up to ``until_ns``; yield every datagram sent, in order of time.
 
-        Time passes as far as the iterator is driven.
+        Time passes only as the iterator is advanced.
         """
         while (due := self._scheduler.next_ns) is not None and due <= until_ns:
             self._scheduler.run(due)
@@ -270,7 +271,7 @@ _STRUCT_BYTES: Final[Mapping[str, tuple[int, ...]]] = {
     "two-rovers": (120, 80),
     "two-arms": (300, 80),
 }
-"""Of the structs of the demos' applications: of states, and of commands to the robots."""
+"""Sizes of the structs of the demos' applications, bytes: those of states, and of commands to the robots."""
 
 
 def _application(routes: SystemRoutes, scenario: str, now: int) -> EdorasApp:

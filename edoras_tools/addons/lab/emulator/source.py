@@ -29,18 +29,18 @@ if TYPE_CHECKING:
 
 _TICK_S: Final = 0.02
 _COMMAND_SENDER: Final = Endpoint("127.0.0.1", 50000)
-"""Where the user's commands come from: a port that nothing else of the simulation has."""
+"""Source of the user's commands: a port that no other part of the simulation uses."""
 
 
 class _SimulationSource(SourceDefaults):
-    """What both sources have: an identity, counts, and batches made of datagrams.
+    """The common part of the sources: an identity, counts, and batches made of datagrams.
 
     Args:
-        simulation: what to run, from where it stands.
+        simulation: simulation to run; its clock continues.
 
     Attributes:
-        info: what the source is.
-        statistics: what it counted so far.
+        info: description of the source.
+        statistics: counts so far.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -61,10 +61,10 @@ class _SimulationSource(SourceDefaults):
 
 
 class SimulatedSource(_SimulationSource):
-    """A ``Source`` over a simulation in simulated time: a batch for every second of it.
+    """A ``Source`` over a simulation in simulated time: one batch for every second of it.
 
     Args:
-        simulation: what to run, from where it stands.
+        simulation: simulation to run; its clock continues.
     """
 
     def __init__(self, simulation: Simulation, duration_ns: int) -> None:
@@ -72,7 +72,7 @@ class SimulatedSource(_SimulationSource):
         self._end_ns = simulation.now + duration_ns
 
     def batches(self) -> Iterator[PacketBatch]:
-        """Run, a second at a time."""
+        """Run the simulation one second at a time."""
         while self._simulation.now < self._end_ns:
             until = min(self._simulation.now + SECOND, self._end_ns)
             if sent := list(self._simulation.run(until)):
@@ -80,11 +80,11 @@ class SimulatedSource(_SimulationSource):
 
 
 class WireSource(_SimulationSource):
-    """A ``Source`` over what went over the wires of a simulation before.
+    """A ``Source`` over the datagrams that a simulation has already sent.
 
     Args:
-        simulation: whose datagrams they are.
-        carried: in order of time.
+        simulation: simulation that sent them.
+        carried: datagrams, in order of time.
     """
 
     def __init__(self, simulation: Simulation, carried: Sequence[WireDatagram]) -> None:
@@ -92,7 +92,7 @@ class WireSource(_SimulationSource):
         self._carried = carried
 
     def batches(self) -> Iterator[PacketBatch]:
-        """Yield all of it."""
+        """Yield all datagrams."""
         if self._carried:
             yield self._batch(self._carried)
 
@@ -101,13 +101,13 @@ class SimulatedWire:
     """A ``Wire`` to an emulated cFS; its clock is the simulation's.
 
     Args:
-        simulation: without bridges, because the wire replaces them.
-        target: where datagrams go.
-        own: where answers are received.
+        simulation: simulation without bridges, which the wire replaces.
+        target: destination of the datagrams.
+        own: address that receives answers.
         link: the link of the answers.
 
     Attributes:
-        carried: every datagram, where ``keeps_all``: also what goes between other parts.
+        carried: all datagrams, if ``keeps_all``, including those between other parts.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class SimulatedWire:
         return 0
 
     def wait(self, until_ns: int) -> bool:
-        """Run the simulation until that time."""
+        """Run the simulation until a time."""
         for item in self._simulation.run(until_ns):
             if self._keeps_all:
                 self.carried.append(item)
@@ -150,17 +150,17 @@ class SimulatedWire:
         return sum(self.put(out[index]) for index in range(first, last))
 
     def receive(self) -> list[Arrival]:
-        """Return what has arrived."""
+        """Return the arrived datagrams."""
         arrived, self._arrived = self._arrived, []
         return arrived
 
 
 class RealTimeSource(_SimulationSource):
-    """A ``Source`` over a simulation that goes by the host's clock, without sockets.
+    """A ``Source`` over a simulation in real time by the host's clock, without sockets.
 
     Args:
-        simulation: what to run, from where it stands.
-        clock: monotonic time in ns.
+        simulation: simulation to run; its clock continues.
+        clock: function that returns monotonic time, ns.
     """
 
     live = True
@@ -172,7 +172,7 @@ class RealTimeSource(_SimulationSource):
         self._stop = Event()
 
     def command(self, data: bytes, _msg_id: int) -> str:
-        """Send a command to Command Ingest, on any thread; nothing is ever refused."""
+        """Send a command to Command Ingest, from any thread; it is never refused."""
         self._commands.append(data)
         return ""
 
@@ -181,7 +181,7 @@ class RealTimeSource(_SimulationSource):
         self._stop.set()
 
     def batches(self) -> Iterator[PacketBatch]:
-        """Run, and hand over what was sent since the last time."""
+        """Run the simulation, and yield the datagrams since the last batch."""
         simulation = self._simulation
         offset = simulation.now - self._clock()
         while not self._stop.wait(_TICK_S):
@@ -203,7 +203,7 @@ def start_simulation(
 
     Args:
         settings: missions and types; if no mission is named, the demo's own are used.
-        clock: monotonic time in ns.
+        clock: function that returns monotonic time, ns.
 
     Raises:
         ConfigError: a mission has errors.

@@ -1,7 +1,7 @@
-"""SBN over TCP on real sockets: the connections of an emulated cFS, who connects and who listens.
+"""SBN over TCP on real sockets: the connections of an emulated cFS, which connects or listens.
 
-As SBN's TCP module does: the peer with the smaller ProcessorID connects, and tries again every few seconds;
-any peer of the table may connect, and is known from its first message. Without a connection messages are
+As in SBN's TCP module, the peer with the smaller ProcessorID connects, and tries again every few seconds. Any
+peer of the table may connect, and is identified by its first message. Without a connection messages are
 dropped.
 """
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _CONNECT_NS: Final = 6 * SECOND
 _AT_ONCE: Final = 1 << 16
 _STALLED_S: Final = 1.0
-"""A peer that does not read for this long loses its connection."""
+"""Time without reading after which a peer loses its connection, s."""
 
 
 class PeerStreams:
@@ -37,7 +37,8 @@ class PeerStreams:
 
     Args:
         host: address to listen at.
-        selector: told of every socket; its data is called, with the simulation's time, when one is ready.
+        selector: gets every socket; its data is a function of the simulation's time to call when one is
+            ready.
 
     Raises:
         CaptureError: the port is in use, or may not be bound.
@@ -71,7 +72,7 @@ class PeerStreams:
     def connect(self, now: int) -> None:
         """Connect to the peers of larger ProcessorIDs that have no connection, every few seconds.
 
-        Without the application, as before it starts, there is none, and nobody listens.
+        Without the application, as before it starts, there are no connections, and no port is open.
         """
         if not self._simulation.cfs.is_listening(self._port):
             for opened in list(self._rest):
@@ -97,7 +98,7 @@ class PeerStreams:
             self._selector.register(opened, selectors.EVENT_WRITE, partial(self._connected, opened, peer))
 
     def send(self, item: WireDatagram) -> int:
-        """Send a message to its peer; return 1, or 0 where it has no connection."""
+        """Send a message to its peer; return 1, or 0 if there is no connection."""
         peer = self._by_place.get(item.destination)
         opened = self._open.get(peer) if peer else None
         if opened is None or peer is None:
@@ -147,7 +148,7 @@ class PeerStreams:
             self._close(opened, peer, now)
 
     def _introduce(self, opened: socket.socket, message: bytes) -> Peer:
-        """Note whose connection it is, by its first message; the latest one of a peer is used."""
+        """Identify the peer of a connection by its first message; the latest connection of a peer is used."""
         header = sbn.HEADER.parse(message)
         peer = Peer(header["spacecraft_id"], header["processor_id"])
         self._open[peer] = opened
@@ -163,6 +164,6 @@ class PeerStreams:
         opened.close()
         if peer is not None and self._open.get(peer) is opened:
             del self._open[peer]
-            if peer in self._peers:  # behind what came before it, as the end of a stream is read
+            if peer in self._peers:  # call it after the earlier messages, as the end of a stream is read last
                 end = sbn.emit(sbn.MsgType.DISCONNECT, peer)
                 self._simulation.feed(now, self._simulation.cfs.sbn_endpoint, end)

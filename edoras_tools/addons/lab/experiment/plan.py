@@ -49,7 +49,7 @@ class Cell(msgspec.Struct, frozen=True):
     """One combination of a scenario and settings.
 
     Attributes:
-        scenario: of an emulated cFS; empty for a real one.
+        scenario: scenario of an emulated cFS; empty for a real one.
         settings: name to value.
     """
 
@@ -58,26 +58,27 @@ class Cell(msgspec.Struct, frozen=True):
 
     @property
     def name(self) -> str:
-        """What it is called, also as a folder: ``rover,rate=5``."""
+        """Name, also of its folder: ``rover,rate=5``."""
         values = [f"{name}={value:.15g}" for name, value in self.settings.items()]
         return ",".join([self.scenario or "target", *values])
 
 
 class ExperimentPlan(msgspec.Struct, frozen=True):
-    """What is to be tried, and how often.
+    """The combinations to run, and the number of runs.
 
     Attributes:
-        scenarios: emulated ones; empty where there is a target.
-        target: a real cFS, as ``HOST:PORT``; empty where it is emulated.
+        scenarios: emulated scenarios; empty if there is a target.
+        target: address of a real cFS, as ``HOST:PORT``; empty if cFS is emulated.
         missions: mission files; empty: the scenario's own.
-        replay: a capture whose commands are sent; None: an operator sends.
-        to: the link that they go to.
-        settings: name to the values that are tried.
-        duration_ns: of a run without a capture to send.
-        least: runs of each cell.
-        most: of a cell whose loss is not known well enough before.
-        width: so well: half the interval of the loss share of each topic; 0: all runs are made.
-        seed: of phases and latencies.
+        replay: capture whose commands are sent; None: an operator sends commands.
+        to: link of the commands.
+        settings: name to the values to try.
+        duration_ns: duration of a run without a replay, ns.
+        least: least number of runs of each cell.
+        most: most runs of a cell, if its loss does not become precise enough before.
+        width: required precision: half the width of the interval of each topic's loss share; 0: make all
+            runs.
+        seed: seed of phases and latencies.
     """
 
     scenarios: Sequence[str] = ()
@@ -99,7 +100,7 @@ class ExperimentPlan(msgspec.Struct, frozen=True):
             yield Cell(str(scenario), settings)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what decides about a run; how many there are may change when a plan is resumed."""
+        """Return the values that determine a run; the numbers of runs may change when a plan is resumed."""
         return {name: value for name, value in asdict(self).items() if name not in {"least", "most", "width"}}
 
 

@@ -1,10 +1,10 @@
 """Carries out a plan: each run is recorded, diagnosed and kept, so that an experiment can be resumed.
 
-1. A run is ``DIR/CELL/NNN.mcap`` and ``NNN.json``. Without the second it is made again.
-2. Phases and latencies come from the plan's seed, the cell and the number of the run: the same run is the
-   same whenever it is made.
-3. Commands begin after the run and end before it, so that counters tell of all of them.
-4. A cell has enough runs when the loss of every topic is known to the plan's width, or the plan has no more.
+1. A run is ``DIR/CELL/NNN.mcap`` and ``NNN.json``. Without the second file it is repeated.
+2. Phases and latencies follow from the plan's seed, the cell and the number of the run: a repeated run is
+   equal.
+3. Commands begin some time after the run's start and end before its end, so that counters cover all of them.
+4. A cell has enough runs when the loss of every topic has the plan's precision, or at the plan's maximum.
 """
 
 from __future__ import annotations
@@ -49,27 +49,27 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.sending.loop import SendReport
 
 _PHASES_NS: Final = SECOND
-"""Rounds of cFS's tasks go into a second."""
+"""Range of the random phase: a whole number of rounds of cFS's tasks."""
 _BEGIN_NS: Final = 1_767_225_600 * SECOND
 _APART_NS: Final = 600 * SECOND
-"""Emulated runs begin in 2026, so far apart."""
+"""Time between the starts of emulated runs, which begin in 2026."""
 BEFORE_COMMANDS_NS: Final = 3 * SECOND
-"""Until counters have come that say what was lost before."""
+"""Time before the first command, in which counters arrive that show earlier losses."""
 AFTER_COMMANDS_NS: Final = 4 * SECOND
-"""Until those of the last commands have come."""
+"""Time after the last command, in which its counters arrive."""
 PLAN, REPORT = "plan.json", "report.json"
 
 
 class CellReport:
-    """What is known of a cell.
+    """The results of a cell.
 
     Args:
-        cell: its scenario and settings.
-        runs: ``topics`` of each, by name: ``sent``, ``lost``, ``rate_hz`` and ``delay_ms``.
-        width: to which loss is to be known; 0: to any.
+        cell: scenario and settings.
+        runs: ``topics`` of each run, by name: ``sent``, ``lost``, ``rate_hz`` and ``delay_ms``.
+        width: required precision of the loss; 0: none.
 
     Attributes:
-        topics: the intervals of the means: loss as a share, rate in Hz, delay in ms.
+        topics: intervals of the means: loss as a share, rate in Hz, delay in ms.
     """
 
     def __init__(self, cell: Cell, runs: Sequence[Mapping[str, Any]], width: float) -> None:
@@ -86,12 +86,12 @@ class CellReport:
 
     @property
     def is_known(self) -> bool:
-        """Whether the loss of every topic is known well enough."""
+        """Whether the loss of every topic is precise enough."""
         losses = [item["loss"] for item in self.topics if item["loss"]]
         return bool(self.width) and all(item["high"] - item["low"] <= 2 * self.width for item in losses)
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``experiment --json``."""
+        """Return the report in the shape of ``experiment --json``."""
         return {
             "cell": self.cell.name,
             "scenario": self.cell.scenario or None,
@@ -105,7 +105,7 @@ class CellReport:
 def _interval(
     values: Sequence[float | None], step: float = 0.0, most: float = inf
 ) -> dict[str, float] | None:
-    """Return the interval of a mean, from 0 to ``most``; None of fewer than two values."""
+    """Return the interval of a mean, within 0 to ``most``; None for fewer than two values."""
     numbers = [item for item in values if item is not None]
     if len(numbers) < 2:
         return None
@@ -117,8 +117,8 @@ class Experiment:
     """A plan and its folder.
 
     Args:
-        plan: what to try.
-        folder: of the runs; made where it is not there.
+        plan: plan.
+        folder: folder of the runs; it is created if necessary.
 
     Raises:
         ConfigError: the folder has runs of another plan, or the plan cannot be carried out.
@@ -134,16 +134,16 @@ class Experiment:
         write_bytes(plan_path, text.encode(), folders=True)
 
     def run(self, on_run: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
-        """Make the runs that are not there; write what is known of each cell, and return it.
+        """Make the missing runs; write the results of each cell, and return them.
 
         Args:
             on_run: called before each run, with a text for the user.
 
         Returns:
-            the shape of ``experiment --json``.
+            The shape of ``experiment --json``.
 
         Raises:
-            CaptureError: a run cannot be made, or not be written; of Ctrl-C an ``InterruptError``.
+            CaptureError: a run cannot be made or written; after Ctrl-C an ``InterruptError``.
         """
         reports = []
         for index, (name, bench) in enumerate(self.benches.items()):
@@ -174,7 +174,7 @@ class CellBench:
 
     @cached_property
     def bench(self) -> Workbench:
-        """The mission and its decoders."""
+        """Workbench with the mission."""
         with ExitStack() as stack:
             paths = self.plan.missions
             if not paths and self.cell.scenario:
@@ -183,7 +183,7 @@ class CellBench:
             return Settings(paths, constants=self._constants).workbench()
 
     def run(self, path: Path, index: int, number: int) -> dict[str, Any]:
-        """Make a run, record it, and return what became of its messages."""
+        """Make a run, record it, and return its results and losses."""
         chance = random.Random(f"{self.plan.seed} {self.cell.name} {number}")  # noqa: S311  repeatable
         path.parent.mkdir(parents=True, exist_ok=True)
         account: Sequence[tuple[str, int, str, int]] = ()
@@ -191,7 +191,7 @@ class CellBench:
             simulation = self.simulation(chance, _BEGIN_NS + (number * 1000 + index) * _APART_NS)
             begin_ns = simulation.now
             target = Target(path, replace=True, jobs=1)
-            limits = Limits(clock=lambda: 0)  # the host's time would divide the recording anew each time
+            limits = Limits(clock=lambda: 0)  # the host's time would split the recording anew each time
             _whole(record(self.emulated(simulation), self.bench.fresh(), target, limits=limits).failure)
             losses = sorted(simulation.cfs.account.losses(begin_ns).items())
             account = [(hop, msg_id, end.name, count) for (hop, msg_id, end), count in losses]
@@ -204,7 +204,7 @@ class CellBench:
         return {"topics": topics_of(findings.diagnosis), "account": account}
 
     def simulation(self, chance: random.Random, start_ns: int) -> Simulation:
-        """Boot an emulated cFS, and let it run up to a phase of its rounds that is drawn by lot."""
+        """Boot an emulated cFS, and let it run up to a random phase of its rounds."""
         profile = mission_profile(self.bench)
         profile = replace(with_limit(profile, profile.to_default_limit), seed=chance.getrandbits(31))
         routes: Any = routes_of(self.bench) if self.plan.missions else self.cell.scenario
@@ -232,7 +232,7 @@ class CellBench:
         return WireSource(simulation, wire.carried)
 
     def _transmission(self) -> Transmission:
-        """Return what is sent, and how."""
+        """Return the datagrams to send, and the settings of sending."""
         plan, bench = self.plan, self.bench.fresh()
         assert plan.replay is not None
         target: Endpoint | None = parse_endpoint(plan.target) if plan.target else None
@@ -252,18 +252,18 @@ class CellBench:
 
 
 def _whole(failure: EdorasError | None) -> None:
-    """Raise why a run is not whole."""
+    """Raise the failure of a run, if any."""
     if failure is not None:
         raise failure
 
 
 def _sent(report: SendReport) -> None:
-    """Raise why not all was sent."""
+    """Raise the failure of sending, if any."""
     _whole(InterruptError("interrupted while it was sent") if report.interrupted else report.failure)
 
 
 def topics_of(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
-    """Return what became of each topic: messages, rate, and the delay that 99 percent keep to."""
+    """Return the figures of each topic: messages, rate in Hz, and the 99th percentile of the delay in ms."""
     rows: dict[str, dict[str, Any]] = {}
     configured = set(diagnosis.topics.values())
     for line in diagnosis.headlines:

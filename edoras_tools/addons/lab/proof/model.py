@@ -1,16 +1,18 @@
-"""The part of a capture that is held against the emulated cFS: what went in, and what both lost.
+"""Compares a part of a capture with the emulated cFS: the same input, and the losses of both.
 
-1. At most 60 s around the worst loss are judged again by themselves; what went into cFS then goes through an
-   emulated one with the constants that the capture shows, or that somebody gave, at the same times. What came
-   in the 15 s before goes in too: a backlog; of what came earlier the sessions of SBN and the commands to
-   Telemetry Output, whose effect lasts.
-2. What an application published that the emulated cFS does not have is published in it at the times that the
-   capture shows.
-3. When a round begins is not known: it runs twice, half a round later. How fast the host was is not known
-   either, and a burst and its reader race on it: of several hosts the one counts that explains all MsgIds.
-4. The model explains the capture if for each MsgId it loses as many, give or take three of a hundred that
-   were sent, or three. Losses outside cFS's queues it has none of: the network, closed ports, bad commands.
-5. With each advice that promises what will be left it has to lose no more than that.
+Rules:
+
+1. At most 60 s around the worst loss are judged again by themselves. The datagrams that went into cFS then go
+   into an emulated one at the same times. Its constants are those that the capture shows, or that were given.
+   To fill the queues, the datagrams of the 15 s before go in too; of earlier ones only SBN's sessions and
+   commands to Telemetry Output, whose effect lasts.
+2. Telemetry of applications that the emulated cFS does not have is published in it at the captured times.
+3. The phase of the rounds is unknown: the model runs twice, half a round apart. The speed of the host is
+   unknown too, and decides the race of a burst and its reader: the host that explains most is used.
+4. The model explains the capture if its losses of each MsgId differ by at most 3 % of the sent messages, or
+   by
+   3. It has no losses outside cFS's queues, as in the network, at closed ports, or of bad commands.
+5. With an advice that promises a number of remaining losses, the model must lose at most that number.
 """
 
 from __future__ import annotations
@@ -60,25 +62,25 @@ _DRAINS_NS: Final = 15 * SECOND
 _ROOM: Final = 3
 _SHARE: Final = 0.03
 _POSE_BYTES: Final = 60
-"""Of the CDR of an arm's command; a rover's Twist has 52."""
+"""Size of the CDR of an arm's command, bytes; a rover's Twist has 52."""
 _STATE_BYTES: Final = 100
-"""Longer states are an arm's joints."""
+"""Size from which a state has an arm's joints, bytes."""
 _NETWORK: Final = {"after", "network", "port_closed", "unreachable", "fragments", "damaged", "proxy"}
 _OUTSIDE: Final = {*_NETWORK, "bad_command", UNHEARD, PEER_RESTARTED}
 """Causes of losses outside cFS's queues."""
 _PIPES: Final = ("EDORAS", "CI_", "TO_", "SBN", "SCH_", "ES_", "EVS_", "SB_", "TBL_", "TIME_")
-"""How the pipes of applications begin that the emulated cFS has."""
+"""Prefixes of the pipes of applications that the emulated cFS has."""
 _FROM_ELSEWHERE: Final = "SOMEBODY"
 _PASSED_NOTHING: Final = f"{edoras_app.NAME} was started again and passed nothing on"
 
 
 class Host(NamedTuple):
-    """How fast a host is, as far as a burst and its reader race on it: constants of ``SimProfile``.
+    """Speed of a host, as far as the race of a burst and its reader needs it: constants of ``SimProfile``.
 
     Attributes:
-        ci_read_ns: how long Command Ingest takes for a datagram.
-        latency_ns: shortest and longest time until a task runs that may run.
-        obey_work_ns: how long the application takes for a command.
+        ci_read_ns: time of Command Ingest for one datagram, ns.
+        latency_ns: shortest and longest time from "may run" to "runs" of a task, ns.
+        obey_work_ns: time of the application for one command, ns.
     """
 
     ci_read_ns: int
@@ -88,23 +90,23 @@ class Host(NamedTuple):
 
 _USUAL: Final = SimProfile()
 _MEASURED: Final = [Host(11_000, (17_000, 43_000), obey_ns) for obey_ns in (75_000, 40_000, 15_000)]
-"""On a real cFS on two busy cores, between the system calls of its tasks: Command Ingest took 6 to 40 us for
-each of 1,475 datagrams, the median 11; its application ran after 17 to 43 us, took 50 to 135 for the first
-command of a burst, the median 75, and 10 to 70 for the others."""
+"""Measured on a real cFS on two busy cores, between the system calls of its tasks. Command Ingest took 6 to
+40 us for each of 1,475 datagrams, the median was 11. Its application ran after 17 to 43 us; it took 50 to
+135 us for the first command of a burst, the median was 75, and 10 to 70 us for the others."""
 _ASSUMED: Final = [Host(read_ns, _USUAL.latency_ns, _USUAL.obey_work_ns) for read_ns in (3_000, 12_000)]
-"""These fit captures of slower hosts."""
+"""Hosts that fit captures of slower computers."""
 HOSTS: Final = {**dict.fromkeys(_ASSUMED, "assumed"), **dict.fromkeys(_MEASURED, "measured")}
-"""From slow to fast, each with where its constants are from."""
+"""Hosts from slow to fast, each with the origin of its constants."""
 
 
 class Stimulus(NamedTuple):
     """A datagram that went into cFS.
 
     Attributes:
-        time_ns: when.
-        over_network: over SBN, not to Command Ingest.
-        msg_id: of its packet; -1 where it has none.
-        payload: its bytes.
+        time_ns: time, ns since 1970.
+        over_network: whether it went to SBN, not to Command Ingest.
+        msg_id: MsgId of its packet; -1 if it has none.
+        payload: payload.
     """
 
     time_ns: int
@@ -114,12 +116,12 @@ class Stimulus(NamedTuple):
 
 
 class ModelInput(NamedTuple):
-    """What an emulated cFS gets.
+    """The input of an emulated cFS.
 
     Attributes:
-        stimuli: what goes in.
-        profile: its constants.
-        published: MsgId to when it is published, ns, in place of what its applications publish of it.
+        stimuli: datagrams.
+        profile: constants.
+        published: MsgId to the times when it is published, ns; the emulated applications do not publish it.
     """
 
     stimuli: Sequence[Stimulus]
@@ -128,18 +130,18 @@ class ModelInput(NamedTuple):
 
 
 class ModelRun(msgspec.Struct, frozen=True):
-    """What the emulated cFS did.
+    """The result of one run of the emulated cFS.
 
     Attributes:
-        lost_ns: MsgId and place to when it lost each message there.
-        entered: MsgId and place to the messages that came to it.
+        lost_ns: MsgId and place to the time of each loss, ns.
+        entered: MsgId and place to the number of messages that arrived there.
     """
 
     lost_ns: dict[tuple[int, str], list[int]]
     entered: Counter[tuple[int, str]]
 
     def lost(self, msg_id: int, place: str = "") -> int:
-        """Return how many of a MsgId it lost, at one place or at all."""
+        """Return the number of lost messages of a MsgId, at one place or in all."""
         every = self.lost_ns.items()
         return sum(len(times) for key, times in every if key == (msg_id, place or key[1]))
 
@@ -149,11 +151,11 @@ class ProofRow(NamedTuple):
 
     Attributes:
         msg_id: the MsgId.
-        name: how people are told of it.
+        name: name for people.
         sent: messages in the capture.
-        lost: at least and at most lost in the capture.
-        model: at least and at most lost by the model, over its runs.
-        outside: lost in the capture outside cFS's queues, of which the model has none.
+        lost: least and most losses in the capture.
+        model: least and most losses of the model, over its runs.
+        outside: losses in the capture outside cFS's queues, which the model does not have.
     """
 
     msg_id: int
@@ -165,37 +167,37 @@ class ProofRow(NamedTuple):
 
     @property
     def distance(self) -> int:
-        """How many more or fewer the model loses than it may to explain the capture; 0 where it does."""
+        """Distance of the model's losses from those that explain the capture; 0 if they do."""
         room = max(_ROOM, round(_SHARE * self.sent))
         return max(0, self.model[0] - room - self.lost[1], self.lost[0] - self.model[1] - room)
 
     @property
     def explained(self) -> bool:
-        """Whether the model loses as many."""
+        """Whether the model's losses explain those of the capture."""
         return not self.distance
 
     def joined(self, other: ProofRow) -> ProofRow:
-        """Return one row of two MsgIds that are one message: what went in, and as what it came out."""
+        """Return one row for two MsgIds of the same message: into cFS, and out of it."""
         both = zip((self.lost, self.model), (other.lost, other.model), strict=True)
         lost, model = ((one[0] + two[0], one[1] + two[1]) for one, two in both)
         name, outside = f"{self.name} and {other.name}", self.outside + other.outside
         return self._replace(name=name, lost=lost, model=model, outside=outside)
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --prove --json``."""
+        """Return the row in the shape of ``doctor --prove --json``."""
         return {**self._asdict(), "msg_id": f"0x{self.msg_id:04x}", "explained": self.explained}
 
 
 class AdviceProof(NamedTuple):
-    """What the model loses where an advice is followed.
+    """The losses of the model if an advice is followed.
 
     Attributes:
-        msg_id: of which MsgId, as text.
-        name: how people are told of it.
-        advice: in words.
-        promised: messages that the doctor said would be left.
-        left: at least and at most lost.
-        run: the first run, for the picture.
+        msg_id: MsgId, as text.
+        name: name for people.
+        advice: text of the advice.
+        promised: remaining losses that the doctor promised.
+        left: least and most losses.
+        run: first run, for the picture.
     """
 
     msg_id: str
@@ -211,22 +213,22 @@ class AdviceProof(NamedTuple):
         return self.left[0] <= self.promised + _ROOM
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --prove --json``."""
+        """Return the proof in the shape of ``doctor --prove --json``."""
         values = {name: value for name, value in self._asdict().items() if name != "run"}
         return {**values, "kept": self.keeps_promise}
 
 
 class CaptureProof(msgspec.Struct, frozen=True):
-    """What the model says of a capture.
+    """The comparison of a capture with the model.
 
     Attributes:
-        span: seconds into the capture that were judged.
-        rows: the MsgIds that lost any.
-        not_modelled: why nothing was emulated; empty where it was.
-        advices: those that promise what will be left and that the model can try, of the worst loss first.
-        hosts: it explains most between these, a slower and a faster one.
-        run: the first run, for the picture.
-        lost_ns: place to when messages were lost there, in the capture.
+        span: judged part, seconds from the capture's zero.
+        rows: MsgIds that lost messages.
+        not_modelled: reason why nothing was emulated; empty if it was.
+        advices: advices that promise a number and that the model can try; that of the worst loss first.
+        hosts: slower and faster host whose runs together explain most.
+        run: first run, for the picture.
+        lost_ns: place to the times of the losses there in the capture, ns.
     """
 
     span: tuple[float, float]
@@ -239,11 +241,11 @@ class CaptureProof(msgspec.Struct, frozen=True):
 
     @property
     def explained(self) -> bool:
-        """Whether the model explains what was lost."""
+        """Whether the model explains the losses."""
         return not self.not_modelled and all(row.explained for row in self.rows)
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --prove --json``."""
+        """Return the proof in the shape of ``doctor --prove --json``."""
         advices = [item.as_json() for item in self.advices]
         first = advices[0] if advices else {}
         return {
@@ -260,7 +262,7 @@ class CaptureProof(msgspec.Struct, frozen=True):
 
 
 def window(diagnosis: Diagnosis) -> tuple[int, int]:
-    """Return from when to when a capture is judged: ns since 1970."""
+    """Return the begin and the end of the judged part, ns since 1970."""
     if diagnosis.end_ns - diagnosis.start_ns <= WINDOW_NS:
         return diagnosis.start_ns, diagnosis.end_ns
     losses = [item for item in diagnosis.verdicts if item.lost]
@@ -274,9 +276,9 @@ class Model:
     """The emulated cFS of a capture.
 
     Args:
-        case: what the capture shows.
-        start_ns: from when on what it loses is counted.
-        end_ns: until when.
+        case: case of the judged part.
+        start_ns: time from which losses are counted, ns since 1970.
+        end_ns: time until which losses are counted, ns since 1970.
     """
 
     def __init__(self, case: Case, start_ns: int, end_ns: int) -> None:
@@ -314,16 +316,16 @@ class Model:
         self.scenario = cast("Scenario", name)
 
     def runs(self, host: Host, inputs: ModelInput) -> list[ModelRun]:
-        """Let it run on a host twice, half a round later."""
+        """Run the model on a host twice, half a round apart."""
         return [self.run(phase, host, inputs) for phase in (0, 1)]
 
     def run(self, phase: int, host: Host, inputs: ModelInput) -> ModelRun:
-        """Let datagrams go in once.
+        """Run the model once.
 
         Args:
-            phase: half rounds by which it begins later.
-            host: how fast its host is.
-            inputs: what it gets.
+            phase: number of half rounds by which it starts later.
+            host: speed of its host.
+            inputs: datagrams and constants.
         """
         stimuli, profile, published = inputs
         first = min([item.time_ns for item in stimuli[:1]] + [self._span[0]])
@@ -363,7 +365,7 @@ class Model:
                 msg_id = sent.get((item.begin_ns, place[0] == "S"), -1)
             elif item.hop != HOP:
                 at_pipes[msg_id, place] += item.begin_ns <= stop_ns
-            # Of telemetry in a pipe that is closed, or that nobody asks for, what is followed is lost.
+            # In a closed pipe only messages with a followed MsgId count as lost.
             if item.end in LOST and (item.end is not QueueEnd.CLOSED or msg_id in followed):
                 lost.setdefault((msg_id, place + " was full" * (item.end in full)), []).append(item.end_ns)
         if isinstance(edoras, SingleRobotApp) and not edoras.has_robot:
@@ -373,13 +375,13 @@ class Model:
 
 
 def prove(result: Diagnosis, case: Case, stimuli: Sequence[Stimulus], span: tuple[int, int]) -> CaptureProof:
-    """Hold the judged part of a capture against the emulated cFS.
+    """Compare the judged part of a capture with the emulated cFS.
 
     Args:
-        result: the diagnosis of that part.
-        case: what it was judged by.
-        stimuli: what went into cFS then, and shortly before.
-        span: from when to when, ns since 1970.
+        result: diagnosis of that part.
+        case: case of that part.
+        stimuli: datagrams that went into cFS then, and shortly before.
+        span: begin and end, ns since 1970.
     """
     seconds = (span[0] - result.zero_ns) / SECOND, (span[1] - result.zero_ns) / SECOND
     if why := _not_modelled(case):
@@ -402,7 +404,7 @@ def prove(result: Diagnosis, case: Case, stimuli: Sequence[Stimulus], span: tupl
 
 
 def _with_others(case: Case, model: Model, inputs: ModelInput) -> ModelInput:
-    """Return what cFS gets, with what its applications published that the emulated ones do not."""
+    """Return the input with the telemetry that the emulated applications do not publish themselves."""
     probe = model.run(0, _ASSUMED[0], inputs)
     published: dict[int, NDArray[np.int64]] = {}
     limits = dict(inputs.profile.to_limits)
@@ -421,14 +423,14 @@ def _with_others(case: Case, model: Model, inputs: ModelInput) -> ModelInput:
 
 
 def _range(runs: Sequence[ModelRun], msg_id: int, place: str = "") -> tuple[int, int]:
-    """Return how many were lost at least and at most; telemetry that nobody asked for may be none of them."""
+    """Return the least and the most losses; telemetry without a subscriber counts in the most only."""
     unasked = [0 if VERSION_1.is_command(msg_id) else run.lost(msg_id, HOP) for run in runs]
     most = [run.lost(msg_id, place) for run in runs]
     return min(max(0, one - two) for one, two in zip(most, unasked, strict=True)), max(most)
 
 
 def _not_modelled(case: Case) -> str:
-    """Return what the emulated cFS has no application for; empty where it has all."""
+    """Return the reason why the emulated cFS cannot replace the captured one; empty if it can."""
     names = {item.name for item in case.instances.items}
     if len(names) > 1:
         return f"the capture has {len(names)} cFS, {' and '.join(sorted(names))}, and one is emulated"
@@ -448,7 +450,7 @@ def _rows(result: Diagnosis, case: Case, runs: Sequence[ModelRun]) -> list[Proof
     numbers: dict[int, tuple[int, int, int, int]] = {}
     unknown = 0
     for row in result.balance:
-        if row.msg_id is None:  # may be of any
+        if row.msg_id is None:  # it may belong to any MsgId
             unknown += row.all_lost + row.unaccounted + row.uncertain
             continue
         outside = sum(number for cause, number in row.lost.items() if cause in _OUTSIDE)
@@ -461,7 +463,7 @@ def _rows(result: Diagnosis, case: Case, runs: Sequence[ModelRun]) -> list[Proof
         if lost or model[1] or outside:
             most = lost + more + unknown
             rows[msg_id] = ProofRow(msg_id, case.name(msg_id), sent, (lost, most), model, outside)
-    for hop in case.hops:  # a message may be told to be lost as what went in, or as what was to come out
+    for hop in case.hops:  # a loss may be counted for the message into cFS, or for the one out of it
         into, out = rows.get(hop.into.msg_id), rows.get(hop.out.msg_id)
         if into and out and into is not out and not (into.explained and out.explained):
             joined = into.joined(out)
@@ -472,7 +474,7 @@ def _rows(result: Diagnosis, case: Case, runs: Sequence[ModelRun]) -> list[Proof
 
 
 def _lost_times(case: Case) -> dict[str, list[int]]:
-    """Return where and when messages were lost; several evenly from the first to the last."""
+    """Return the times of the losses by place; those of one entry are spread evenly over its span."""
     times: dict[str, list[int]] = {}
     for entry in case.ledger.losses():
         place = entry.text.removeprefix("over the message limit of ")
@@ -483,7 +485,7 @@ def _lost_times(case: Case) -> dict[str, list[int]]:
 def _advices(
     result: Diagnosis, case: Case, model: Model, host: Host, inputs: ModelInput
 ) -> Iterator[AdviceProof]:
-    """Yield what becomes of each advice that promises what will be left, of the worst loss first."""
+    """Yield the result of each advice that promises a number, that of the worst loss first."""
     tried: set[tuple[int, str]] = set()
     for problem in summarize(result).problems:
         msg_id = problem.verdicts[0].msg_id if problem.verdicts else None
@@ -501,9 +503,9 @@ def _advices(
 
 
 def _trials(case: Case, text: str, msg_id: int, inputs: ModelInput) -> Iterator[tuple[str, ModelInput]]:
-    """Yield what an advice says and the model can try, in words, each with what cFS gets then."""
+    """Yield the parts of an advice that the model can try, as text, each with the changed input."""
     stimuli, profile, published = inputs
-    # At most so many Hz, or so many in so many ms: each as early as that lets it.
+    # Spread the messages: each as early as the advised rate permits.
     if slower := re.search(r"(?:send |publish )?at most ([\d.]+) (?:Hz|in (\d+) ms)", text):
         gap_ns = (int(slower[2]) * MILLISECOND if slower[2] else SECOND) / float(slower[1])
         own = [item for item in stimuli if item.msg_id == msg_id]

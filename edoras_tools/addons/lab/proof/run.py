@@ -1,4 +1,4 @@
-"""Reads a capture twice: judges it, and what is around its worst loss, and lets that go through the model."""
+"""Reads a capture twice: judges it, then the part around its worst loss, and runs the model on that part."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
 
 def prove_capture(opened: OpenInput) -> tuple[Diagnosis, CaptureProof]:
-    """Judge a capture and prove it; return what is said of all of it, and the proof.
+    """Judge a capture and prove it; return the diagnosis of the whole capture, and the proof.
 
     Args:
-        opened: opens the same input anew.
+        opened: function that opens the same input again.
 
     Raises:
-        CaptureError: it cannot be read.
+        CaptureError: the capture cannot be read.
     """
     source, bench = opened()
     whole = examine(source, bench)
@@ -56,7 +56,7 @@ def prove_capture(opened: OpenInput) -> tuple[Diagnosis, CaptureProof]:
 
 
 def _stimuli(opened: OpenInput, case: Case, span: tuple[int, int]) -> list[Stimulus]:
-    """Return what went into cFS from a while before a span to its end, and what had an effect on it then."""
+    """Return datagrams into cFS: from ``BEFORE_NS`` before a span to its end, and earlier ones that last."""
     source, bench = opened()
     stimuli: list[Stimulus] = []
     lasting: dict[bytes, Stimulus] = {}
@@ -72,14 +72,14 @@ def _stimuli(opened: OpenInput, case: Case, span: tuple[int, int]) -> list[Stimu
             over = among(columns.link, lambda link: link.peers) & np.isin(batch.destination_port, ports)
             is_early = batch.time_ns < begin_ns
             lasts = (columns.msg_id == telemetry_output.COMMAND_MSG_ID) | (over & (columns.msg_id < 0))
-            # What was captured twice, or in front of a relay, is in no stream.
+            # Datagrams captured twice, or in front of a relay, are in no stream.
             judged = over | (batch.time_ns < span[0]) | np.isin(batch.number, commands)
             inside = (lasts | ~is_early) & judged & (batch.time_ns <= span[1])
             for row in np.flatnonzero((to_ci | over) & inside).tolist():
                 when, msg_id = max(int(batch.time_ns[row]), begin_ns), int(columns.msg_id[row])
                 item = Stimulus(when, bool(over[row]), msg_id, bytes(batch[row].payload))
                 if is_early[row]:
-                    lasting.pop(item.payload, None)  # the last of those that repeat stays, at its place
+                    lasting.pop(item.payload, None)  # keep the last of equal ones, at its place
                     lasting[item.payload] = item
                 else:
                     stimuli.append(item)

@@ -1,7 +1,7 @@
-"""What happened to the messages of a step, and the limit between the steps of a sweep.
+"""The results of a step, and the limit between the steps of a sweep.
 
-The diagnosis says what cFS lost, where and why. A sweep adds what only it knows: how many messages it sent
-or requested, and which came back altered.
+The diagnosis shows cFS's losses, with place and cause. A sweep adds what only it knows: how many messages it
+sent or requested, and which came back altered.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ if TYPE_CHECKING:
 
 
 _PREDICTED: Final = frozenset({"ci_cut", "ground_bridge_buffer", "flight_bridge_length"})
-"""Rules about the size of a message alone: not a loss for a sweep, because it sees what gets through."""
+"""Rules about the size of a message only: no loss for a sweep, because it sees which messages get through."""
 _GAPS_ONLY: Final = frozenset({"lost_after_cfs", "unexplained_gap"})
 
 
 class StepOutcome(msgspec.Struct, frozen=True):
-    """What happened to the messages of a step.
+    """The fates of the messages of a step.
 
     Attributes:
         sent: messages to cFS, or published by it.
         delivered: messages that got through.
         lost: messages that did not.
-        bus: lost by the software bus.
-        gaps: missing by their sequence counts.
-        not_ingested: dropped because Command Ingest's socket was full.
-        altered: came back with other bytes or another length.
-        unseen: requested and never published, or lost without any trace.
-        hop: where most were lost; empty if none was lost.
-        reason: why.
+        bus: messages lost by the software bus.
+        gaps: messages missing by their sequence counts.
+        not_ingested: messages dropped because Command Ingest's socket was full.
+        altered: messages that came back with other bytes or another length.
+        unseen: messages requested and never published, or lost without any trace.
+        hop: place of most losses; empty if none was lost.
+        reason: cause of most losses.
         others: verdicts about other messages, or about losses that are not measured here.
     """
 
@@ -78,8 +78,8 @@ class Judge:
     """Judges the steps of one route.
 
     Args:
-        profile: the constants of the cFS at the other end.
-        measures: take the limit of an application's pipe from what got through, not from the profile.
+        profile: constants of the cFS at the other end.
+        measures: whether the limit of an application's pipe is measured, not taken from the profile.
     """
 
     def __init__(self, route: Route, profile: SimProfile, *, measures: bool) -> None:
@@ -91,8 +91,8 @@ class Judge:
         """Judge messages to cFS.
 
         Args:
-            before: at the start of the step.
-            after: when no message was under way any more.
+            before: counts at the start of the step.
+            after: counts when no message of the step was in transit any more.
             sent: number of messages of the route.
             rate_hz: messages of the route per second.
         """
@@ -135,11 +135,11 @@ class Judge:
         """Judge messages from cFS.
 
         Args:
-            before: at the start of the step.
-            after: when no message was under way any more.
+            before: counts at the start of the step.
+            after: counts when no message of the step was in transit any more.
             least: messages that must have been published in that time.
-            requested: messages; 0 if others publish them and the step does not wait for the last ones: then
-                only gaps count, because counters come later.
+            requested: requested messages; 0 if others publish them and the step does not wait for the last
+                ones: then only gaps count, because counters come later.
         """
         diagnosis = observer.diagnose(self._profile)
         ours, others = self._divided(diagnosis)
@@ -195,7 +195,7 @@ class Judge:
         return ours, tuple(others)
 
     def _event(self, diagnosis: Diagnosis) -> tuple[str, str] | None:
-        """Return what cFS reported about the route in an event."""
+        """Return the hop and the reason from an event of cFS about the route, if any."""
         assert diagnosis.case is not None
         for reported, loss in diagnosis.case.reported_losses.items():
             if reported.msg_id == self._route.msg_id:
@@ -219,7 +219,7 @@ class SweepStep(msgspec.Struct, frozen=True):
     Attributes:
         rate_hz: messages per second.
         size: bytes of their space packets.
-        outcome: what happened to them.
+        outcome: fates of the messages.
     """
 
     rate_hz: float
@@ -228,11 +228,11 @@ class SweepStep(msgspec.Struct, frozen=True):
 
     @property
     def lost(self) -> int:
-        """How many were lost."""
+        """Number of lost messages."""
         return self.outcome.lost
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``sweep --json``."""
+        """Return the step in the shape of ``sweep --json``."""
         return {
             "rate_hz": self.rate_hz,
             "size": self.size,
@@ -245,14 +245,14 @@ class SweepStep(msgspec.Struct, frozen=True):
 
 
 class Sweep(msgspec.Struct):
-    """The result.
+    """The result of a sweep.
 
     Attributes:
         plan: the plan of the sweep.
-        steps: in the order in which they ran.
-        watched: it published nothing and only measured.
+        steps: steps in the order in which they ran.
+        watched: whether it published nothing and only measured.
         interrupted: whether Ctrl-C ended it.
-        failure: why it ended early.
+        failure: error that ended it early, if any.
         notes: for the user, one line each.
     """
 

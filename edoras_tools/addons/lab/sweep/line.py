@@ -19,20 +19,20 @@ if TYPE_CHECKING:
 
 _ROUND_NS: Final = 20 * MILLISECOND
 _FRESH_NS: Final = 1200 * MILLISECOND
-"""Housekeeping that comes this long after an event was made after cFS had processed the event: CI wakes up
-within 500 ms, and TO sends within another 500 ms."""
+"""Age of an event from which later housekeeping shows that cFS had processed it: CI wakes up within 500 ms,
+and TO sends within another 500 ms."""
 _PATIENCE_NS: Final = 60 * SECOND
 _SILENCE_NS: Final = 8 * SECOND
 COMMAND_NS: Final = 700 * MILLISECOND
-"""cFS has read a command after this time."""
+"""Time in which cFS reads a command."""
 
 
 class Line:
     """Sends and listens.
 
     Args:
-        name: of the other end, for the user.
-        observer: records all that is sent and received.
+        name: name of the other end, for the user.
+        observer: recorder of all datagrams sent and received.
         session: the SBN session that the traffic belongs to.
 
     Attributes:
@@ -45,11 +45,11 @@ class Line:
         self._epoch_ns = wire.epoch_ns()
 
     def now(self) -> int:
-        """Return the time, monotonic, in ns."""
+        """Return monotonic time, ns."""
         return self._wire.now()
 
     def epoch(self) -> int:
-        """Return the time in ns since 1970."""
+        """Return the time, ns since 1970."""
         return self._wire.now() + self._epoch_ns
 
     def listen(self, duration_ns: int) -> None:
@@ -70,7 +70,7 @@ class Line:
         """Wait until the other end answers.
 
         Raises:
-            CaptureError: it does not answer; says what was tried.
+            CaptureError: it does not answer; the text says what was tried.
         """
         began = self._wire.now()
         for condition in conditions:
@@ -109,7 +109,7 @@ class Line:
         return count
 
     def settle(self) -> Mark:
-        """Wait until no message is under way: until two successive new reports of every counter are equal.
+        """Wait until no message is in transit: until two successive new reports of every counter are equal.
 
         Raises:
             CaptureError: cFS stopped sending.

@@ -1,7 +1,7 @@
 """Records a step of a sweep: every datagram, sent and received, as a capture that the diagnosis can judge.
 
-It also keeps what a capture does not show: whether an echo equals what was sent, and since when no message
-is under way.
+It also keeps facts that a capture does not show: whether an echo equals the sent message, and the time from
+which no message is in transit.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 _SLOTS: Final = cfe.SOFTWARE_BUS_HOUSEKEEPING.by_name
 _LOSSES: Final = slice(_SLOTS["pipe_overflow_error_counter"].start, _SLOTS["message_limit_error_counter"].end)
-"""Where the payload of 0x803 has both loss counters."""
+"""Bytes of both loss counters in the payload of 0x803."""
 _COUNTERS: Final = (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, command_ingest.HOUSEKEEPING_MSG_ID)
 _BEFORE_NS: Final = 2500 * MILLISECOND
-"""Housekeeping of this time before a step is kept if steps follow each other without a pause."""
-# The link of a datagram is known, whatever its real ports are; these ports tell it to the diagnosis.
+"""Time before a step whose housekeeping is kept, if steps follow each other without a pause."""
+# The link of a datagram is known whatever its real ports are; for the diagnosis these ports identify it.
 _TO_PORT: Final = 50001
 
 
@@ -111,7 +111,7 @@ class Observer:
         if standard in _COUNTERS:
             self._latest[msg_id] = item
             of_bus = standard == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
-            # What else 0x803 has changes all the time: messages that nobody takes, memory in use.
+            # The rest of 0x803 changes all the time: messages without a subscriber, memory in use.
             payload = packet[cfe.TELEMETRY_HEADER_BYTES :]
             self._counters[msg_id] = payload[_LOSSES] if of_bus else payload
             self._reports += of_bus
@@ -130,7 +130,7 @@ class Observer:
             self._whole += 1
 
     def quiet(self, now: int) -> None:
-        """Note that from ``now`` on no message of the step is under way."""
+        """Record that no message of the step is in transit from ``now`` on."""
         self._quiet_ns = now
 
     def begin(self) -> None:
@@ -169,7 +169,7 @@ class Observer:
         if self._datagrams:
             batch = demux(frames_of([item for _, item in self._datagrams]))
             examination.add(batch, ColumnDecoder(self._context).decode(batch))
-        # The messages were to come here: what this side lacks was lost, and not only not captured.
+        # The messages were sent to this side, so a missing one is lost, not only missing in the capture.
         return examination.diagnose(Capture(drops=0))
 
 

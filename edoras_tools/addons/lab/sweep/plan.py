@@ -1,4 +1,4 @@
-"""What is swept: a route, a range of rates or of sizes, and the packets that are sent for it."""
+"""The range of a sweep: a route, rates or sizes, and the packets that are sent for it."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ class Bisection(msgspec.Struct):
     (8, 9)
 
     Attributes:
-        first: where it begins.
-        last: where it ends, if nothing fails.
+        first: first value.
+        last: last value, if no value is bad.
         precision: largest distance between good and bad at the end, as a share of the good one; at least 1.
-        good: the highest that was good so far; None where none was.
-        bad: the lowest that was bad so far; None where none was.
+        good: highest good value so far; None if there is none.
+        bad: lowest bad value so far; None if there is none.
     """
 
     first: int
@@ -54,10 +54,10 @@ class Bisection(msgspec.Struct):
     bad: int | None = None
 
     def __post_init__(self) -> None:
-        """Check once.
+        """Check the values.
 
         Raises:
-            ConfigError: it does not begin at 1 or more, or ends before it begins.
+            ConfigError: the first value is below 1, or above the last.
         """
         if not 1 <= self.first <= self.last:
             raise ConfigError(f"{self.first}..{self.last} is not a rising range from 1 or more")
@@ -73,7 +73,7 @@ class Bisection(msgspec.Struct):
         return self.good + apart // 2 if apart > max(1, int(self.good * self.precision)) else None
 
     def tell(self, value: int, *, good: bool) -> None:
-        """Note whether ``value`` was good."""
+        """Record whether ``value`` was good."""
         if good:
             self.good = value
         else:
@@ -88,7 +88,7 @@ _ECHO_LIMIT: Final = 32
 
 
 class SweepPlan(msgspec.Struct, frozen=True):
-    """What to do.
+    """The sweep to run.
 
     Attributes:
         route: the route that is swept.
@@ -96,11 +96,11 @@ class SweepPlan(msgspec.Struct, frozen=True):
         sizes: first and last size of the space packet in bytes; equal if rates are swept, and 0 for the
             message's own size.
         step_ns: duration of a step.
-        options: where to send, as which peer; with defaults filled in.
+        options: settings of sending, with defaults filled in.
         scenario: an emulated cFS with this demo, in simulated time; None for sockets.
-        limit: how many messages may wait in the emulated cFS's pipe; None: the real limit.
-        watch: publish nothing, only measure what arrives.
-        watch_ns: for this time.
+        limit: limit of a MsgId in the emulated cFS's pipe; None: the real limit.
+        watch: whether to publish nothing, and only measure what arrives.
+        watch_ns: duration of that, ns.
         generator: MsgId of the commands of the app that publishes telemetry.
     """
 
@@ -117,7 +117,7 @@ class SweepPlan(msgspec.Struct, frozen=True):
 
     @property
     def headers(self) -> cfe.Headers:
-        """Those of the cFE."""
+        """Headers of the cFE."""
         return self.options.headers
 
     @property

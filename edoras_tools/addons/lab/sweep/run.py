@@ -1,4 +1,4 @@
-"""Raises a rate or a size until messages are lost: finds a route's limit, the hop that sets it, and why."""
+"""Raises a rate or a size until messages are lost: finds a route's limit, its hop, and its cause."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def profile_of(plan: SweepPlan, mission: Mission) -> SimProfile:
 
 
 def emulated(plan: SweepPlan, profile: SimProfile, bench: Workbench) -> SimulatedWire:
-    """Boot the emulated cFS of a plan: that of the mission, where this says how it is built.
+    """Boot the emulated cFS of a plan: that of the mission, if the mission describes its build.
 
     Args:
         plan: its scenario must not be None.
@@ -86,9 +86,9 @@ def emulated(plan: SweepPlan, profile: SimProfile, bench: Workbench) -> Simulate
 
 
 _SLACK_NS: Final = SECOND
-"""The time between two commands to the generator may be shorter than intended by this much."""
+"""Largest error of the time between two commands to the generator."""
 _BEHIND_NS: Final = 5 * SECOND
-"""If messages of a step are still read this long after the last one, cFS is too slow for the rate."""
+"""Time after the last message; if messages of a step are read later, cFS is too slow for the rate."""
 _BACKGROUND_NS: Final = 4 * SECOND
 _GENERATOR_NS: Final = 4 * SECOND
 
@@ -263,7 +263,7 @@ class _Sweeper:
         """Send the telemetry generator a stop command; its event shows that it exists.
 
         Raises:
-            CaptureError: it does not.
+            CaptureError: it does not exist.
         """
         event = software_bus.EVENTS[software_bus.NO_SUBSCRIBERS].text.partition(",")[0]
         nobody = event.format(msg_id=self.plan.generator)
@@ -335,7 +335,7 @@ class _Sweeper:
 
 
 def _size_notes(plan: SweepPlan) -> Iterator[str]:
-    """Yield what a sweep of sizes does not see: what the bridge that it replaces does with them."""
+    """Yield what a sweep of sizes cannot see: the effect of the bridge that the sweep replaces."""
     first, last = plan.sizes
     if plan.to_cfs:
         if plan.route.link.peers:

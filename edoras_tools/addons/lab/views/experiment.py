@@ -1,4 +1,4 @@
-"""What an experiment shows of each setting, as a table."""
+"""The results of an experiment for each setting, as a table."""
 
 from __future__ import annotations
 

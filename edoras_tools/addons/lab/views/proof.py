@@ -1,4 +1,4 @@
-"""The proof of a capture: both losses beside each other, and as a picture: where and when."""
+"""The proof of a capture: the losses of both side by side, and as a picture over time, by place."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _ROWS: Final = 6
 _PANELS: Final = 3
-"""Places that are drawn: those at which most was lost."""
+"""Places that are drawn: those with most losses."""
 
 
 def _between(low: float, high: float) -> str:
@@ -43,7 +43,7 @@ _COLUMNS: Final = (
 
 
 def proof_view(proof: CaptureProof, zero_ns: int, width: int) -> RenderableType:
-    """Return the proof for people."""
+    """Return the view of a proof."""
     if proof.not_modelled:
         return Text(f"Not modelled: {proof.not_modelled}.")
     start, end = proof.span
@@ -57,16 +57,16 @@ def proof_view(proof: CaptureProof, zero_ns: int, width: int) -> RenderableType:
 
 
 def proof_picture(proof: CaptureProof, zero_ns: int, name: str) -> str:
-    """Return the losses of both over time, at each place, as SVG.
+    """Return the losses of the capture and the model over time, at each place, as SVG.
 
     Args:
-        name: of the capture.
+        name: name of the capture.
     """
     return plot_svg(_figure(proof, zero_ns, name, [text for text, _ in _sentences(proof)]))
 
 
 def _sentences(proof: CaptureProof) -> Iterator[tuple[str, str]]:
-    """Yield what the proof says, a sentence and its style each."""
+    """Yield the sentences on the proof, each with its style."""
     if outside := sum(row.outside for row in proof.rows):
         yield f"{plural(outside, 'more message')} lost outside cFS's queues: the model has none of it.", ""
     read = sorted(item.ci_read_ns / MICROSECOND for item in proof.hosts)
@@ -87,7 +87,7 @@ def _sentences(proof: CaptureProof) -> Iterator[tuple[str, str]]:
 
 
 def _figure(proof: CaptureProof, zero_ns: int, name: str, notes: Sequence[str] = ()) -> Figure:
-    """Draw how many were lost by when where most were: in the capture, the model, and with an advice."""
+    """Draw the sum of losses over time at the worst places: in the capture, the model, and with an advice."""
     emulated = _places(proof.run)
     places = {*proof.lost_ns, *emulated}
     losses = {place: [proof.lost_ns.get(place, ()), emulated.get(place, ())] for place in places}
@@ -105,7 +105,7 @@ def _figure(proof: CaptureProof, zero_ns: int, name: str, notes: Sequence[str] =
 
 
 def _places(run: ModelRun) -> Mapping[str, Sequence[int]]:
-    """Return when messages were lost at each place."""
+    """Return the times of the losses by place."""
     places: dict[str, list[int]] = {}
     for (_, place), times_ns in run.lost_ns.items():
         places.setdefault(place, []).extend(times_ns)
@@ -113,7 +113,7 @@ def _places(run: ModelRun) -> Mapping[str, Sequence[int]]:
 
 
 def _line(proof: CaptureProof, zero_ns: int, number: int, label: str, times_ns: Sequence[int]) -> PlotLine:
-    """Return how many were lost by when; its number chooses colour and dashes."""
+    """Return the sum of losses over time; its number determines colour and dashes."""
     start, end = proof.span
     times = np.clip((np.sort(np.array(times_ns, np.int64)) - zero_ns) / SECOND, start, end)
     seconds = np.concatenate(([start], np.repeat(times, 2), [end]))

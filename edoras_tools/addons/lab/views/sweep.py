@@ -27,7 +27,7 @@ _CHART_WIDTH: Final = 78
 
 
 def outcome(summary: Mapping[str, Any], width: int) -> RenderableType:
-    """Return what was found.
+    """Return the view of the result.
 
     Args:
         summary: in the shape of ``sweep --json``.
@@ -55,10 +55,10 @@ def outcome(summary: Mapping[str, Any], width: int) -> RenderableType:
 
 
 def chart(summary: Mapping[str, Any], *subtitle: str) -> Figure:
-    """Return what got through, against what was asked for.
+    """Return the chart of delivered messages over the requested ones.
 
     Args:
-        subtitle: a line below the title.
+        subtitle: line below the title.
     """
     by_size = summary["swept"] == "size"
     points: dict[bool, list[tuple[float, float]]] = {False: [], True: []}
@@ -89,7 +89,7 @@ def _line(label: str, points: Sequence[tuple[float, float]], **look: Any) -> Plo
 
 
 def plan(summary: Mapping[str, Any]) -> RenderableType:
-    """Return what ``--dry-run`` says."""
+    """Return the view of ``--dry-run``."""
     facts = facts_grid()
     facts.add_row("route", plain(f"{summary['route']} ({summary['msg_id']}) over {summary['link'].upper()}"))
     rates, sizes = summary["rates_hz"], summary["sizes"]
@@ -120,7 +120,7 @@ def threshold_line(summary: Mapping[str, Any]) -> str:
 
 @contextmanager
 def step_status(*, quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Yield a function that shows what is tried now, on a terminal."""
+    """Yield a function that shows the present step on a terminal."""
     if quiet or not detect_terminal(sys.stderr).interactive:
         yield lambda _: None
         return

@@ -1,4 +1,4 @@
-"""What ``edoras demo`` prints."""
+"""The output of ``edoras demo``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Guide:
     """Prints the tour while it runs.
 
     Args:
-        out: where to.
+        out: output stream.
     """
 
     def __init__(self, out: TextIO, terminal: Terminal) -> None:
@@ -62,7 +62,7 @@ class Guide:
             self._line(line)
 
     def end(self, live: Mapping[str, Any], real: Mapping[str, Any], folder: Path) -> None:
-        """Print what was recorded, one packet decoded, and what to do next."""
+        """Print the contents of the recordings, one packet decoded, and the next commands to try."""
         if self._command is not None:
             self._title(2, "One command, every layer")
             self._say(f"$ edoras decode {folder}/two_rovers.mcap {self._command.datagram.number}")

@@ -1,4 +1,4 @@
-"""A demo while it runs, and its result: messages sent and arrived, latency, where the robots are."""
+"""A running demo, and its result: messages sent and arrived, latency, positions of the robots."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 COLOURS: Final = ("cyan", "yellow")
-"""Of the first robot and the second."""
+"""Colours of the first and the second robot."""
 _DOTS: Final = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 """Bits of a Braille cell (U+2800), by row and column."""
 _ARROWS: Final = "→↗↑↖←↙↓↘"
@@ -34,10 +34,10 @@ _EIGHTHS: Final = " ▏▎▍▌▋▊▉█"
 def draw_tracks(
     robots: Sequence[tuple[Sequence[tuple[float, float]], Sequence[float]]], width: int, height: int
 ) -> list[Text]:
-    """Draw where rovers were and are, as large as it fits.
+    """Draw the tracks and positions of rovers, as large as possible.
 
     Args:
-        robots: of each its track, m, and its place: x, y, heading; the place may be empty.
+        robots: track of each robot, m, and its place: x, y, heading; the place may be empty.
         width: cells.
         height: lines.
     """
@@ -46,7 +46,7 @@ def draw_tracks(
         return [Text("waiting for the first pose ...", palette.DIM)]
     low = [min(point[axis] for point in points) for axis in (0, 1)]
     high = [max(point[axis] for point in points) for axis in (0, 1)]
-    # A metre is as long across as up: a dot is as wide as high.
+    # A metre has the same length across and up: a dot is as wide as high.
     room = max(2 * width - 5, 1), max(4 * height - 5, 1)
     scale = max((high[0] - low[0]) / room[0], (high[1] - low[1]) / room[1], 0.02)
     middle = [(low[axis] + high[axis]) / 2 for axis in (0, 1)]
@@ -86,10 +86,10 @@ def draw_tracks(
 
 
 def joints(robots: Sequence[tuple[str, Sequence[float]]]) -> list[Text]:
-    """Draw the joints of arms side by side, a bar each; half a turn either way is a whole bar.
+    """Draw the joints of arms side by side, one bar each; half a turn either way is a whole bar.
 
     Args:
-        robots: of each its name and its joints, rad, which may be none yet.
+        robots: name of each robot, and its joints, rad, perhaps none.
     """
     most = max((len(place) for _, place in robots), default=0)
     if not most:
@@ -119,11 +119,11 @@ _LEGS: Final = ("commands", "states")
 
 
 class _Demo(Protocol):
-    """A demo under way."""
+    """A running demo."""
 
     @property
     def tracks(self) -> Sequence[Sequence[tuple[float, float]]]:
-        """Where each rover was."""
+        """Track of each rover."""
         ...
 
     @property
@@ -132,7 +132,7 @@ class _Demo(Protocol):
         ...
 
     def summary(self) -> Mapping[str, Any]:
-        """Return what there is so far, in the shape of ``demo SCENARIO --json``."""
+        """Return the results so far, in the shape of ``demo SCENARIO --json``."""
         ...
 
 
@@ -167,7 +167,7 @@ def outcome(
 
     Args:
         summary: in the shape of ``demo SCENARIO --json``.
-        lines: where each rover was.
+        lines: track of each rover.
     """
     facts = [one_line(plain(line)) for line in (*moved(summary), *loss_lines(summary))]
     return Group(
@@ -200,7 +200,7 @@ def moved(summary: Mapping[str, Any]) -> list[str]:
 
 
 def loss_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Return what did not arrive and why, a line each."""
+    """Return lines on messages that did not arrive, with the reason."""
     lines = []
     for robot in summary["robots"]:
         for leg in _LEGS:
@@ -238,7 +238,7 @@ def beside(summary: Mapping[str, Any]) -> str:
 
 
 def hints(summary: Mapping[str, Any]) -> list[str]:
-    """Return what to try next, a line each."""
+    """Return commands to try next, one line each."""
     output = summary["output"]
     return [
         f"what was lost and why   edoras doctor {output}",
@@ -342,4 +342,4 @@ _COLUMNS: Final = (
     Column("added p50", _latency("added_us", "p50"), rank=1),
     Column("p99 ", _latency("added_us", "p99"), rank=1),
 )
-"""``added`` is the time that everything except cFS took."""
+"""``added`` is the time outside cFS."""

@@ -1,4 +1,4 @@
-"""cFE's own five applications as far as a link shows them: no-op, counters, housekeeping once a second."""
+"""cFE's own five applications, as a link shows them: no-op, counters, housekeeping once a second."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def start_core(cfs: Cfs) -> None:
 
 
 def _say_versions(cfs: Cfs) -> None:
-    """Say what is built in, as Executive Services does at the start."""
+    """Report the versions of the build, as Executive Services does at the start."""
     version = {"version": EMULATOR_VERSION}
     cfs.say(executive_services.VERSIONS, **version, checksum=0)
     cfs.say(executive_services.MISSION, mission="emulated", **version)
@@ -74,7 +74,7 @@ def _run(cfs: Cfs, core: CoreApp, pipe: Pipe) -> Task:
             yield Work(cfs.profile.housekeeping_work_ns)
             cfs.telemetry(core.telemetry, body(cfs, counters[0] & 0xFF, counters[1] & 0xFF), core.name)
         elif msg_id == core.command:
-            # Longer than its sender takes to go round its loop: a name is looked up, a line is printed.
+            # Longer than one cycle of its sender's loop: a name is looked up, and a line is printed.
             yield Work(cfs.profile.housekeeping_work_ns)
             accepted = _command(cfs, core, packet)
             counters[not accepted] += 1
@@ -129,7 +129,7 @@ def _command(cfs: Cfs, core: CoreApp, packet: bytes) -> bool:
 
 
 def _wrong_length(cfs: Cfs, core: CoreApp, code: int, size: int, expected: int) -> bool:
-    """Report a command that is too short or too long, where its application does; it is refused."""
+    """Report a command that is too short or too long, if its application does; it is refused."""
     if core.bad_length is not None:
         length, expected = (command_length(item, cfs.profile) for item in (size, expected))
         cfs.say(core.bad_length, msg_id=core.command, code=code, length=length, expected=expected)
@@ -137,7 +137,7 @@ def _wrong_length(cfs: Cfs, core: CoreApp, code: int, size: int, expected: int) 
 
 
 def _table(cfs: Cfs, function_code: int, size: int, payload: bytes) -> bool:
-    """Take a command about a table; tell SBN when its own has a new image."""
+    """Process a command on a table; notify SBN when its own table has a new image."""
     expected = cfe.COMMAND_HEADER_BYTES + ARGUMENTS[TBL_MSG_ID, function_code].size
     if size != expected:
         length, expected = (command_length(item, cfs.profile) for item in (size, expected))

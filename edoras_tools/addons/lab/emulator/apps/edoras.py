@@ -29,15 +29,15 @@ _ROBOT_WORK: Final = 4
 _REQUEST: Final = 0x1828
 ROBOT_HOUSEKEEPING: Final = 0x0826
 _WAKEUP: Final = 0x182B
-"""MsgIds of an application that are no route's: the usual one, or the next that no route has."""
+"""Wake-up MsgId of an application without a route for it; if a route uses it, the next free one."""
 
 
 class EdorasApp(Protocol):
-    """What the emulated cFS needs from its EDORAS application.
+    """The interface of the EDORAS application for the emulated cFS.
 
     Attributes:
-        requests: MsgIds that the scheduler sends it once a second.
-        wakeups: MsgIds that the scheduler sends it each ``wakeup_ns``.
+        requests: MsgIds that the scheduler sends to it once a second.
+        wakeups: MsgIds that the scheduler sends to it each ``wakeup_ns``.
         telemetry: MsgIds that go to the ground.
     """
 
@@ -46,7 +46,7 @@ class EdorasApp(Protocol):
     telemetry: Sequence[int]
 
     def start(self, cfs: Cfs) -> None:
-        """Make its pipe and start its task."""
+        """Create its pipe and start its task."""
 
 
 def _start(cfs: Cfs, *msg_ids: int) -> Pipe:
@@ -57,7 +57,7 @@ def _start(cfs: Cfs, *msg_ids: int) -> Pipe:
 
 
 def _accepted(cfs: Cfs, packet: bytes) -> bool:
-    """Return whether a packet is a "set"; report what is wrong with others, as the flight code does."""
+    """Return whether a packet is a "set"; report the error of any other, as the flight code does."""
     function_code, size = function_code_of(packet), length_of(packet)
     if function_code == facts.SET:
         return True  # its length is not checked
@@ -74,7 +74,7 @@ def _accepted(cfs: Cfs, packet: bytes) -> bool:
 
 
 def _decoded(cfs: Cfs, type_name: str, packet: bytes) -> Mapping[str, Any] | None:
-    """Return the values of a command; None where they cannot be read."""
+    """Return the values of a command; None if they cannot be decoded."""
     form = cfs.routes.envelope(msg_id_of(packet))
     return messages.decode_envelope(type_name, packet[cfe.COMMAND_HEADER_BYTES :], form, cfs.routes.store)
 
@@ -82,13 +82,13 @@ def _decoded(cfs: Cfs, type_name: str, packet: bytes) -> Mapping[str, Any] | Non
 class SingleRobotApp:
     """Demos 1 and 2: the robot is connected to the application; its state goes to the ground once a second.
 
-    As in flight, an application that is stopped leaves its socket to the robot open: started again it cannot
-    bind it, and nothing reaches the robot until cFS begins anew.
+    As in flight, a stopped application leaves its socket to the robot open. After a restart it cannot bind
+    the socket, and nothing reaches the robot until cFS restarts.
 
     Attributes:
-        robot: takes commands and reports its state.
+        robot: robot that gets the commands and reports its state.
         robot_commands: commands that reached the robot.
-        has_robot: whether it could bind its socket to the robot.
+        has_robot: whether the application could bind its socket to the robot.
         command: MsgId of the robot's commands.
     """
 
@@ -107,7 +107,7 @@ class SingleRobotApp:
         self._requests = self._boot = 0
 
     def start(self, cfs: Cfs) -> None:
-        """Make its pipe and start its task."""
+        """Create its pipe and start its task."""
         self.has_robot = self._boot != cfs.boots
         self._boot = cfs.boots
         if not self.has_robot:
@@ -145,7 +145,7 @@ class SingleRobotApp:
                 yield Work(cfs.profile.obey_work_ns)
 
     def _send(self, cfs: Cfs, values: Mapping[str, Any]) -> None:
-        """Send a command to the robot, where that has a port."""
+        """Send a command to the robot, if the robot has a port."""
         profile, data = cfs.profile, messages.robot_datagram(values)
         if profile.robot_port and data is not None:
             own, robot = (Endpoint(profile.address, port) for port in (CFS_PORT, profile.robot_port))
@@ -161,13 +161,13 @@ class _Channel(msgspec.Struct):
 
 
 class TwoRobotApp:
-    """Demos 3 and 4: every message is decoded, encoded again and sent on under another MsgId.
+    """Demos 3 and 4: every message is decoded, encoded again and sent under another MsgId.
 
-    A command from the ground waits for the next wake-up, so only the last of a burst is sent on; a robot's
-    state is sent on at once.
+    A command from the ground waits for the next wake-up, so only the last of a burst is sent; a robot's
+    state is sent at once.
 
     Attributes:
-        crossed: MsgId to messages sent on under it.
+        crossed: MsgId to the number of messages sent under it.
     """
 
     requests: Sequence[int] = ()
@@ -189,7 +189,7 @@ class TwoRobotApp:
         ]
 
     def start(self, cfs: Cfs) -> None:
-        """Make its pipe and start its task."""
+        """Create its pipe and start its task."""
         cfs.spawn(self._run(cfs, _start(cfs, *self.commands, *self.states, *self.wakeups)))
 
     def _run(self, cfs: Cfs, pipe: Pipe) -> Task:
@@ -213,7 +213,7 @@ class TwoRobotApp:
             yield Work(cfs.profile.work_ns)
 
     def _read(self, cfs: Cfs, packet: bytes, struct: FixedStruct) -> None:
-        """Decode and encode again; a message that cannot be decoded leaves the last one in place."""
+        """Decode a message and encode it again; an undecodable one leaves the previous one in place."""
         type_name = self._types[msg_id_of(packet)]
         values = _decoded(cfs, type_name, packet)
         if values is None:

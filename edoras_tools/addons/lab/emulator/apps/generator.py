@@ -106,7 +106,7 @@ class Generator:
 
 
 def _refusal(slot: int, msg_id: int, kind: int, length: int) -> str:
-    """Return why a slot cannot be set; empty if it can."""
+    """Return the reason why a slot cannot be set; empty if it can."""
     if slot >= _SLOTS:
         return "there is no such slot"
     if not 0 < msg_id <= cfe.HIGHEST_MSG_ID or VERSION_1.is_command(msg_id):

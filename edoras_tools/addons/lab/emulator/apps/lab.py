@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 SCHEDULER: Final = "SCH_LAB_APP"
 SCHEDULE_LEAD_NS: Final = 17 * MILLISECOND
-"""How much sooner than a whole period after start the first housekeeping request comes, as captured."""
+"""Time by which the first housekeeping request comes before a whole period after start, as captured."""
 
 
 class CiLab:
-    """Command Ingest's task: after each message, and after each time-out, it reads the socket."""
+    """Command Ingest's task: it reads the socket after each message and after each time-out."""
 
     def __init__(self, cfs: Cfs) -> None:
         self.socket = CommandIngest(cfs.profile)
@@ -72,7 +72,7 @@ class CiLab:
 
 
 class ToLab:
-    """Telemetry Output's task: a delay, then everything in the pipe is sent, then its commands are read."""
+    """Telemetry Output's task: a delay, then it sends everything in the pipe, then it reads its commands."""
 
     def __init__(self, cfs: Cfs, telemetry: Sequence[int]) -> None:
         self.output = TelemetryOutput(cfs.profile, cfs.bus)
@@ -116,7 +116,7 @@ class ToLab:
 
 
 class SchLab:
-    """The scheduler's tasks: housekeeping requests, and the wake-ups that an application asks for."""
+    """The scheduler's tasks: housekeeping requests, and the wake-ups that applications request."""
 
     def __init__(self, cfs: Cfs, edoras: EdorasApp) -> None:
         self._cfs = cfs

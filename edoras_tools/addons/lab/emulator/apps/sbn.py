@@ -26,8 +26,8 @@ class SbnApp:
     """SBN on an emulated cFS.
 
     Attributes:
-        node: its state machine.
-        socket: its receive queue.
+        node: state machine.
+        socket: receive queue.
     """
 
     def __init__(self, cfs: Cfs) -> None:
@@ -35,7 +35,7 @@ class SbnApp:
         self._is_dead = self._has_left = False
         cfs.events.register(facts.NAME, now=cfs.scheduler.now)
         self.node = SbnNode(cfs.profile, cfs.bus, now=cfs.scheduler.now)
-        # TCP waits for its reader: it drops nothing.
+        # TCP waits for its reader, so it drops nothing.
         room = NO_LIMIT if cfs.profile.sbn_tcp else cfs.profile.socket_queue
         self.socket: Fifo[bytes] = cfs.account.watch(Fifo(room), socket(cfs.profile.sbn_port))
         self._commands = cfs.create_pipe(facts.PIPE, facts.COMMAND_MSG_ID)
@@ -49,7 +49,7 @@ class SbnApp:
             cfs.scheduler.call_at(cfs.scheduler.now + facts.STARTS_AFTER_NS, self._say_start)
 
     def _say_start(self, starting: tuple[EventText, ...] = facts.STARTING) -> None:
-        """Say what it loads and configures: more than Telemetry Output and the squelch let pass."""
+        """Report its loading and configuration: more events than Telemetry Output and the squelch pass on."""
         say, profile = self._cfs.say, self._cfs.profile
         for module in facts.MODULES:
             *first, last = starting
@@ -74,7 +74,7 @@ class SbnApp:
             self._cfs.scheduler.notify(self.socket)
 
     def opened(self, peer: Peer) -> None:
-        """Begin a TCP connection that this side made."""
+        """Begin a TCP connection that this side opened."""
         self._do(self.node.opened(peer, now=self._cfs.scheduler.now))
 
     def _main(self) -> Task:
@@ -95,7 +95,7 @@ class SbnApp:
             elif restart:
                 cfs.spawn(self._receive())
             yield Work(profile.work_ns)
-        self._has_left = True  # it deletes its receiving tasks itself
+        self._has_left = True  # it deletes its receive tasks itself
         self._do(self.node.leave())
 
     def _receive(self) -> Task:
@@ -119,7 +119,7 @@ class SbnApp:
             cfs.publish(packet, facts.NAME, stamp=False)
 
     def _reload(self, size: int) -> None:
-        """Begin anew with the table that was activated; without one there is no way back."""
+        """Start again with the activated table; without one SBN does not recover."""
         cfs = self._cfs
         if size == cfe.COMMAND_HEADER_BYTES:
             cfs.say(facts.BARE_RELOAD)

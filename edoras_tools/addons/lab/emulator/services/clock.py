@@ -15,18 +15,18 @@ _LIMIT: int = 1 << 32
 
 
 class Clock:
-    """Mission elapsed time, and what is added to it.
+    """Mission elapsed time, and the correction to mission time.
 
     Attributes:
-        leap_seconds: as its housekeeping says.
-        stcf_ns: what is added to mission elapsed time, in ns.
+        leap_seconds: leap seconds as in its housekeeping.
+        stcf_ns: correction that is added to mission elapsed time, ns.
     """
 
     def __init__(self, profile: SimProfile, now: int) -> None:
-        """Start.
+        """Start the clock.
 
         Args:
-            profile: gives mission elapsed time at start, and what is added to it.
+            profile: constants, with mission elapsed time at start and the correction.
             now: ns.
         """
         self.leap_seconds = facts.LEAP_SECONDS
@@ -41,18 +41,18 @@ class Clock:
         return now - self._zero_ns
 
     def time_ns(self, now: int) -> int:
-        """Return mission time in ns since its epoch; adjustments each second are in it."""
+        """Return mission time in ns since its epoch, including adjustments each second."""
         seconds = (now - self._since_ns) // SECOND
         self._since_ns += seconds * SECOND
         self.stcf_ns += seconds * self._adjust_ns
         return (self.met_ns(now) + self.stcf_ns) % (_LIMIT * SECOND)
 
     def command(self, function_code: int, payload: bytes, now: int) -> Event:
-        """Take a command that sets or adjusts the time; return what it says.
+        """Process a command that sets or adjusts the time; return its event.
 
         Args:
             function_code: one of ``facts.SETTING``.
-            payload: two words, little-endian; of leap seconds one, of 16 bits.
+            payload: two words, little-endian; for leap seconds one of 16 bits.
             now: ns.
         """
         first, second = (int.from_bytes(payload.ljust(8, b"\0")[at : at + 4], "little") for at in (0, 4))

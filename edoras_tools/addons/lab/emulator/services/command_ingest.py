@@ -1,8 +1,8 @@
 """Command Ingest (CI_LAB): how it processes the datagrams that wait in its socket.
 
-One receive buffer is used for all datagrams: a datagram shorter than the last one leaves the rest of it in
-the buffer, and a packet whose length field is larger than its datagram carries that rest. The flight code
-behaves in this way.
+One receive buffer is used for all datagrams. A datagram shorter than the previous one leaves the end of that
+one in the buffer, and a packet whose length field is larger than its datagram includes it. The flight code
+does the same.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Ingested(msgspec.Struct, frozen=True):
     """One datagram read.
 
     Attributes:
-        packet: for the software bus, or None.
+        packet: packet for the software bus, or None.
         event: the event to report, or None.
     """
 
@@ -42,7 +42,7 @@ class CommandIngest:
         ingest_packets: datagrams handed to the software bus.
         ingest_errors: datagrams too short to be a command.
         commands: accepted commands to CI itself. command_errors: refused commands to CI itself.
-        queue: what waits in the socket.
+        queue: datagrams that wait in the socket.
         socket_drops: datagrams that found the socket's queue full.
     """
 
@@ -60,13 +60,13 @@ class CommandIngest:
         return len(self.queue)
 
     def receive_datagram(self, data: bytes) -> bool:
-        """Put a datagram in the socket's queue until a wake-up reads it; tell whether there was room."""
+        """Put a datagram in the socket's queue until a wake-up reads it; return whether it fits."""
         has_room = self.queue.put(data) is QueueEnd.WAITING
         self.socket_drops += not has_room
         return has_room
 
     def read(self) -> Ingested | None:
-        """Read one datagram; None when there is none. A wake-up reads ``ci_datagrams_per_wake`` at most."""
+        """Read one datagram; None if there is none. A wake-up reads at most ``ci_datagrams_per_wake``."""
         data = self.queue.get()
         if data is None:
             return None
@@ -81,7 +81,7 @@ class CommandIngest:
                 event=Event.of(
                     facts.TOO_SHORT,
                     line=369,
-                    msg_id=bus_id(word, self.profile),  # it tells the two first words as they are
+                    msg_id=bus_id(word, self.profile),  # the event contains the first word unchanged
                     second=second,
                     length=len(data),
                 )
@@ -95,10 +95,10 @@ class CommandIngest:
         return Event.of(facts.NOT_SENT, line=359, status=status)
 
     def command(self, packet: bytes) -> Event | None:
-        """Take a command to CI itself; return what it says."""
+        """Process a command to CI itself; return its event."""
         function_code, size = function_code_of(packet), length_of(packet)
         if function_code > 1:
-            return None  # the flight code neither counts it nor says anything
+            return None  # the flight code neither counts nor reports it
         if size != cfe.COMMAND_HEADER_BYTES:
             self.command_errors += 1
             return Event.of(

@@ -1,4 +1,4 @@
-"""cFE Event Services: filters, squelch, and the event packets that carry what an application says."""
+"""cFE Event Services: filters, squelch, and the event packets that carry the texts of applications."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _LONGEST_TEXT: Final = 121  # char[122], the last one NUL
 
 
 class Event(msgspec.Struct, frozen=True):
-    """What an application reports.
+    """An event of an application.
 
     Attributes:
         app: name of the application.
-        event_id: its number for it.
+        event_id: number of the event.
         event_type: severity.
-        text: what it says, with names in braces where values go.
-        values: by name; ``msg_id`` as on the bus.
+        text: text, with names in braces for values.
+        values: values by name; ``msg_id`` as on the bus.
     """
 
     app: str
@@ -47,7 +47,7 @@ class Event(msgspec.Struct, frozen=True):
 
     @property
     def message(self) -> str:
-        """Its text with its values; what does not fit in 121 bytes is cut when it is sent."""
+        """Text with its values; when it is sent, it is cut to 121 bytes."""
         return self.text.format(**self.values) if self.values else self.text
 
     def __str__(self) -> str:
@@ -58,15 +58,15 @@ class Application(msgspec.Struct):
     """The state of one application in Event Services.
 
     Attributes:
-        name: of the application.
-        stop_after: event number to how many of it pass the filter; one that is not named always passes.
+        name: name of the application.
+        stop_after: event number to the events that pass the filter; a number that is absent always passes.
         tokens: thousandths of events that may still be sent.
-        credited_ns: when tokens were last added.
-        counts: event number to how many came since the filter was reset.
+        credited_ns: time when tokens were last added, ns.
+        counts: event number to the events since the filter was reset.
         sent: events that were sent.
         squelched: events that were not sent because there were no tokens.
         enabled: whether it may send events at all.
-        types: which it may send, a bit for each: debug 1, information 2, error 4, critical 8.
+        types: event types that it may send, one bit each: debug 1, information 2, error 4, critical 8.
     """
 
     name: str
@@ -84,10 +84,10 @@ class EventServices:
     """The events of one cFS instance.
 
     Attributes:
-        applications: those registered, in order.
+        applications: registered applications, in order.
         sent: events that were sent, of all applications.
-        commands: ground commands taken.
-        command_errors: ground commands refused.
+        commands: accepted ground commands.
+        command_errors: refused ground commands.
     """
 
     def __init__(self, profile: SimProfile) -> None:
@@ -101,20 +101,20 @@ class EventServices:
         """Register an application with its filters.
 
         Args:
-            name: of the application, 19 characters at most.
+            name: name of the application, at most 19 characters.
             now: ns.
-            stop_after: event number to how many of it pass.
+            stop_after: event number to the events that pass the filter.
         """
         self.applications[name] = Application(
             name, stop_after or {}, self.profile.event_burst * _COST, credited_ns=now
         )
 
     def unregister(self, name: str) -> None:
-        """Forget an application."""
+        """Remove an application."""
         self.applications.pop(name, None)
 
     def command(self, function_code: int, payload: bytes) -> list[Event]:
-        """Take a command about events; return what is said: nothing where it is none of those."""
+        """Process a command on events; return its events, none if it is another command."""
         answer = facts.DONE.get(function_code)
         if answer is None:
             return []
@@ -147,7 +147,7 @@ class EventServices:
             application.enabled = function_code == facts.ENABLE_APP
 
     def report(self, event: Event, *, now: int) -> list[Event]:
-        """Process an event; return what is sent: nothing, the event, or an event about the squelch."""
+        """Process an event; return the events to send: none, the event, or an event on the squelch."""
         application = self.applications.get(event.app)
         if application is None or not application.enabled:
             return []
@@ -170,13 +170,13 @@ class EventServices:
         return [event]
 
     def _spend(self, application: Application, now: int) -> bool:
-        """Credit the time that went by, then take the cost of one event; tell whether there was enough."""
+        """Add tokens for the elapsed time, then take the cost of one event; return whether they sufficed."""
         credit = (now - application.credited_ns) * self.profile.event_rate // MILLISECOND
         if credit > 0:
             application.tokens = min(application.tokens + credit, self.profile.event_burst * _COST)
             application.credited_ns = now
         enough = application.tokens >= _COST
-        # Below zero an application has to wait longer, by at most one second's tokens.
+        # A negative balance makes an application wait longer, by at most one second's tokens.
         application.tokens = max(application.tokens - _COST, -self.profile.event_rate * _COST)
         return enough
 

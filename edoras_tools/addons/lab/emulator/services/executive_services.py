@@ -1,12 +1,12 @@
-"""cFE Executive Services: which applications run, and how they end and begin again.
+"""cFE Executive Services: the applications that run, and how they end and start.
 
 Rules, as in the flight code:
 
-1. A command to stop or restart an application only notes it. The application sees it the next time that it
-   goes round its main loop, and then reads nothing any more; its pipes and its socket stay and fill.
-2. A scan follows the command at once. An application that has left its loop by then is cleaned up there; any
-   other one has several seconds to do so, and is cleaned up at their end in any case.
-3. Cleaning up closes pipes and sockets with what is in them. A restart then begins it under a new number.
+1. A command to stop or restart an application only records the request. The application sees it in the next
+   cycle of its main loop, and then stops reading; its pipes and its socket stay open and fill.
+2. A scan follows the command at once. An application that has left its loop by then is cleaned up; any other
+   one has several seconds to leave it, and is cleaned up after them in any case.
+3. Cleaning up closes pipes and sockets with their contents. A restart then starts it under a new number.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ _FIRST_ID: Final = 0x110001
 
 
 class LoadedApp(msgspec.Struct, eq=False):
-    """An application and what belongs to it.
+    """An application and its resources.
 
     Attributes:
-        name: as events and commands name it.
-        file: what it is loaded from.
-        begin: starts it: makes its pipes, its sockets and its tasks.
-        number: its AppID.
+        name: name in events and commands.
+        file: file that it is loaded from.
+        begin: function that starts it: creates its pipes, sockets and tasks.
+        number: AppID.
         runs: whether it is loaded.
-        request: the name of what is to be done with it, as events say it; empty for nothing.
+        request: name of the pending request, as in events; empty for none.
         has_left: whether it has left its main loop.
-        tasks: to be ended with it.
-        pipes: names of the pipes that it made when it began.
-        more_pipes: returns names of pipes that it made later.
+        tasks: tasks that end with it.
+        pipes: names of the pipes that it created at its start.
+        more_pipes: function that returns names of pipes that it created later.
         ports: UDP ports that it listens on.
     """
 
@@ -59,7 +59,7 @@ class LoadedApp(msgspec.Struct, eq=False):
 
 
 class Flight(Protocol):
-    """What Executive Services need of the cFS that they belong to."""
+    """The interface of the cFS for its Executive Services."""
 
     profile: SimProfile
     scheduler: Scheduler
@@ -78,7 +78,7 @@ class ExecutiveServices:
     """The applications of one cFS instance.
 
     Attributes:
-        applications: by name; those that were stopped too.
+        applications: applications by name, including stopped ones.
     """
 
     def __init__(self, cfs: Flight) -> None:
@@ -88,12 +88,12 @@ class ExecutiveServices:
         self._beginning: LoadedApp | None = None
 
     def load(self, name: str, file: str, begin: Callable[[], object]) -> None:
-        """Load an application and start it, now."""
+        """Load an application and start it now."""
         application = self.applications[name] = LoadedApp(name, file, begin)
         self._start(application)
 
     def run_loop(self, name: str) -> bool:
-        """Return whether an application goes on; its main loop asks each time it goes round."""
+        """Return whether an application continues; its main loop calls this in each cycle."""
         application = self.applications.get(name)
         if application is None:
             return True
@@ -108,7 +108,7 @@ class ExecutiveServices:
         port: int = 0,
         more_pipes: Callable[[], Iterable[str]] | None = None,
     ) -> None:
-        """Note what belongs to the application that begins just now, if any does."""
+        """Add resources to the application that is starting now, if there is one."""
         if self._beginning is not None:
             self._beginning.more_pipes = more_pipes or self._beginning.more_pipes
             self._beginning.tasks += [task] if task else []
@@ -116,7 +116,7 @@ class ExecutiveServices:
             self._beginning.ports += [port] if port else []
 
     def command(self, function_code: int, payload: bytes) -> bool:
-        """Take a command that starts, stops or restarts something; return whether it was accepted."""
+        """Process a command that starts, stops or restarts something; return whether it was accepted."""
         if function_code == facts.RESTART:
             kind = int.from_bytes(payload[:2], "little")
             if kind not in facts.RESTART_TYPES:
@@ -161,7 +161,7 @@ class ExecutiveServices:
             scheduler.call_at(scheduler.now + self._cfs.profile.app_kill_ns, self._end, application)
 
     def _end(self, application: LoadedApp) -> None:
-        if not application.runs:  # cFS was restarted meanwhile
+        if not application.runs:  # cFS was restarted in between
             return
         verb = application.request
         self._cfs.clean_up(application)

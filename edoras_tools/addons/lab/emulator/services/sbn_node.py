@@ -1,7 +1,7 @@
-"""The Software Bus Network application (SBN over UDP) as stock cFS runs it: peers, their pipes, events.
+"""The Software Bus Network application (SBN over UDP) like stock cFS: peers, their pipes, events.
 
-Each peer is an ``SbnConnection`` with the habits of stock SBN. Like Command Ingest, the application uses one
-receive buffer: a short datagram is read together with the rest of the last one.
+Each peer is an ``SbnConnection`` that behaves like stock SBN. Like Command Ingest, the application uses one
+receive buffer: a short datagram is read together with the end of the previous one.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.sbn.events import ConnectionEvent as SbnEvent
 
 NOT_REPORTED: Final = frozenset({cfe.EVENT_MSG_ID, facts.COMMAND_MSG_ID, facts.HOUSEKEEPING_MSG_ID})
-"""Subscriptions that are not sent to peers: SBN's own, and events, which its filter holds back."""
+"""Subscriptions that are not sent to peers: SBN's own, and events, which its filter blocks."""
 _BUFFER_BYTES: Final = 65536
 _HEARTBEATS: Final = 4
-"""How many the TCP module sends at each wake-up while nothing else is sent."""
+"""Heartbeats that the TCP module sends at each wake-up while nothing else is sent."""
 
 
 class PeerDatagram(msgspec.Struct, frozen=True):
@@ -54,12 +54,12 @@ class PeerDatagram(msgspec.Struct, frozen=True):
 
 
 class Actions(msgspec.Struct):
-    """What a call asks its caller to do, each list in order.
+    """Actions that a call requests from its caller, each list in order.
 
     Attributes:
         sends: datagrams to send.
         publish: packets for the software bus, from sender ``SBN``, not stamped.
-        events: to report.
+        events: events to report.
         failed: the receive task ends after this datagram; the next :meth:`SbnNode.service` starts it again.
     """
 
@@ -73,7 +73,7 @@ class Actions(msgspec.Struct):
         self.events.append(Event.of(event, **values))
 
     def fail(self, event: EventText, consequence: EventText, **values: object) -> None:
-        """Add an error and what follows from it; end the receive task."""
+        """Add an error and its consequence; end the receive task."""
         self.say(event, **values)
         self.say(consequence)
         self.failed = True
@@ -83,9 +83,9 @@ class PeerState(msgspec.Struct):
     """A peer as this side sees it.
 
     Attributes:
-        config: from the table.
-        connection: its SBN connection.
-        pipe: what waits to go to it; None while it is not connected.
+        config: entry of the table.
+        connection: SBN connection.
+        pipe: packets that wait for it; None while it is not connected.
     """
 
     config: SbnPeerConfig
@@ -94,24 +94,24 @@ class PeerState(msgspec.Struct):
 
     @property
     def connected(self) -> bool:
-        """Whether messages cross."""
+        """Whether messages are exchanged."""
         return self.connection.connected
 
 
 class StreamConnection(SbnConnection):
-    """A connection over TCP: no announcement and no end but the stream's, heartbeats by the dozen."""
+    """A connection over TCP: without announcements, ended by the stream only, several heartbeats at once."""
 
     _has_greeted = False
 
     def introduce(self, *, now: int) -> list[bytes]:
-        """Return what the side that connected sends first; the other side answers with the same."""
+        """Return the first messages of the side that connected; the other side answers with the same."""
         self._has_greeted = False
         first = self._greet(now)
         self._has_greeted = True
         return first
 
     def service(self, *, now: int) -> Step:
-        """Do what is due: heartbeats, which do not count as sending, so that they go on at every wake-up."""
+        """Send what is due: heartbeats, which do not count as sending, so that every wake-up sends them."""
         sent_ns = self._sent_ns
         step = super().service(now=now)
         self._sent_ns = sent_ns
@@ -128,7 +128,7 @@ class SbnNode:
     """One SBN application with all of its peers.
 
     Attributes:
-        peers: by (SpacecraftID, ProcessorID), their only identity.
+        peers: peers by (SpacecraftID, ProcessorID), their only identity.
         receiving: whether the receive task runs.
     """
 
@@ -157,7 +157,7 @@ class SbnNode:
         return [state.pipe.name for state in self.peers.values() if state.pipe is not None]
 
     def receive_datagram(self, data: bytes, *, now: int) -> Actions:
-        """Take one datagram, any bytes."""
+        """Process one datagram with any bytes."""
         actions = Actions()
         self._buffer[: len(data)] = data
         whole = bytes(self._buffer)
@@ -181,7 +181,7 @@ class SbnNode:
         return actions
 
     def opened(self, peer: Peer, *, now: int) -> Actions:
-        """Begin a TCP connection that this side made: its first messages are those of the handshake."""
+        """Begin a TCP connection that this side opened: its first messages are those of the handshake."""
         actions, state = Actions(), self.peers[peer]
         connection = state.connection
         if isinstance(connection, StreamConnection):
@@ -196,7 +196,7 @@ class SbnNode:
             self.receiving = True
             actions.say(facts.RECEIVE_TASK_STARTED)
         for msg_id in list(self._reportable(self._reported)):
-            # To every peer of the table, connected or not, one MsgId a datagram.
+            # One MsgId in each datagram, to every peer of the table, connected or not.
             for state in self.peers.values():
                 self._send(state, state.connection.subscribe(self._network_ids([msg_id]), now=now), actions)
         self._reported = len(self.bus.subscribed)
@@ -205,7 +205,7 @@ class SbnNode:
         return actions
 
     def unload(self) -> Actions:
-        """Leave every peer, as before a new table: one that is connected is told."""
+        """Leave every peer, as before a new table: a connected peer gets a message."""
         actions = Actions()
         for index, state in enumerate(self.peers.values()):
             self._part(state, actions)
@@ -217,7 +217,7 @@ class SbnNode:
         return actions
 
     def leave(self) -> Actions:
-        """Leave every peer that is connected, as SBN does when it ends."""
+        """Leave every connected peer, as SBN does when it ends."""
         actions = Actions()
         for state in self.peers.values():
             if state.connected:
@@ -248,7 +248,7 @@ class SbnNode:
         self.receiving = False
 
     def _happened(self, state: PeerState, event: SbnEvent, carried: int, actions: Actions) -> None:
-        """Do what follows from an event of a connection; ``carried``: bytes that came behind the header."""
+        """Process an event of a connection; ``carried``: number of bytes behind the header."""
         identity = state.config.peer
         match event:
             case Connected():

@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 
 
 HOP: Final = "software bus"
-"""Where what has no subscriber ends."""
+"""Hop of packets without a subscriber."""
 
 
 class Pipe(Fifo[bytes], eq=False):
-    """The packets that an application waits for.
+    """The packets that wait for an application.
 
     Attributes:
-        name: as events print it.
-        ignores: a sender whose packets it does not take (cFE's pipe option "ignore mine").
+        name: name in events.
+        ignores: sender whose packets it does not accept (cFE's pipe option "ignore mine").
     """
 
     name: str = ""
@@ -47,7 +47,7 @@ class Pipe(Fifo[bytes], eq=False):
 
 
 class Counters(msgspec.Struct):
-    """What the software bus counts, as in its housekeeping packet."""
+    """The counters of the software bus, as in its housekeeping packet."""
 
     commands: int = 0
     command_errors: int = 0
@@ -62,10 +62,10 @@ class Publication(msgspec.Struct, frozen=True):
     """The result for one packet.
 
     Attributes:
-        packet: as delivered, its sequence count stamped where it was asked for.
-        delivered: the pipes that accepted it.
-        events: what the bus has to say; no filter has seen them yet.
-        status: 0, or what the sender's call returns.
+        packet: packet as delivered, with its sequence count if it was to be stamped.
+        delivered: pipes that accepted it.
+        events: events of the bus, before any filter.
+        status: 0, or the return value of the sender's call.
     """
 
     packet: bytes
@@ -78,9 +78,9 @@ class SoftwareBus:
     """The routes between applications.
 
     Attributes:
-        counters: what it counts.
-        losses: packets that a pipe did not take, by MsgId and pipe.
-        pipes: by name.
+        counters: counters.
+        losses: packets that a pipe refused, by MsgId and pipe.
+        pipes: pipes by name.
         subscribed: MsgIds in the order of their first subscription, as reported to SBN.
     """
 
@@ -95,10 +95,10 @@ class SoftwareBus:
         self._sequence: dict[int, int] = {}
 
     def create_pipe(self, name: str, depth: int, *, ignores: str = "") -> Pipe:
-        """Make a pipe.
+        """Create a pipe.
 
         Raises:
-            ConfigError: there is one of that name, or it would hold nothing.
+            ConfigError: a pipe of that name exists, or its depth is 0.
         """
         if name in self.pipes or depth < 1:
             raise ConfigError(f"pipe {name}: depth {depth}; a pipe is made once and holds 1 packet or more")
@@ -116,11 +116,11 @@ class SoftwareBus:
         pipe.clear()
 
     def subscribe(self, pipe: Pipe, msg_id: int, limit: int | None = None, *, local: bool = False) -> None:
-        """Route a MsgId to a pipe; a second time is only counted.
+        """Route a MsgId to a pipe; a second subscription is only counted.
 
         Args:
-            limit: packets of it that may wait; the profile's ``app_msg_limit`` by default.
-            local: do not report it to SBN, whose own subscriptions on behalf of peers are such.
+            limit: number of its packets that may wait; the profile's ``app_msg_limit`` by default.
+            local: whether it is not reported to SBN, as SBN's own subscriptions on behalf of peers.
         """
         if msg_id in pipe.limits:
             self.counters.duplicate_subscriptions += 1
@@ -135,20 +135,20 @@ class SoftwareBus:
         self._routes[msg_id].insert(0, pipe)
 
     def unsubscribe(self, pipe: Pipe, msg_id: int) -> bool:
-        """Stop routing a MsgId to a pipe; tell whether it was. The route itself stays, as in cFE."""
+        """Stop routing a MsgId to a pipe; return whether it was routed. The route itself stays, as in cFE."""
         if pipe.limits.pop(msg_id, None) is None:
             return False
         self._routes[msg_id].remove(pipe)
         return True
 
     def publish(self, packet: bytes, sender: str, *, stamp: bool) -> Publication:
-        """Deliver a packet to every pipe that takes it.
+        """Deliver a packet to every pipe that accepts it.
 
         Args:
-            packet: at least a command header; what its length field says counts, not ``len``.
-            sender: as events name it, ``APP`` or ``APP.TASK``.
-            stamp: write the route's next sequence count, as a publisher does; an app that hands on a packet
-                from elsewhere does not.
+            packet: packet with at least a command header; its length field counts, not ``len``.
+            sender: name in events, ``APP`` or ``APP.TASK``.
+            stamp: write the route's next sequence count, as for a publisher; an app that forwards a packet
+                does not stamp it.
         """
         msg_id, size = msg_id_of(packet), length_of(packet)
         if not 0 < msg_id <= cfe.HIGHEST_MSG_ID:

@@ -1,10 +1,10 @@
-"""cFE Table Services: which loads of tables wait, from the command until their application takes them.
+"""cFE Table Services: loads of tables that wait, from the command until their application takes them.
 
 Rules, as in the flight code:
 
-1. A load fills a working buffer. It may be repeated, validated and aborted until it is activated.
+1. A load fills a working buffer. Until it is activated, it may be repeated, validated and aborted.
 2. An activated load waits until its application manages the table. Telemetry Output never does: its load
-   stays pending, and no other one is taken until it is aborted. SBN does when it is told.
+   stays pending, and no other load is accepted until it is aborted. SBN manages its table on command.
 3. A load ends with its application.
 """
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 class TableServices:
-    """The loads that wait; the contents of tables are those of the profile, whatever is loaded.
+    """The waiting loads. The contents of tables are those of the profile, whatever is loaded.
 
     Args:
-        executive: which applications run; their tables are registered.
+        executive: applications that run; their tables are registered.
     """
 
     def __init__(self, executive: ExecutiveServices) -> None:
@@ -31,7 +31,7 @@ class TableServices:
         self._loads: dict[str, tuple[int, bool]] = {}
 
     def command(self, function_code: int, payload: bytes) -> Event | None:
-        """Take a command of the right length; return what it says, None for an activation, which is silent.
+        """Process a command of the right length; return its event, None for an activation, which is silent.
 
         Args:
             function_code: one of ``facts.CODES``.
@@ -76,7 +76,7 @@ class TableServices:
         return application.number if owns and application else 0
 
     def _waiting(self, table: str) -> tuple[bool, bool]:
-        """Return whether a table has a load, and whether that one is activated."""
+        """Return whether a table has a load, and whether the load is activated."""
         number, pending = self._loads.get(table, (0, False))
         waits = bool(number) and number == self._owner(table)
         return waits, waits and pending

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """What a command led to.
+    """The results of a command.
 
     Attributes:
-        events: what TO says, and the software bus before it.
-        publish: MsgId and payload of a packet that the command asks for, or None.
+        events: events of the software bus, then of TO.
+        publish: MsgId and payload of a packet that the command requests, or None.
     """
 
     events: tuple[Event, ...] = ()
@@ -38,10 +38,10 @@ class TelemetryOutput:
     """The table, the destination and the counters of Telemetry Output.
 
     Attributes:
-        pipe: what waits for the next round.
+        pipe: packets that wait for the next round.
         destination: IPv4 address that telemetry goes to; None before the first enable.
-        commands: commands taken.
-        command_errors: and refused.
+        commands: accepted commands.
+        command_errors: refused commands.
     """
 
     def __init__(self, profile: SimProfile, bus: SoftwareBus) -> None:
@@ -59,10 +59,10 @@ class TelemetryOutput:
             self.bus.subscribe(self.pipe, msg_id, limit)
 
     def forward(self) -> tuple[bool, bytes | None]:
-        """Take one packet from the pipe.
+        """Remove one packet from the pipe.
 
         Returns:
-            whether there was one, and the datagram for the ground; None while output is not enabled.
+            Whether there was one, and the datagram for the ground; None while output is not enabled.
         """
         packet = self.pipe.get()
         if packet is None:
@@ -70,7 +70,7 @@ class TelemetryOutput:
         return True, whole_packet(packet) if self.destination else None
 
     def command(self, packet: bytes) -> Answer:
-        """Take a command. Like the flight code it trusts the payload's length."""
+        """Process a command. Like the flight code, it trusts the payload's length."""
         function_code = function_code_of(packet)
         payload = packet[cfe.COMMAND_HEADER_BYTES :].ljust(16, b"\0")
         if function_code > facts.ENABLE:
@@ -98,7 +98,7 @@ class TelemetryOutput:
         try:
             self.destination = str(IPv4Address(text))
         except AddressValueError:
-            # An address that cannot be read leaves 0.0.0.0, which the host takes for itself.
+            # An address that cannot be read becomes 0.0.0.0, which the host takes for itself.
             self.destination = self.profile.address
         return _says(facts.ENABLED, address=text)
 
@@ -122,7 +122,7 @@ class TelemetryOutput:
         removed = Event.of(facts.REMOVED, line=497, msg_id=msg_id)
         if self.bus.unsubscribe(self.pipe, msg_id):
             return Answer((removed,))
-        # cFE calls it a success, and TO believes it.
+        # cFE returns success, and TO relies on it.
         return Answer((self._bus_says(software_bus.NOTHING_TO_UNSUBSCRIBE, msg_id), removed))
 
     def _msg_id(self, payload: bytes) -> int:
