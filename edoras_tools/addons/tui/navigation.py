@@ -70,7 +70,7 @@ def _constant(value: Any, text: str) -> str:
 
 
 class Navigation(Panes):
-    """The panes, with search, go to packet, marks, filters for what is selected, copies, and save."""
+    """The panes, with search, go to packet, marks, filters for the selection, copies, and save."""
 
     BINDINGS: ClassVar[list[Any]] = [
         Binding("n", "again(False)", "Next found", show=False),
@@ -106,7 +106,7 @@ class Navigation(Panes):
         self.prompt.ask("number", "Go to packet", "its number")
 
     def action_columns(self) -> None:
-        """Ask for the columns of the list; a field that is selected among the layers is added."""
+        """Ask for the columns of the list; the field selected among the layers is added."""
         selected = self._selected_filter() if self.layers.has_focus else ""
         names = [*self.packets.columns, *selected.split()[:1]]
         self.prompt.ask(
@@ -159,7 +159,7 @@ class Navigation(Panes):
             self.packets.go(row, centre=True)
 
     def action_again(self, back: bool) -> None:
-        """Go to the next packet found, or the previous one."""
+        """Go to the next packet that the search matches, or the previous one."""
         if not self._searched:
             self.action_search()
             return
@@ -213,21 +213,21 @@ class Navigation(Panes):
 
     @property
     def _at_cursor(self) -> int:
-        """The number of the packet under the cursor; 0 if there is none."""
+        """Number of the packet under the cursor; 0 if there is none."""
         if not len(self.store):
             return 0
         block, index = self.store.locate(self.packets.cursor)
         return int(block.batch.number[index])
 
     def _later(self, call: Callable[..., object], *arguments: Any) -> None:
-        """Call something in the thread that draws, from another one; do nothing once the app has ended."""
+        """Call a function in the drawing thread, from another thread; do nothing after the end of the app."""
         with suppress(RuntimeError):
             self.call_later(call, *arguments)
 
-    # What is selected: a field, or a line that leads to packets
+    # The selection: a field, or a line that leads to packets
 
     def _selected_filter(self) -> str:
-        """Return the filter for what is selected; empty if it is no value."""
+        """Return the filter for the selection; empty if it has no value."""
         if self.focused is self.routes:
             return self.routes.filter
         if isinstance(self.focused, Drawing):
@@ -243,10 +243,10 @@ class Navigation(Panes):
         self._filter_for(f"number in {{{', '.join(map(str, sorted(self.packets.marks)))}}}")
 
     def action_filter_selected(self, joined: str) -> None:
-        """Write a filter for what is selected, joined to the one that is there; Enter applies it.
+        """Write a filter for the selection, joined to the present text; Enter applies it.
 
         Args:
-            joined: ``and ``, ``or ``, ``and not ``; empty: instead of what is there.
+            joined: ``and ``, ``or ``, ``and not ``; empty: replace the present text.
         """
         text = self._selected_filter()
         if not text:
@@ -262,7 +262,7 @@ class Navigation(Panes):
         self.packets.focus()
 
     def action_conversation(self) -> None:
-        """Filter for what the two ends of the packet under the cursor say to each other."""
+        """Filter for the packets between the two ends of the packet under the cursor."""
         if self.decoded is None:
             return
         both = self.decoded.datagram.source, self.decoded.datagram.destination
@@ -270,7 +270,7 @@ class Navigation(Panes):
         self._filter_for(f"source in {{{ends}}} and destination in {{{ends}}}")
 
     def action_reference(self) -> None:
-        """Count the times from the packet under the cursor on; again: no longer."""
+        """Set the packet under the cursor as zero of the times; again: remove it."""
         number = self._at_cursor
         if not number:
             return
@@ -280,7 +280,7 @@ class Navigation(Panes):
         self._notice(f"times count from packet {number:,} on" * (number in self.packets.references))
 
     def action_copy(self) -> None:
-        """Ask which text of what is selected to copy to the terminal's clipboard."""
+        """Ask which text of the selection to copy to the terminal's clipboard."""
         texts = {key: item for key, item in self._copies().items() if item[1]}
         rows = [(key, f"{name:<7} {clip(clean(text), 56)}") for key, (name, text) in texts.items()]
         if texts:
@@ -306,10 +306,10 @@ class Navigation(Panes):
 
 
 def joined_filter(before: str, joined: str, text: str) -> str:
-    """Return two filters as one.
+    """Return two filters joined to one.
 
     Args:
-        joined: ``and ``, ``or `` or ``and not ``, what is between them.
+        joined: ``and ``, ``or `` or ``and not ``.
     """
     if " or " in text:
         text = f"({text})"
@@ -323,11 +323,11 @@ def joined_filter(before: str, joined: str, text: str) -> str:
 def save_packets(
     parts: Sequence[Part], path: Path, info: SourceInfo, bench: Workbench, selection: str
 ) -> int:
-    """Write packets to a new file; return how many.
+    """Write packets to a new file; return their number.
 
     Args:
-        parts: what ``Store.parts`` returned.
-        path: the file; its suffix sets the format.
+        parts: result of ``Store.parts``.
+        path: path of the file; its suffix sets the format.
         selection: the filter that the packets passed; a recording stores it.
 
     Raises:

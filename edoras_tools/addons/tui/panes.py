@@ -88,7 +88,7 @@ KEYS: Final = (
         ("q ^c", "quit"),
     ),
 )
-"""Groups of keys: a title, then each key with what it does."""
+"""Groups of keys: a title, then each key with its action."""
 VIEWS: Final = {
     "room": ("Control room", "Enter shows the packets · Esc back"),
     "routes": ("Routes", "Enter filters · o O sort · Esc back"),
@@ -105,25 +105,25 @@ VIEWS: Final = {
 LIMIT: Final = 1 << 30
 """Bytes of packets and columns to keep: about four million packets."""
 _WIDE_FROM: Final = WIDE + 50
-"""From this width on, the hex pane shows 16 bytes per line."""
+"""Width from which the hex pane shows 16 bytes per line."""
 _SHARES: Final = (1, 9)
 _EVERY_S: Final = 0.5
 """Time between two updates of rates and drops."""
 _SAID_S: Final = 6.0
-"""How long a notice is shown."""
+"""Time that a notice is shown, s."""
 
 
 class ViewOptions(msgspec.Struct, frozen=True):
-    """What to show, and how.
+    """Settings of the view.
 
     Attributes:
-        selection: which packets to read; its filter is the first filter of the view.
-        settings: for Wireshark's dissector.
+        selection: selection of packets to read; its filter is the first filter of the view.
+        settings: settings for Wireshark's dissector.
         time_format: format of the time column.
-        follow: stay at the end when packets arrive.
-        limits: which part of the source is read.
-        verbose: show notes in the list too, not only warnings and errors.
-        limit: maximum bytes of packets to keep.
+        follow: whether to stay at the end when packets arrive.
+        limits: part of the source that is read.
+        verbose: whether to show notes in the list, besides warnings and errors.
+        limit: maximum size of the kept packets, bytes.
     """
 
     selection: Selection
@@ -140,24 +140,24 @@ class Panes(App[None]):
 
     Attributes:
         live: whether packets arrive live.
-        store: the packets.
+        store: packets.
         ledger: counts by route.
         reading: whether more packets may come.
-        decoded: the packet that is shown; None if there is none.
-        filter_line: the filter.
-        packets: the packet list.
-        layers: the tree.
-        hex_pane: the bytes.
-        routes: the routes and their rates.
-        sequence: the conversation.
-        rates: the graph of rates.
-        graph: the graph of a field.
-        trace: the way of one message.
-        room: the control room.
+        decoded: packet that is shown; None if there is none.
+        filter_line: filter.
+        packets: packet list.
+        layers: tree.
+        hex_pane: bytes.
+        routes: routes and their rates.
+        sequence: conversation.
+        rates: graph of rates.
+        graph: graph of a field.
+        trace: way of one message.
+        room: control room.
         findings: the findings.
         sums: the sums.
-        zoomed: id of the pane that is shown alone; empty if all are.
-        prompt: asks for a search text or a packet number.
+        zoomed: id of the pane that is shown alone; empty if all are shown.
+        prompt: line that asks for a search text or a packet number.
     """
 
     CSS = themes.CSS
@@ -224,12 +224,12 @@ class Panes(App[None]):
         yield Footer(show_command_palette=False, compact=True)
 
     def on_mount(self) -> None:
-        """Register both themes and choose that of the terminal, as far as it tells; else the dark one."""
+        """Register both themes and choose that of the terminal, if it is known; else the dark one."""
         for theme in (themes.DARK, themes.LIGHT):
             self.register_theme(theme)
         palette.SHADES.clear()  # the themes have sixteen colours of their own
         palette.escapes.cache_clear()
-        # Quietly: the theme, which comes next, has the style sheet read again for all three.
+        # Without an event: the theme, which is set next, reloads the style sheet for all three.
         self.set_reactive(App.ansi_theme_dark, themes.DARK_SIXTEEN)
         self.set_reactive(App.ansi_theme_light, themes.LIGHT_SIXTEEN)
         self.theme = themes.of_terminal(os.environ.get("COLORFGBG", "")).name
@@ -290,11 +290,11 @@ class Panes(App[None]):
 
     @property
     def _view(self) -> str:
-        """Name of what the lower half shows: one of ``VIEWS``, or ``packet``."""
+        """Name of the view in the lower half: one of ``VIEWS``, or ``packet``."""
         return str(self._lower.current).removesuffix("-view")
 
     def _notice(self, text: str, severity: Level = Level.NOTE) -> None:
-        """Show a notice for a while, or until a field is selected."""
+        """Show a notice for some time, or until a field is selected."""
         self._said = (text, severity)
         self._said_until = time.monotonic() + _SAID_S
         self._refresh_status()

@@ -34,15 +34,15 @@ _LAST_VALUE: Final = re.compile(
 )
 _KEYWORDS: Final = ("and", "or", "not", "in", "contains", "matches", "any", "all", "len")
 _OFFERED: Final = 6
-"""Completions that are shown at a time."""
+"""Number of completions shown at once."""
 
 
 class Completions(Static):
-    """What the last word of a filter can become: names of fields, or the values of a field; one is chosen.
+    """Completions for the last word of a filter: names of fields, or values of a field; one is chosen.
 
     Attributes:
-        words: what the last word can become; empty while nothing is offered.
-        chosen: place of the one that Tab accepts.
+        words: completions; empty if there are none.
+        chosen: index of the completion that Tab accepts.
     """
 
     def __init__(self, context: Context) -> None:
@@ -55,31 +55,31 @@ class Completions(Static):
         self.chosen = 0
 
     def offer(self, value: str) -> None:
-        """Offer what the last word of a filter can become."""
+        """Show completions for the last word of a filter."""
         self._start, words = self._find(value)
         typed = value[self._start :].lower()
         self.words = [word for word in words if word.lower().startswith(typed)]
         if typed in map(str.lower, self.words):
-            self.words = []  # it is complete
+            self.words = []  # the word is complete
         self.chosen = 0
         self._draw()
 
     def move(self, by: int) -> None:
-        """Choose another one."""
+        """Choose another completion."""
         self.chosen = (self.chosen + by) % len(self.words)
         self._draw()
 
     def accept(self, value: str) -> str:
-        """Return the filter with the chosen one as its last word."""
+        """Return the filter with the chosen completion as its last word."""
         return value[: self._start] + self.words[self.chosen]
 
     def hide(self) -> None:
-        """Offer nothing."""
+        """Show no completions."""
         self.words = []
         self._draw()
 
     def _find(self, value: str) -> tuple[int, Sequence[str]]:
-        """Return where the last word begins, and all words that could stand there."""
+        """Return the begin of the last word, and all words that could replace it."""
         if self._names is None:
             self._names = Names(self._decoding)
             self._fields = sorted(set(self._names.all()), key=lambda name: (name.count("."), len(name), name))
@@ -108,17 +108,17 @@ class Completions(Static):
 
 
 class FilterLine(Vertical):
-    """The filter, the error in it, and how many packets pass.
+    """The filter, its error, and the number of packets that pass.
 
     Posts ``Applied`` with a valid filter; None lets all packets pass.
 
     Attributes:
-        applied: the filter that the list shows.
-        history: filters that were written, the latest last.
-        input: the text field.
-        count: how many packets pass.
-        completions: what the last word can become.
-        wrong: the caret and the error.
+        applied: filter that the list shows.
+        history: filters that were entered, the latest last.
+        input: text field.
+        count: number of packets that pass.
+        completions: completions of the last word.
+        wrong: caret and error.
     """
 
     class Applied(Message):
@@ -146,7 +146,7 @@ class FilterLine(Vertical):
         self.wrong = Static(id="filter-wrong")
 
     def compose(self) -> ComposeResult:
-        """Lay out the line, and a place for the error."""
+        """Lay out the line, and space for the error."""
         with Horizontal():
             yield Static("Filter ", id="filter-label")
             yield self.input
@@ -155,12 +155,12 @@ class FilterLine(Vertical):
         yield self.wrong
 
     def show_count(self, text: str) -> None:
-        """Show how many packets pass; or that another filter was written, which is not applied."""
+        """Show the number of packets that pass, or that the text is not the applied filter."""
         pending = self.input.value.strip() != self.applied.strip()
         self.count.update("Enter applies" if pending else text)
 
     def restore(self) -> None:
-        """Show the filter that is applied; what was written instead goes to the history."""
+        """Show the applied filter; a text that was not applied goes to the history."""
         self._keep(self.input.value)
         self.input.value = self.applied
         self._show(None)
@@ -208,7 +208,7 @@ class FilterLine(Vertical):
             self.completions.offer(event.value)
 
     def on_descendant_blur(self) -> None:
-        """Offer nothing any more."""
+        """Hide the completions."""
         self.completions.hide()
 
     def _show(self, error: WhereError | None) -> None:
@@ -223,7 +223,7 @@ class FilterLine(Vertical):
         style = Level.ERROR.style
         error_lines = [Text(line) for line in wrap(clean(error.why), max(20, self.region.width - before))]
         lines = [Text(" " * max(before, place) + marks, style)]
-        # The message stands after the caret if there is space, as in compilers, else below it.
+        # The message stands after the caret if it fits, as in compilers, else below it.
         if len(error_lines) == 1 and place + len(marks) + 1 + error_lines[0].cell_len <= self.region.width:
             lines[0].append_text(Text(" ")).append_text(Text(error_lines[0].plain, "not bold"))
         else:
@@ -239,7 +239,7 @@ class Prompt(Horizontal):
     Posts ``Given`` with the kind of question and the answer.
 
     Attributes:
-        input: the text field.
+        input: text field.
     """
 
     class Given(Message):
@@ -275,7 +275,7 @@ class Prompt(Horizontal):
         self._label.update(f"{label} ")
         self.input.placeholder = placeholder
         self.input.value = value
-        self.input.select_on_focus = kind != "columns"  # a list is added to, a word is replaced
+        self.input.select_on_focus = kind != "columns"  # the user extends a list, but replaces a word
         self.input.cursor_position = len(value)
         self.input.focus()
 
@@ -290,9 +290,9 @@ class Sheet(ModalScreen[str]):
     """A table of keys over the view; Escape, q, ? or Enter close it, and so does a key that has an answer.
 
     Args:
-        title: of the table.
-        rows: keys, and what they do; a heading has no keys.
-        answers: what is returned, by key.
+        title: title of the table.
+        rows: keys with their actions; a heading has no keys.
+        answers: results by key.
     """
 
     BINDINGS: ClassVar[list[Any]] = [
@@ -328,8 +328,8 @@ class _Line(Input):
     Down behind the latest text, and Escape, leave the line.
 
     Args:
-        completions: what is offered; None for nothing.
-        options: of ``Input``.
+        completions: completions; None for none.
+        options: arguments of ``Input``.
 
     Attributes:
         history: earlier texts, the latest last.
@@ -351,7 +351,7 @@ class _Line(Input):
         self._back, self._draft = 0, ""
 
     def on_focus(self) -> None:
-        """Begin at the latest of the earlier texts again."""
+        """Start at the latest of the earlier texts again."""
         self._back = 0
 
     @property
@@ -381,7 +381,7 @@ class _Line(Input):
             self.cursor_position = len(self.value)
 
     def action_leave(self) -> None:
-        """Offer nothing any more; if nothing is offered, go back to the list."""
+        """Hide the completions; if none are shown, go back to the list."""
         if self._offered:
             self._offered.hide()
         else:

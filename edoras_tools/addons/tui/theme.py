@@ -48,10 +48,10 @@ LIGHT: Final = Theme(
 
 
 def of_terminal(colours: str) -> Theme:
-    """Return the theme that goes with a terminal.
+    """Return the theme that matches a terminal.
 
     Args:
-        colours: of its text and its ground, the numbers of two of the sixteen, as in ``COLORFGBG``, which
+        colours: numbers of its text and background colours among the sixteen, as in ``COLORFGBG``, which
             rxvt, Konsole and others set: ``0;15``, ``15;default;0``.
     """
     return LIGHT if colours.rpartition(";")[2] in _LIGHT_GROUNDS else DARK

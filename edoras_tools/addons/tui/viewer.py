@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 
 def open_in_wireshark(parts: Sequence[Part], row: int, settings: Settings) -> subprocess.Popen[bytes]:
-    """Open Wireshark on packets, which ``Store.parts`` returned; see ``addons.wireshark.program``."""
+    """Open Wireshark on packets from ``Store.parts``; see ``addons.wireshark.program``."""
     batches = (
         block.batch if isinstance(rows, range) else block.batch.take(np.asarray(rows))
         for block, _, rows in parts
@@ -61,13 +61,13 @@ def open_in_wireshark(parts: Sequence[Part], row: int, settings: Settings) -> su
 
 __all__ = ["ViewOptions", "Viewer"]
 _BUILT: Final = {"rates", "graph", "sequence"}
-"""Views that a thread works out from the packets of the list."""
+"""Views that a thread computes from the packets of the list."""
 
 
 class TerminalOutput:
-    """Drops what is written to a terminal that was closed.
+    """Terminal output that drops text after the terminal was closed.
 
-    The thread of textual that writes would end with an error, and the view wait for it for ever.
+    Textual's writing thread would end with an error, and the view would wait for it for ever.
     """
 
     def __init__(self, file: Any) -> None:
@@ -75,18 +75,18 @@ class TerminalOutput:
         self._file = file
 
     def write(self, text: str) -> None:
-        """Write as far as anything takes it."""
+        """Write the text, if the terminal accepts it."""
         with suppress(OSError):
             self._file.write(text)
 
     def flush(self) -> None:
-        """Hand on what is buffered, likewise."""
+        """Flush the text, if the terminal accepts it."""
         with suppress(OSError):
             self._file.flush()
 
 
 def _outliving(driver: type[Driver]) -> type[Driver]:
-    """Return a driver of textual whose output outlives its terminal."""
+    """Return a textual driver whose output survives the end of its terminal."""
 
     class Outliving(driver):  # type: ignore[valid-type,misc]
         _file: Any
@@ -102,10 +102,10 @@ class Viewer(Navigation):
     """``edoras sniff --tui``.
 
     Args:
-        source: where packets come from; closed at the end.
+        source: source of the packets; closed at the end.
 
     Attributes:
-        failure: why reading ended early; empty if it did not.
+        failure: error that ended reading early; empty if there was none.
     """
 
     BINDINGS: ClassVar[list[Any]] = [
@@ -155,7 +155,7 @@ class Viewer(Navigation):
         )
 
     def get_driver_class(self) -> type[Driver]:
-        """Return the terminal's driver, which ends also where the terminal was closed."""
+        """Return the terminal's driver, which also ends if the terminal was closed."""
         return _outliving(super().get_driver_class())
 
     def on_mount(self) -> None:
@@ -181,7 +181,7 @@ class Viewer(Navigation):
             # Wireshark may still run: with a return code, Popen does not warn about that.
             process.returncode = process.poll() or 0
 
-    # What the threads call
+    # Called by the threads
 
     def _take(self, block: PacketBlock) -> None:
         first = not self.store.packets
@@ -231,7 +231,7 @@ class Viewer(Navigation):
     # The order of the list
 
     def action_sort(self, reverse: bool = False) -> None:
-        """Sort by the next column, after the last in the capture's order; or the other way round."""
+        """Sort by the next column, after the last one in the capture's order; or reverse the order."""
         packets = self.packets
         if not reverse:
             names = ["", *packets.columns]
@@ -263,7 +263,7 @@ class Viewer(Navigation):
         self._more_rows(0)
 
     def _sort_again(self) -> None:
-        """Sort once what came after the last time is an eighth, or is all."""
+        """Sort again once unsorted packets exceed an eighth of the sorted ones; at the end, if there are any."""
         sorted_rows = 0 if self.store.order is None else len(self.store.order)
         late = len(self.store) - sorted_rows
         if self.packets.sorted_by and late > (
@@ -383,7 +383,7 @@ class Viewer(Navigation):
             self._notice("select a field with a value first")
 
     def _begin_watch(self) -> bool:
-        """Begin to judge all packets that are kept, unless that has begun; return whether it has."""
+        """Begin to judge all kept packets, unless that has begun; return whether it has."""
         source = self._source
         if self._watch is None:
             try:
@@ -409,7 +409,7 @@ class Viewer(Navigation):
             self.packets.go(row, centre=True)
 
     def _update_lower(self) -> None:
-        """Make what the lower half shows of the packets of the list anew."""
+        """Rebuild the view of the lower half from the packets of the list."""
         listed = self.routes.ledger
         if self._view == "room":
             self._show_room()
@@ -439,7 +439,7 @@ class Viewer(Navigation):
 
     @work(thread=True, exclusive=True, group="view")
     def _build(self, view: str, every: bool) -> None:
-        """Work out what a view shows, and show it."""
+        """Compute a view, and show it."""
         worker, parts, begin_ns = get_current_worker(), self.store.parts(), self.store.begin_ns or 0
         given_up = lambda: worker.is_cancelled  # noqa: E731
         result: Any = None
@@ -491,7 +491,7 @@ class Viewer(Navigation):
         self.trace.show(None if isinstance(ladder, str) else ladder)
 
     def action_wireshark(self) -> None:
-        """Open what the list shows in Wireshark."""
+        """Open the packets of the list in Wireshark."""
         if not len(self.store):
             self._notice("there is no packet to open in Wireshark yet")
             return

@@ -68,14 +68,14 @@ class FilterThread(threading.Thread):
 
 
 class WatchThread(threading.Thread):
-    """Hands blocks to the monitor of a link, in the order in which they are put.
+    """Passes blocks to the monitor of a link, in the order in which they are put.
 
     Args:
-        monitor: what ``doors.part("monitor")`` returned.
-        blocks: those that are there already.
+        monitor: result of ``doors.part("monitor")``.
+        blocks: blocks that exist already.
 
     Attributes:
-        state: returns the state of the link so far.
+        state: function that returns the state of the link so far.
     """
 
     def __init__(self, monitor: Any, blocks: Iterable[PacketBlock]) -> None:
@@ -96,7 +96,7 @@ class WatchThread(threading.Thread):
         self._blocks.put(None)
 
     def run(self) -> None:
-        """Hand blocks on until stopped."""
+        """Pass blocks on until stopped."""
         while (block := self._blocks.get()) is not None and not self._stopping.is_set():
             self._monitor.add(block.batch, block.columns)
         self._monitor.finish()
@@ -109,7 +109,7 @@ class Feed(threading.Thread):
 
     Args:
         source: closed by the thread when it ends.
-        selection: which packets to read; its filter is ignored, because the view filters.
+        selection: selection of packets to read; its filter is ignored, because the view filters.
         deliver: called with each block, in this thread.
         ended: called once, with a message if there is something to report, and whether reading failed.
         size: bytes to keep; 0 for all. Not for live sources: there the view drops its oldest packets instead.

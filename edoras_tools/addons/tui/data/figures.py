@@ -23,27 +23,27 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
 
 _MOST_LINES: Final = 6
-"""As many as a terminal has colours for."""
+"""Most lines: one for each colour of a terminal."""
 _MSG_ID_BITS: Final = 17
 _APART_S: Final = 0.1
-"""Packets of one round of Telemetry Output are closer to each other than this."""
+"""Least time between two rounds of Telemetry Output, s; packets of one round are closer."""
 _MOST_OF_ROUND: Final = 0.25
-"""Share of a round that its packets take at most; else they do not come in rounds."""
+"""Largest share of a round that its packets take; else they do not come in rounds."""
 
 
 def rate_figure(
     parts: Sequence[Part], context: Context, begin_ns: int, given_up: Callable[[], bool], bars: int
 ) -> Figure | None:
-    """Return the rates of packets; None if there is none, or it was given up.
+    """Return the rates of packets; None if there are no packets, or the work was given up.
 
-    What Telemetry Output sends comes in rounds; it counts as evenly spread over the time since the round
-    before, as its rate is meant.
+    Telemetry Output sends in rounds. Its packets count as spread evenly over the time since the previous
+    round, so that the rate is that of publishing.
 
     Args:
-        parts: what ``Store.parts`` returned.
-        begin_ns: the time that seconds count from, ns since 1970.
-        given_up: asked between blocks.
-        bars: means that there is room for.
+        parts: result of ``Store.parts``.
+        begin_ns: zero of the seconds, ns since 1970.
+        given_up: called between blocks; true ends the work.
+        bars: number of means that fit.
     """
     pieces: list[tuple[NDArray[np.float64], NDArray[np.int64]]] = []
     for block, _, selection in parts:
@@ -77,7 +77,7 @@ def rate_figure(
 
 
 def _round_before(seconds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return when the round before that of each packet began; its own time where there are no rounds."""
+    """Return the begin of the previous round for each packet; its own time if there are no rounds."""
     order = np.argsort(seconds, kind="stable")
     times = seconds[order]
     place = np.cumsum(np.diff(times, prepend=times[:1]) > _APART_S)
@@ -101,12 +101,12 @@ def field_figure(
 
     Args:
         parts: see ``rate_figure``.
-        name: of the field.
+        name: name of the field.
         begin_ns: see ``rate_figure``.
         given_up: see ``rate_figure``.
 
     Raises:
-        WhereError: the name is none of a field.
+        WhereError: there is no field of that name.
     """
     ((_, several),) = fields(name, context, "graph")
     values: dict[int, list[NDArray[np.float64]]] = {}
@@ -142,7 +142,7 @@ def field_figure(
 
 
 def _keys(columns: Columns) -> NDArray[np.int64]:
-    """Return a number for spacecraft, link and MsgId of each row; see ``_name``."""
+    """Return one number for spacecraft, link and MsgId of each row, i64; see ``_name``."""
     code = columns.spacecraft.astype(np.int64) << 8 | columns.link
     return code << _MSG_ID_BITS | (columns.msg_id.astype(np.int64) + 1)
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
 
     Matcher = Callable[[PacketBlock], NDArray[np.bool_]]
-    """A block to a mask of the packets that match."""
+    """Function from a block to a mask of the packets that match."""
 
 _HEX: Final = re.compile(r"0x((?:[0-9a-fA-F]{2}[ :]?)+)")
 _LOWER: Final = np.array([ord(chr(code).lower()) if code < 128 else code for code in range(256)], np.uint8)
@@ -65,7 +65,7 @@ def next_number(
     """Return the number of the next packet that matches, continuing at the other end; None if none does.
 
     Args:
-        parts: what ``Store.parts`` returned.
+        parts: result of ``Store.parts``.
         matches: the test.
         after: the row to start after; it is tested last.
         given_up: called between blocks; the search ends when it returns true.
@@ -74,7 +74,7 @@ def next_number(
         (place for place, (_, first, selection) in enumerate(parts) if first + len(selection) > after), 0
     )
     step = -1 if back else 1
-    # The block that the search starts in is tested twice: first the rows ahead, at the end the others.
+    # The block in which the search starts is tested twice: first the rows ahead, at the end the others.
     for turn in range(len(parts) + 1 if parts else 0):
         if given_up():
             return None

@@ -26,7 +26,7 @@ _FIELDS: Final = {
     "packet": "link,sbn.msg_type",
     "bytes": "length",
 }
-"""What the list's own columns are sorted by, where the field has another name."""
+"""Field of a list's column, if its name differs from the column's."""
 
 
 def sort_order(
@@ -37,13 +37,13 @@ def sort_order(
     reverse: bool,
     given_up: Callable[[], bool] = lambda: False,
 ) -> NDArray[np.int64] | None:
-    """Return the rows of a list by the values of a column; those without one are last, equal ones as before.
+    """Return the rows of a list sorted by a column; rows without a value are last; the sort is stable.
 
     Args:
-        parts: what ``Store.parts`` returned.
+        parts: result of ``Store.parts``.
         column: one of the list's columns, or any field.
-        reverse: the greatest first.
-        given_up: asked between blocks; the result is None when it returns true.
+        reverse: whether the largest comes first.
+        given_up: called between blocks; the result is None if it returns true.
     """
     fields_of = [
         several_fields for _, several_fields in fields(_FIELDS.get(column, column), context, "column")
@@ -67,7 +67,7 @@ def _values(rows: ColumnRows, several: Sequence[FilterField]) -> tuple[NDArray[A
     """Return the first value of each row, numbers or texts, and which rows have one.
 
     Args:
-        several: fields that share a name; a row has the value of the last that it has.
+        several: fields that share a name; a row has the value of the last field that it has.
     """
     out, present = np.zeros(len(rows)), np.zeros(len(rows), bool)
     for field in several:
@@ -89,7 +89,7 @@ def _values(rows: ColumnRows, several: Sequence[FilterField]) -> tuple[NDArray[A
 
 
 def _names(rows: ColumnRows, _: Sequence[FilterField]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Return what the list shows as topic: that of the route, else the name of the MsgId."""
+    """Return the text in the list's column of topics: topic of the route, else name of the MsgId."""
     columns = rows.routes(), rows.column("msg_id"), rows.column("spacecraft")
     first, which = numbered(*columns)
     kinds = zip(*(column[first].tolist() for column in columns), strict=True)

@@ -1,4 +1,4 @@
-"""The packets of the list: blocks of columns, and which of their rows pass the filter.
+"""The packets of the list: blocks of columns, with the rows that pass the filter.
 
 Only the thread that draws uses a store. A filter's result for a block is shown once all blocks before it have
 a result, so that the list grows from its top while the filter runs.
@@ -32,9 +32,9 @@ class PacketBlock(msgspec.Struct, eq=False):
 
     Attributes:
         batch: the datagrams.
-        columns: what was decoded from them.
+        columns: decoded columns.
         selection: rows that pass the filter; None if it has not run yet.
-        begin_ns: time of the capture's first datagram; None: that of the first packet.
+        begin_ns: time of the capture's first datagram, ns since 1970; None: time of the first packet.
     """
 
     batch: PacketBatch
@@ -58,8 +58,8 @@ class Store:
         limit: maximum bytes to keep; the oldest packets are dropped when there are more. 0: no limit.
 
     Attributes:
-        order: i64, the place in the capture's order of each of the first rows; the others are in that order,
-            and so are all where it is None.
+        order: i64 (n,), index in the capture's order of each of the first n rows; later rows are in that
+            order. None if all are.
     """
 
     def __init__(self, limit: int = 0) -> None:
@@ -74,16 +74,16 @@ class Store:
         self._ends: list[int] = []
 
     def __len__(self) -> int:
-        """Return how many rows are shown, as far as the filter has run."""
+        """Return the number of shown rows, as far as the filter has run."""
         return self._ends[-1] if self._ends else 0
 
     @property
     def settled(self) -> int:
-        """Packets that the filter was run on."""
+        """Number of packets that the filter has run on."""
         return sum(len(block) for block in self.blocks[: len(self._ends)])
 
     def append(self, block: PacketBlock) -> int:
-        """Add a block; return how many rows at the top were dropped to make space."""
+        """Add a block; return the number of rows dropped at the top to make space."""
         if not len(block):
             return 0
         if self.begin_ns is None:
@@ -106,7 +106,7 @@ class Store:
         self._advance()
 
     def settle(self, block: PacketBlock, rows: NDArray[np.int64]) -> None:
-        """Take the filter's result for a block."""
+        """Store the filter's result for a block."""
         block.selection = rows
         self._advance()
         self._merge()
@@ -126,7 +126,7 @@ class Store:
         return block, int(block.selection[row - (self._ends[place - 1] if place else 0)])
 
     def place(self, row: int) -> int:
-        """Return the place of a row in the capture's order."""
+        """Return the index of a row in the capture's order."""
         return row if self.order is None or row >= len(self.order) else int(self.order[row])
 
     def datagram(self, row: int) -> Datagram:
@@ -148,7 +148,7 @@ class Store:
         return self._first_at_least("time_ns", time_ns)
 
     def parts(self) -> list[Part]:
-        """Return the blocks that have shown packets, the row of each block's first, and its shown rows.
+        """Return the blocks with shown packets, each with the row of its first one and its shown rows.
 
         The list does not change later, so threads may use it.
         """

@@ -1,4 +1,4 @@
-"""The control room: what the page of ``edoras live`` shows, in lines: doctor, hops, routes, events."""
+"""The control room: the contents of the page of ``edoras live``, in lines: doctor, hops, routes, events."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 _SILENT_S: Final = 2.0
-"""From this silence on a link is called silent, as on the page."""
+"""Time without traffic from which a link is called silent, as on the page, s."""
 _STILL_S: Final = 3.0
 _MOST_NAMES: Final = 3
 _NOTES: Final = ("superseded", "waiting", "duplicated")
@@ -33,9 +33,9 @@ def room_rows(state: Mapping[str, Any], width: int, console: Console, *, live: b
     """Return the lines for a state of a link.
 
     Args:
-        state: as the monitor returns it; see ``doors.part("monitor")``.
+        state: state from the monitor; see ``doors.part("monitor")``.
         width: cells of a line.
-        live: whether traffic may come.
+        live: whether more traffic may come.
     """
     width = max(20, width - 1)
     rows = [DrawnRow(_state_line(state, live=live))]
@@ -105,7 +105,7 @@ def _doctor_rows(doctor: Mapping[str, Any], now_ns: int, width: int) -> Iterator
 
 
 def _problem_filter(problem: Mapping[str, Any]) -> str:
-    """Return the filter for the messages that were lost by it, else for those of its route."""
+    """Return the filter for the messages that a problem lost, else for those of its routes."""
     numbers = sorted({item["number"] for item in problem["messages"] if item["number"] is not None})
     if numbers:
         return f"number in {{{', '.join(map(str, numbers))}}}"
@@ -114,13 +114,13 @@ def _problem_filter(problem: Mapping[str, Any]) -> str:
 
 
 def _event_filter(text: str) -> str:
-    """Return the filter for the events with a text, as far as it can be written."""
+    """Return the filter for the events with a text, as far as a filter can express it."""
     whole = text.partition('"')[0].partition("\\")[0]
     return f'cfe_event.message contains "{whole}"' if whole.isprintable() and whole else ""
 
 
 def _flow_rows(flow: Mapping[str, Any], width: int, *, live: bool) -> Iterator[DrawnRow]:
-    """Yield the names of the traffic, and its hops with what goes on between them; of a file no rates."""
+    """Yield the names of the traffic, and its hops with the messages between them; rates only if live."""
     names, colour = flow["names"], _colour(flow["link"])
     more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
     craft, where = flow["spacecraft"], f"link == {flow['link']}" * bool(flow["link"])
@@ -147,7 +147,7 @@ def _flow_rows(flow: Mapping[str, Any], width: int, *, live: bool) -> Iterator[D
 
 
 def _arrow(count: int, hertz: float | None, lost: int, uncertain: int) -> Text:
-    """Return an arrow with how many went on, how many a second that was lately, and what was lost."""
+    """Return an arrow with the number of passed messages, their present rate, and the lost ones."""
     arrow = Text.assemble((" ─ ", palette.DIM), f"{count:,}")
     arrow.append(f" {_rate(hertz)}/s" if hertz else "", palette.DIM)
     arrow.append(f" −{lost:,}" if lost else "", Level.ERROR.style)  # noqa: RUF001  a minus
@@ -177,7 +177,7 @@ def _topic(row: Mapping[str, Any]) -> Text:
 
 
 def _hertz(row: Mapping[str, Any]) -> Text:
-    """Return the rate; seen as it was sent, what goes on of it; seen as it comes out, what was published."""
+    """Return the rate, with the rate that passes on, or with the rate of publishing, if they differ."""
     now = _rate(row["rate_hz"])
     if row["passed_hz"]:
         return Text(f"{now} → {_rate(row['passed_hz'])}")

@@ -1,4 +1,4 @@
-"""What is drawn below the list: graphs, the way of a packet, findings, sums; some lines lead to packets."""
+"""The drawings below the list: graphs, the way of a packet, findings, sums; some lines lead to packets."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
 
 _SUMS: Final = ("packets", "bytes", "from", "to", "time", "packets/s", "bytes/s", "bytes, mean")
 _AROUND: Final = 6
-"""Lines of a graph besides its field: heading, legend, axis."""
+"""Lines of a graph besides its plot: heading, legend, axis."""
 
 
 class DrawnRow(NamedTuple):
-    """A line of a drawing, and the filter for the packets that it is about; empty if it leads to none."""
+    """A line of a drawing, and the filter for its packets; empty if it has none."""
 
     text: Text
     filter: str = ""
 
 
 class Drawing(Lines):
-    """A drawing that fills its pane; a line that leads to packets can be chosen.
+    """A drawing that fills its pane; a line with a filter can be chosen.
 
     Attributes:
-        empty: shown while there is no drawing.
+        empty: text that is shown while there is no drawing.
     """
 
     def __init__(self, name: str) -> None:
@@ -49,7 +49,7 @@ class Drawing(Lines):
         self._rows: list[DrawnRow] = []
 
     def show(self, draw: Callable[[int], Sequence[Text | DrawnRow]] | None) -> None:
-        """Show a drawing, which is made for a width; the cursor stays on what leads to the same packets."""
+        """Show a drawing, which is made for a width; the cursor stays on a line with the same filter."""
         self._draw = draw
         self._lay_out()
 
@@ -59,7 +59,7 @@ class Drawing(Lines):
         return self._rows[self.cursor].filter if self.cursor < len(self._rows) else ""
 
     def rows(self) -> int:
-        """Return how many lines there are."""
+        """Return the number of lines."""
         return len(self._rows)
 
     def draw(self, row: int, width: int) -> Strip:
@@ -67,13 +67,13 @@ class Drawing(Lines):
         return strip_of(self._rows[row].text, self.app.console).crop(0, width)
 
     def row_style(self, row: int) -> str:
-        """Return the cursor's style for the lines about what is chosen; no style where nothing can be."""
+        """Return the cursor's style for the lines of the chosen filter; no style if nothing can be chosen."""
         current = self.filter if row < len(self._rows) else ""
         same = row == self.cursor or (current and self._rows[row].filter == current)
         return "lines--cursor" if same and any(item.filter for item in self._rows) else ""
 
     def watch_cursor(self, before: int, after: int) -> None:
-        """Redraw, as what is chosen may take several lines."""
+        """Redraw, because the chosen filter may have several lines."""
         self.refresh()
         super().watch_cursor(before, after)
 
@@ -107,7 +107,7 @@ class RateGraph(Drawing):
 
 
 def hanging(mark: Text, text: str, width: int, filter_text: str = "", style: str = "") -> Iterator[DrawnRow]:
-    """Yield a text behind a mark as lines of at most ``width`` cells, the further ones indented as far."""
+    """Yield a text behind a mark as lines of at most ``width`` cells; further lines are indented."""
     room = max(8, width - mark.cell_len)
     for place, line in enumerate(wrap(text, room)):
         before = Text(" " * mark.cell_len) if place else mark
@@ -115,10 +115,10 @@ def hanging(mark: Text, text: str, width: int, filter_text: str = "", style: str
 
 
 def finding_rows(counts: Mapping[str, int], width: int) -> list[DrawnRow]:
-    """Return the lines of findings, the most severe first: how many packets have each, and what it means.
+    """Return the lines of findings, the most severe first: number of packets with each, and its meaning.
 
     Args:
-        counts: how many, by label.
+        counts: label to number of packets.
     """
     rows: list[DrawnRow] = []
     for label, count in sorted(counts.items(), key=lambda item: (-explain(item[0]).severity, -item[1])):
@@ -129,10 +129,10 @@ def finding_rows(counts: Mapping[str, int], width: int) -> list[DrawnRow]:
 
 
 def sum_rows(every: Ledger, listed: Ledger, facts: Sequence[str]) -> list[DrawnRow]:
-    """Return the lines of sums, of all packets and of those of the list.
+    """Return the lines of sums, for all packets and for those of the list.
 
     Args:
-        facts: about the source, a line each.
+        facts: facts about the source, one line each.
     """
     rows = [DrawnRow(Text(f" {fact}")) for fact in facts]
     rows.append(DrawnRow(Text(f" {'':<14}{'all':>26}  {'in the list':>26}", palette.STRONG)))

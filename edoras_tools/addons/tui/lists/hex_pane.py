@@ -90,7 +90,7 @@ class HexPane(Lines):
         Args:
             start: the first byte, counted from the start of the payload.
             end: one past the last.
-            at: where to put the cursor; None: on the first byte, unless the cursor is already in the range.
+            at: byte for the cursor; None: the first byte, unless the cursor is already in the range.
         """
         shift = self.shift
         self.field = (start + shift, end + shift) if end > start and shift >= 0 else (0, 0)
@@ -98,7 +98,7 @@ class HexPane(Lines):
             low, high = self.field
             at = None if at is None else at + shift
             self.at = (self.at if low <= self.at < high else low) if at is None else at
-            # First the end, then the start, because the start must be visible.
+            # First scroll to the end, then to the start, because the start must be visible.
             self.go((min(high, len(self._data)) - 1) // self.per_line)
             self.go(low // self.per_line)
             self.go(self.at // self.per_line)
@@ -106,7 +106,7 @@ class HexPane(Lines):
 
     @property
     def title(self) -> str:
-        """What is shown: ``UDP payload, 76 bytes``."""
+        """Title of the pane: ``UDP payload, 76 bytes``."""
         name = "UDP payload" if self.base == "payload" else "Frame"
         return f"{name}, {len(self._data):,} bytes"
 
@@ -116,7 +116,7 @@ class HexPane(Lines):
         return 16 if self.room >= WIDE else 8
 
     def rows(self) -> int:
-        """Return how many lines the bytes take."""
+        """Return the number of lines of the bytes."""
         return -(-len(self._data) // self.per_line)
 
     def draw(self, row: int, width: int) -> Strip:
@@ -130,7 +130,7 @@ class HexPane(Lines):
             style = self._style(kind)
             for place in inside:
                 gap = " " if place % 16 != 8 or self.per_line == 8 else "  "
-                # The gap in front of a byte belongs to the field when the byte before it does.
+                # The gap in front of a byte belongs to the field if the byte before it does.
                 joined = kind[1] and place > first and place > self.field[0]
                 segments += [
                     Segment(gap, self._style((palette.DIM, True, False)) if joined else Style.null()),
@@ -183,13 +183,13 @@ class HexPane(Lines):
 
     @property
     def shift(self) -> int:
-        """Offset of the payload in the bytes shown; -1 if it is not among them."""
+        """Offset of the payload in the shown bytes; -1 if it is not among them."""
         if self.base == "payload" or self._decoded is None:
             return 0
         return self._decoded.datagram.payload_offset
 
     def _place(self, column: int) -> int:
-        """Return which byte of the line a cell belongs to; -1 for none."""
+        """Return the byte of the line at a cell; -1 for none."""
         wide = self.per_line == 16
         ascii_at = _DIGITS + 1 + 3 * self.per_line + (1 if wide else 0) + 2
         if column >= ascii_at:
@@ -200,7 +200,7 @@ class HexPane(Lines):
         return (cell - 1) // 3 if cell >= 1 else -1
 
     def _kind(self, place: int) -> tuple[str, bool, bool]:
-        """Return how a byte is drawn: its layer's style, whether highlighted, whether under the cursor."""
+        """Return the look of a byte: its layer's style, whether highlighted, whether under the cursor."""
         low, high = self.field
         return self._styles[place], low <= place < high, place == self.at and self.has_focus
 

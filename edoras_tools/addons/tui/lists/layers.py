@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from edoras_tools.render.capture.tree import TreeRow
 
 _NARROW: Final = 64
-"""Below this width the byte ranges are left out: the hex pane shows them."""
+"""Width below which the byte ranges are left out: the hex pane shows them."""
 _LEAST: Final = 40
 _MOST_LINES: Final = 6
-"""Lines that one value may take."""
+"""Most lines of one value."""
 _BRANCHES: Final = ("layer", "group")
 _INSIDE: Final = ("field", *_BRANCHES)
 _PAINT: Final = palette.Paint(colour=True)
@@ -75,7 +75,7 @@ class Layers(Lines):
 
     @property
     def field_name(self) -> str:
-        """The name of the row under the cursor, with the groups that it is in: ``pose.position.x``."""
+        """Name of the row under the cursor, with its groups: ``pose.position.x``."""
         if self.selected_place is None:
             return ""
         above = [self._rows[place] for place in self._above[self.selected_place]]
@@ -96,7 +96,7 @@ class Layers(Lines):
         return True
 
     def rows(self) -> int:
-        """Return how many lines the open branches take."""
+        """Return the number of lines of the open branches."""
         return len(self._lines)
 
     def draw(self, row: int, width: int) -> Strip:

@@ -1,4 +1,4 @@
-"""A list with a cursor that draws only the lines on the screen, however many there are."""
+"""A list with a cursor that draws only the lines on the screen, whatever its length."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Lines(ScrollView, can_focus=True):
         return Text()
 
     def rows(self) -> int:
-        """Return how many rows there are."""
+        """Return the number of rows."""
         raise NotImplementedError
 
     def draw(self, row: int, width: int) -> Strip:

@@ -42,18 +42,18 @@ class Packets(Lines):
     """One line per packet.
 
     Args:
-        verbose: show notes too, not only warnings and errors.
+        verbose: whether to show notes, besides warnings and errors.
 
     Attributes:
-        marks: numbers of the packets that are marked.
-        references: times of the packets that relative times count from, ns since 1970, by number.
-        follow: stay at the end when packets arrive; set when the user goes to the end, cleared when the user
-            leaves it.
+        marks: numbers of the marked packets.
+        references: zeros of relative times, ns since 1970, by number of the packet.
+        follow: whether to stay at the end when packets arrive; set when the user goes to the end, cleared
+            when the user leaves it.
         empty: text to show when there are no packets.
         drawn: cached lines, by packet number.
         columns: names of the columns besides number and message.
         sorted_by: name of the column that the list is sorted by; empty for the order of the capture.
-        reverse: the other way round.
+        reverse: whether the order is reversed.
     """
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {
@@ -96,10 +96,10 @@ class Packets(Lines):
         self.forget()
 
     def choose(self, names: Sequence[str]) -> None:
-        """Show these columns: those of ``COLUMNS``, and fields of packets; without a name the usual ones.
+        """Show these columns: names in ``COLUMNS``, and fields of packets; without names the usual ones.
 
         Raises:
-            WhereError: a name is none of them.
+            WhereError: a name is neither.
         """
         added = [name for name in names if name not in COLUMNS]
         self._added = fields(",".join(added), self._dissector.context, "column") if added else ()
@@ -123,7 +123,7 @@ class Packets(Lines):
             self.go(-1)
 
     def user_moved(self) -> None:
-        """Follow when the cursor is at the end; stop following elsewhere."""
+        """Follow new packets if the cursor is at the end; else stop following."""
         last = self.rows() - 1
         self.follow = self.cursor >= last and round(self.scroll_y) + self.page >= last
 
@@ -139,7 +139,7 @@ class Packets(Lines):
         return Text.assemble(" " * _GUTTER, Text.from_ansi(self._view.header()))
 
     def rows(self) -> int:
-        """Return how many packets pass the filter."""
+        """Return the number of packets that pass the filter."""
         return len(self._store)
 
     def draw(self, row: int, width: int) -> Strip:
@@ -169,7 +169,7 @@ class Packets(Lines):
         return Strip([Segment(f"{mark:<{_GUTTER}}", style), *line], _GUTTER + line.cell_length)
 
     def _counting_from(self, number: int) -> PacketList:
-        """Return the view whose times count from the last reference up to a packet."""
+        """Return the view whose zero of times is the last reference up to a packet."""
         at = max((item for item in self.references if item <= number), default=None)
         if at is None:
             return self._view

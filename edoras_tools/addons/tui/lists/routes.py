@@ -58,7 +58,7 @@ _SORTS: Final[Mapping[str, Callable[[Mapping[str, Any]], Any]]] = {
     "Gaps": lambda row: -row["gaps"],
     "Bytes": lambda row: -row["bytes"],
 }
-"""What rows are sorted by, by column: texts from A to Z, numbers from the largest."""
+"""Sort keys by column: texts from A to Z, numbers from the largest."""
 
 
 class Routes(Lines):
@@ -68,7 +68,7 @@ class Routes(Lines):
         live: whether packets arrive live, so that there is a current rate.
 
     Attributes:
-        ledger: whose routes they are.
+        ledger: ledger with the routes.
     """
 
     BINDINGS: ClassVar[list[Any]] = [
@@ -95,7 +95,7 @@ class Routes(Lines):
         """Update counts and rates.
 
         Args:
-            now: monotonic time in s.
+            now: monotonic time, s.
         """
         self._counted = self.ledger.routes()
         rates = self._rates.add(now, {_key(row): row["count"] for row in self._counted})
@@ -104,14 +104,14 @@ class Routes(Lines):
         self._sort()
 
     def action_sort(self) -> None:
-        """Sort by the next column; after the last one, in the order of the first packets."""
+        """Sort by the next column; after the last one, in order of the first packets."""
         titles = ["", *(column.title for column in self._columns if column.title in _SORTS)]
         self._sorted = titles[(titles.index(self._sorted) + 1) % len(titles)]
         self._reverse = False
         self._sort()
 
     def action_reverse(self) -> None:
-        """Sort the other way round."""
+        """Reverse the order."""
         self._reverse = not self._reverse
         self._sort()
 
@@ -146,7 +146,7 @@ class Routes(Lines):
         return Text.assemble(" " * _GUTTER, *((part.text, part.style or "") for part in self._lines[0]))
 
     def rows(self) -> int:
-        """Return how many routes there are."""
+        """Return the number of routes."""
         return len(self._lines) - 1
 
     def draw(self, row: int, width: int) -> Strip:

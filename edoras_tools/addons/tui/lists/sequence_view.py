@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 _TIME: Final = 11
 _WIDEST: Final = 22
 _NARROWEST: Final = 8
-"""Cells from one lifeline to the next."""
+"""Usual least distance of two lifelines, in cells."""
 _TOLD: Final = 54
-"""Cells for the whole label,"""
+"""Cells for a whole label."""
 _NAMED: Final = 18
-"""and for its name: where there are fewer, lifelines come closer,"""
+"""Cells for the name in a label; if there are fewer, the distance of the lifelines shrinks further."""
 _CLOSEST: Final = 6
-"""to so many cells."""
+"""Least distance of two lifelines, in cells."""
 
 
 class SequenceView(Lines):
@@ -55,7 +55,7 @@ class SequenceView(Lines):
 
     @property
     def first_ns(self) -> int:
-        """Start of the run under the cursor, in ns since the capture's first packet."""
+        """Start of the run under the cursor, ns since the capture's first packet."""
         return self._messages[self.cursor].first_ns
 
     def on_resize(self) -> None:
@@ -75,7 +75,7 @@ class SequenceView(Lines):
         return line
 
     def rows(self) -> int:
-        """Return how many runs there are."""
+        """Return the number of runs."""
         return len(self._messages)
 
     def draw(self, row: int, width: int) -> Strip:
