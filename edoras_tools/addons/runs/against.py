@@ -1,4 +1,4 @@
-"""A capture held against another of the same traffic, or against bags of the ROS side."""
+"""Compares a capture with another one of the same traffic, or with bags of the ROS side."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def diff(
     Args:
         first: the capture at one point.
         second: the capture at the other point.
-        bench: decodes both.
-        scope: which time of the first is compared, and which routes are shown.
+        bench: workbench that decodes both.
+        scope: period of the first capture that is compared, and routes that are shown.
         progress: shows the progress of reading.
 
     Raises:
@@ -71,7 +71,7 @@ def diff(
 def read_capture(
     source: Source, bench: Workbench, scope: Scope, choices: Chosen, progress: Progress | None
 ) -> dict[int, Recorder]:
-    """Read a source to its end, each spacecraft by itself, by its number; see ``diff``."""
+    """Read a source to its end; return one recorder for each spacecraft, by its number; see ``diff``."""
     context = bench.columns.context
     recorders = {FIRST_SPACECRAFT: Recorder(context)}
     with reading(source, bench, examined=scope.period) as loop:
@@ -96,12 +96,12 @@ _EVENTS: Final = "rosbag2_interfaces/msg/MessagesLostEvent"
 
 
 class BagComparison(NamedTuple):
-    """A bag held against a capture, or against the first bag.
+    """The comparison of a bag with a capture, or with the first bag.
 
     Attributes:
-        bag: its path.
-        comparison: the differences; the bag is the second of the two.
-        left_out: messages that do not fit their type, so that they are not compared.
+        bag: path of the bag.
+        comparison: differences; the bag is the second of the two.
+        left_out: number of messages that do not fit their type, so are not compared.
     """
 
     bag: Path
@@ -109,20 +109,21 @@ class BagComparison(NamedTuple):
     left_out: int
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --bag --json``."""
+        """Return the comparison in the shape of ``doctor --bag --json``."""
         return {"bag": str(self.bag), **self.comparison.as_json(), "left_out": self.left_out}
 
 
 def against_capture(
     source: Source, bags: Sequence[Path], bench: Workbench, scope: Scope, progress: Progress | None = None
 ) -> list[BagComparison]:
-    """Hold bags against a capture, by the topics of a mission.
+    """Compare bags with a capture, by the topics of a mission.
 
     Args:
-        source: the capture; it is read to its end.
+        source: capture; it is read to its end.
         bags: rosbag2 folders, ``.db3`` files or any MCAP.
-        bench: decodes the capture; the routes of its mission are compared, of several spacecraft the first's.
-        scope: which time of the capture is compared, and which routes are shown.
+        bench: decodes the capture; routes of its mission are compared, with several spacecraft those of the
+            first.
+        scope: period of the capture that is compared, and routes that are shown.
         progress: shows the progress of reading.
 
     Raises:
@@ -172,9 +173,9 @@ def against_capture(
 
 
 def missed_by(bag: Rosbag, types: TypeStore) -> dict[str, int]:
-    """Return how many messages of each topic a bag's recorder says that it missed.
+    """Return the number of messages of each topic that a bag's recorder reports as missed.
 
-    ``edoras observe`` says it on a topic of its own; rosbag2 in events, each of what came since the last one.
+    ``edoras observe`` reports it on its own topic; rosbag2 reports it in events, each since the previous one.
     """
     missed: dict[str, int] = {}
     latest: Sequence[Mapping[str, Any]] = ()
@@ -186,14 +187,14 @@ def missed_by(bag: Rosbag, types: TypeStore) -> dict[str, int]:
             for item in values.get("messages_lost_statistics", ()):
                 number = item["messages_lost_in_transport"] + item["messages_lost_in_recorder"]
                 missed[item["topic_name"]] = missed.get(item["topic_name"], 0) + number
-    for topic in {item["topic"] for item in latest}:  # what its middleware lost is among the missing numbers
+    for topic in {item["topic"] for item in latest}:  # losses of its middleware are among the missing numbers
         own = [item for item in latest if item["topic"] == topic]
         missed[topic] = max(sum(item[name] for item in own) for name in ("missed", "lost"))
     return missed
 
 
 def bridge_counts(comparisons: Iterable[BagComparison]) -> dict[tuple[str, int], BridgeCount]:
-    """Return what bags counted inside the bridges, by link label and MsgId; of several bags the first."""
+    """Return the counts inside the bridges from bags, by link label and MsgId; the first bag that has one."""
     counts: dict[tuple[str, int], BridgeCount] = {}
     for item in comparisons:
         for route in item.comparison.routes:
@@ -204,7 +205,7 @@ def bridge_counts(comparisons: Iterable[BagComparison]) -> dict[tuple[str, int],
 
 
 def _carried(rows: Rows, heard: Rows, mission: Mission, place: int, topic: str) -> Route:
-    """Return the route of a topic; of several that whose messages are most like those of a bag."""
+    """Return the route of a topic; of several, the one whose messages are most similar to a bag's."""
     own = np.unique(heard.packet_print[heard.msg_id == place])
     routes = [route for route in mission.routes if route.topic == topic]
 
@@ -221,7 +222,7 @@ def _of(rows: Rows, link: int, msg_id: int) -> NDArray[np.bool_]:
 
 
 def against_bag(first: Path, others: Sequence[Path], types: TypeStore) -> list[BagComparison]:
-    """Hold bags against a first one: by topics of one name, then of one type with the same messages.
+    """Compare bags with a first one: by topics of one name, else of one type with the same messages.
 
     Raises:
         CaptureError: a bag cannot be read, or has nothing that can be compared.
@@ -252,7 +253,7 @@ def against_bag(first: Path, others: Sequence[Path], types: TypeStore) -> list[B
 
 
 def _most_alike(ours: Rows, right: Rows, topics: Mapping[str, int], number: int) -> str | None:
-    """Return the topic of the first bag that has most of the messages of one of the second, at least half."""
+    """Return the first bag's topic that has most messages of a topic of the second, at least half of them."""
     own = np.unique(right.packet_print[right.msg_id == number])
     share = {
         topic: float(np.isin(own, ours.packet_print[ours.msg_id == place]).sum() / max(len(own), 1))
@@ -263,10 +264,10 @@ def _most_alike(ours: Rows, right: Rows, topics: Mapping[str, int], number: int)
 
 
 def _topics(bag: Rosbag, selection: Mapping[str, str]) -> dict[str, str]:
-    """Return the topics of a bag that are wanted, with their types.
+    """Return the requested topics of a bag, with their types.
 
     Raises:
-        CaptureError: there is none, or its type is another.
+        CaptureError: there is none, or its type differs.
     """
     topics = bag.topics()
     matches = {topic: kind for topic, kind in topics.items() if topic in selection}
@@ -280,12 +281,12 @@ def _topics(bag: Rosbag, selection: Mapping[str, str]) -> dict[str, str]:
 
 
 def _rows(bag: Rosbag, topics: Mapping[str, str], types: TypeStore) -> Rows:
-    """Return the messages of some topics in the order in which they were recorded, without a link.
+    """Return the messages of some topics in the order of recording, without a link.
 
-    MsgIds are places in ``topics``; a message that does not fit its type has none.
+    MsgIds are indices into ``topics``; a message that does not fit its type has none.
 
     Raises:
-        CaptureError: the bag is damaged, or has no message on them.
+        CaptureError: the bag is damaged, or has no message on the topics.
     """
     parts: list[tuple[NDArray[Any], ...]] = []
     places = {topic: place for place, topic in enumerate(topics)}
@@ -303,7 +304,7 @@ def _rows(bag: Rosbag, topics: Mapping[str, str], types: TypeStore) -> Rows:
 
 
 def _fingerprints(block: RecordedBlock, kind: str, types: TypeStore) -> tuple[Any, Any]:
-    """Return the fingerprints that ``Recorder`` gives to the same messages in packets."""
+    """Return the fingerprints that ``Recorder`` computes for the same messages in packets."""
     if types.has(kind):
         return fingerprint.of_values(types, kind, block.data, block.offset, block.length)
     body = of_bytes(block.data, block.offset + _ENCAPSULATION, np.maximum(block.length - _ENCAPSULATION, 0))

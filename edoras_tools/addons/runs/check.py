@@ -1,4 +1,4 @@
-"""Checks a capture against expectations: one result for each, with what was found."""
+"""Checks a capture against expectations: one result for each, with the observed value."""
 
 from __future__ import annotations
 
@@ -44,22 +44,22 @@ if TYPE_CHECKING:
 
 
 TO_END: Final = 5
-"""A topic lasts to the end if no more than so many messages would have fit behind its last one."""
+"""Messages that may be missing, by the rate, at the end of a topic that lasts to the end of the capture."""
 NOTABLE_FINDINGS: Final = frozenset(item.label for item in NOTABLE)
 """Labels of the findings that are warnings or errors."""
 _OF_DATAGRAMS: Final = frozenset({*LOSS_KEYS, "latency"})
-"""DifferenceLimits of what only datagrams show."""
+"""Keys of bounds that only datagrams show."""
 
 
 class CheckResult(msgspec.Struct, frozen=True):
-    """One expectation, and what was found.
+    """One expectation, and its result.
 
     Attributes:
-        about: a topic, ``events``, ``findings``, ``verdicts`` or ``capture``.
-        expectation: the key, or the field or event.
-        expected: the bound, or what is allowed; None where ``expectation`` says all.
-        found: what was found instead, or as expected.
-        passed: whether it is as expected.
+        about: subject: a topic, ``events``, ``findings``, ``verdicts`` or ``capture``.
+        expectation: key, or field or event.
+        expected: bound, or allowed names; None if ``expectation`` says all.
+        found: observed value.
+        passed: whether the expectation is met.
     """
 
     about: str
@@ -70,20 +70,20 @@ class CheckResult(msgspec.Struct, frozen=True):
 
     @property
     def name(self) -> str:
-        """The expectation in one line."""
+        """Expectation in one line."""
         return self.expectation if self.expected is None else f"{self.expectation}: {self.expected}"
 
 
 _LONGEST: Final = 4000
-"""Characters of a text; also, control characters are escaped, which XML cannot hold."""
+"""Most characters of a text. Control characters are escaped too, because XML cannot contain them."""
 
 
 def junit(results: Sequence[CheckResult], names: tuple[str, str, str], seconds: float = 0.0) -> bytes:
-    """Return results as JUnit XML, a test case each.
+    """Return results as JUnit XML, one test case each.
 
     Args:
-        names: of the command, of what runs were held to, and of the runs.
-        seconds: how long these last.
+        names: names of the command, of the reference of the runs, and of the runs.
+        seconds: duration of the runs, s.
     """
     command, suite_name, source_name = names
     failed = sum(not item.passed for item in results)
@@ -120,14 +120,14 @@ def write_junit(
 
 
 class CheckReport(msgspec.Struct, frozen=True):
-    """All expectations of a file, and what was found.
+    """All expectations of a file, and their results.
 
     Attributes:
-        source: the capture.
-        file: the expectations.
-        results: one for each.
-        seconds: how long the capture lasts.
-        findings: of the doctor; of a recording without datagrams, what was counted.
+        source: name of the capture.
+        file: file of expectations.
+        results: results, one for each expectation.
+        seconds: duration of the capture, s.
+        findings: diagnosis; for a recording without datagrams, the counts.
     """
 
     source: str
@@ -138,11 +138,11 @@ class CheckReport(msgspec.Struct, frozen=True):
 
     @property
     def failed(self) -> int:
-        """How many expectations are not met."""
+        """Number of expectations that are not met."""
         return sum(not item.passed for item in self.results)
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the form of ``check --json``."""
+        """Return the report in the form of ``check --json``."""
         return {
             "source": self.source,
             "expectations": self.file,
@@ -162,10 +162,10 @@ def check(
     pace: Pace | None = None,
     progress: Progress | None = None,
 ) -> CheckReport:
-    """Read a source to its end and hold it against expectations; the source is closed.
+    """Read a source to its end and check it against expectations; the source is closed.
 
     Args:
-        scope: what is examined; expectations of topics that it leaves out are left out.
+        scope: part that is examined; expectations of topics outside it are left out.
 
     Raises:
         ConfigError: an expectation names no topic, or a filter no field.
@@ -213,7 +213,7 @@ def _results(expected: Expectations, observed: Observation, findings: Examined) 
             if name in NOTABLE_FINDINGS
         }
         yield from _allowed("findings", expected.findings, counts)
-    # What is wrong with the capture itself goes for all the rest: it has to be allowed by name.
+    # A fault of the capture itself affects all results: it must be allowed by name.
     grave = [item for item in diagnosis.verdicts if item.severity >= Severity.WARNING]
     if expected.verdicts is None:
         grave = [item for item in grave if item.rule in CAPTURE_RULES]
@@ -226,7 +226,7 @@ def _results(expected: Expectations, observed: Observation, findings: Examined) 
 
 
 def _recorded(expected: Expectations, whole: Figures) -> Iterator[CheckResult]:
-    """Yield the results of expectations that are of no topic, for a recording without datagrams."""
+    """Yield the results of expectations that are about no topic, for a recording without datagrams."""
     for event in expected.events:
         expectation = "must appear" if event.must else "must not appear"
         yield CheckResult("events", event.text, expectation, NOT_OBSERVABLE, passed=False)
@@ -280,7 +280,7 @@ def _field(
     def first_place(place: tuple[int, int] | None) -> str:
         return f"first is {unit} {place[0]:,} at {(place[1] - zero_ns) / SECOND:.3f} s" if place else ""
 
-    # A datagram of DDS may be sent again, and may hold several samples.
+    # A DDS datagram may be sent again, and may contain several samples.
     of = plural(watch.tested, "datagram" if watch.subject.packets.only_samples else "message")
     passed = watch.tested > 0
     observed = f"{watch.hits:,} of {of}"
@@ -316,7 +316,7 @@ def _event(item: EventExpectation, watch: FilterCount, zero_ns: int) -> CheckRes
 
 
 def _allowed(about: str, allowed: frozenset[str], observed: dict[str, Any]) -> Iterator[CheckResult]:
-    """Compare what was found, a name to a count or a reason, with what is allowed: each other one fails."""
+    """Yield a result for each observed name, with its count or reason: it fails unless the name is allowed."""
     expected = _only(allowed)
     others = [name for name in observed if name not in allowed]
     for name in others:

@@ -1,17 +1,21 @@
-"""Two records of the same traffic held against each other, taken at two points of its way.
+"""Compares two records of the same traffic, taken at two points of its way.
 
-1. The second's clock is set by the first's, by what both hold (``evidence.clocks``); where nothing tells,
-   by equal packets.
-2. Packets are the same by their bytes, and by their IP identification where most of a MsgId keep it: each is
-   the latest that was not later, as on both sides of a relay in one capture (``evidence.relays``).
-3. A host whose packets come later in the second capture sends from the first point to the second; else the
-   other way. What the sender's side has and the other lacks is lost, what only the receiver's side has is
-   extra; the same packet once more is doubled.
-4. What is left on both sides is altered where its sequence count or its values say that it is the same.
-5. Sequence counts that neither has were lost before both points.
+Rules:
 
-Of a bag and a capture, or of two bags, messages are compared: equal by the values of their CDR, time stamps
-among them, each paired with the latest equal one that was not later. The mission says which way they go.
+1. The clock of the second record is set by packets and times that both contain (``evidence.clocks``); if
+   these do not suffice, by equal packets.
+2. Packets are the same if their bytes are equal; if most packets of a MsgId keep their IP identification,
+   that must be equal too. Each is paired with the latest one that is not later, as on both sides of a relay
+   in one capture (``evidence.relays``).
+3. A host whose packets come later in the second record sends from the first point to the second; else the
+   other way. A packet on the sender's side only is lost; one on the receiver's side only is extra; another
+   copy of a packet is doubled.
+4. Remaining packets on both sides are altered if their sequence counts or their values are equal.
+5. Sequence counts missing in both records were lost in front of both points.
+
+For a bag and a capture, or two bags, messages are compared. They are equal if the values of their CDR are,
+including time stamps; each is paired with the latest equal one that is not later. The mission gives their
+direction.
 """
 
 from __future__ import annotations
@@ -46,36 +50,36 @@ if TYPE_CHECKING:
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _EARLY_NS: Final = MILLISECOND
-"""Clocks of two records are aligned so well at the best."""
+"""Best accuracy of the alignment of two clocks."""
 _FIGURES: Final = (
     *("first", "second", "same", "lost", "extra", "doubled", "altered", "late", "out_of_order"),
     "neither",
 )
 _FEW: Final = 0.01
-"""A smaller part of the packets is the same by chance."""
+"""Share of common packets up to which they may be equal by chance."""
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """One MsgId on one link, in both captures.
+    """The differences of one MsgId on one link.
 
     Attributes:
-        link: the link.
+        link: link.
         msg_id: cFE MsgId.
-        topic: its configured topic, or None.
-        back: it goes from the second point to the first.
-        first: packets in the first capture.
-        second: packets in the second.
-        same: packets of both.
-        lost: of the sender's side, not on the other, while the other was capturing.
-        extra: of the receiver's side, never seen on the sender's.
-        doubled: of the receiver's side, once more.
-        altered: the same packet with other bytes.
-        late: of the same, those that took more than 100 ms longer than the quickest.
-        out_of_order: of the same, those that came behind one that was sent later.
-        neither: missing by sequence count in both.
-        latency: from one to the other, half the shortest way there and back taken as 0.
-        missed: not on the receiver's side, and not lost: the recorder there counted that it missed them.
-        spacecraft: whose packets they are, where there are several.
+        topic: configured topic, or None.
+        back: whether it goes from the second point to the first.
+        first: number of packets in the first capture.
+        second: number of packets in the second capture.
+        same: number of packets in both.
+        lost: packets on the sender's side only, while the other side was capturing.
+        extra: packets on the receiver's side only.
+        doubled: further copies of packets on the receiver's side.
+        altered: packets whose bytes differ between the sides.
+        late: packets in both that took more than 100 ms longer than the quickest.
+        out_of_order: packets in both that came behind one that was sent later.
+        neither: packets missing in both, by sequence count.
+        latency: time between the points, if half of the shortest way there and back counts as 0.
+        missed: packets not on the receiver's side that its recorder counted as missed; they are not lost.
+        spacecraft: number of the spacecraft, if there are several.
     """
 
     link: Link
@@ -97,12 +101,12 @@ class Difference(msgspec.Struct, frozen=True):
     spacecraft: int | None = None
 
     def turned(self, topic: str | None, *, back: bool) -> Difference:
-        """Return it with its topic; with ``back`` its sender's side is the second."""
+        """Return the differences with a topic; with ``back`` the sender's side is the second record."""
         first, second = (self.second, self.first) if back else (self.first, self.second)
         return replace(self, topic=topic, back=back, first=first, second=second)
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --against --json``."""
+        """Return the differences in the shape of ``doctor --against --json``."""
         packets = self.link is not OTHER
         return {
             "link": self.link.label if packets else None,
@@ -117,7 +121,7 @@ class Difference(msgspec.Struct, frozen=True):
         }
 
     def without(self, missed: int) -> Difference:
-        """Return it where the recorder of the second side says that it missed so many messages."""
+        """Return the differences if the recorder of the second side missed this many messages."""
         missed = 0 if self.back else min(missed, self.lost)
         return replace(self, lost=self.lost - missed, missed=missed)
 
@@ -126,10 +130,10 @@ class CaptureComparison(msgspec.Struct, frozen=True):
     """All differences of two captures.
 
     Attributes:
-        offset_ns: the second's clock minus the first's, at the start.
-        drift: by how much more after each ns, in ns; None where that cannot be told.
-        common: whether they hold the same traffic: at least one in a hundred packets is the same.
-        routes: a row for every MsgId of either.
+        offset_ns: clock of the second minus clock of the first, at the start, ns.
+        drift: growth of the offset, ns per ns; None if unknown.
+        common: whether both contain the same traffic: at least one in a hundred packets is in both.
+        routes: differences of every MsgId in either.
     """
 
     offset_ns: int
@@ -138,18 +142,18 @@ class CaptureComparison(msgspec.Struct, frozen=True):
     routes: Sequence[Difference]
 
     def limited(self, choice: Choice) -> CaptureComparison:
-        """Return the routes that are chosen."""
+        """Return the comparison with the chosen routes only."""
         own = {item.spacecraft: choice.of(item.spacecraft or FIRST_SPACECRAFT) for item in self.routes}
         routes = (item for item in self.routes if own[item.spacecraft].takes(item.link.label, item.msg_id))
         return replace(self, routes=[*routes])
 
     @property
     def lost(self) -> int:
-        """Packets that were lost between the two, both ways."""
+        """Packets lost between the two points, in both directions."""
         return sum(item.lost for item in self.routes)
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``doctor --against --json``."""
+        """Return the comparison in the shape of ``doctor --against --json``."""
         return {
             "offset_ns": self.offset_ns,
             "drift_ppm": None if self.drift is None else round(self.drift * 1e6, 1),
@@ -160,21 +164,21 @@ class CaptureComparison(msgspec.Struct, frozen=True):
 
 
 class _Side(msgspec.Struct, frozen=True):
-    """One capture: its rows, who sent each, and which of them the network doubled."""
+    """One capture: its rows, the sender of each, and the rows that the network doubled."""
 
     rows: Rows
     sender: NDArray[np.str_]
     doubled: Places
 
     def during(self, times: Integers) -> Mask:
-        """Tell which times, by its clock, it was capturing at."""
+        """Return which times, by its clock, are within the capture: bool (n,)."""
         if not len(self.rows):
             return np.zeros(len(times), bool)
         own = self.rows.time_ns
         return np.asarray((times >= own.min()) & (times <= own.max()))
 
     def again(self, rows: Places, paired: Places) -> Mask:
-        """Tell which rows are doubles: by the network, or of a packet with a count that is paired."""
+        """Return which rows are copies: doubled by the network, or equal to a paired packet with a count."""
         same = np.isin(self.rows.packet_print[rows], self.rows.packet_print[paired])
         return np.isin(rows, self.doubled) | (self.rows.counted[rows] & same)
 
@@ -182,7 +186,7 @@ class _Side(msgspec.Struct, frozen=True):
 def compare_each(
     first: Mapping[int, Recorder], second: Mapping[int, Recorder], mission: Mission
 ) -> CaptureComparison:
-    """Hold two captures against each other, spacecraft by spacecraft: each has its number."""
+    """Compare two captures, each spacecraft by itself, by its number."""
     nothing = Recorder(first[FIRST_SPACECRAFT].context)
     results = {
         number: compare_captures(first.get(number, nothing), second.get(number, nothing), mission.of(number))
@@ -196,7 +200,7 @@ def compare_each(
 
 
 def compare_captures(first: Recorder, second: Recorder, mission: Mission) -> CaptureComparison:
-    """Hold two captures of one spacecraft against each other."""
+    """Compare two captures of one spacecraft."""
     topics: dict[_Key, str] = {(route.link, route.msg_id): route.topic for route in mission.routes}
     sides = _side(first), _side(second)
     fit = align(Side.of(first), Side.of(second))
@@ -213,13 +217,15 @@ def compare_captures(first: Recorder, second: Recorder, mission: Mission) -> Cap
 def compare_messages(
     first: Rows, second: Rows, topics: Mapping[_Key, str], ways: Mapping[_Key, bool]
 ) -> CaptureComparison:
-    """Hold the messages of two records against each other.
+    """Compare the messages of two records.
 
     Args:
-        first: one record; its rows without a MsgId only tell how long it is. ``packet_print`` are messages.
-        topics: by link and MsgId the topic of each message.
-        ways: of each of these, whether it goes from the second record to the first; by default it comes from
-            the record that has more of it, or of equally many has it earlier.
+        first: first record; its rows without a MsgId only show its duration. ``packet_print`` identifies
+            messages.
+        topics: link and MsgId to the topic of a message.
+        ways: link and MsgId to whether the message goes from the second record to the first; by default it
+            comes from the record with more such messages, or, if both have the same number, with earlier
+            ones.
     """
     nobody, nothing = np.zeros(0, np.str_), np.zeros(0, np.intp)
     pairs = {key: _once(first, second, key) for key in topics}
@@ -243,10 +249,10 @@ def _compared(
     offset_ns: int,
     fit: Alignment | None,
 ) -> CaptureComparison:
-    """Join two sides, the second with the times of the first, by the ways that their packets go.
+    """Compare two sides, the second with times on the clock of the first, in the directions of their packets.
 
     Args:
-        pairs: packets that are there once in each, which tell how far the clocks may be apart still.
+        pairs: packets that each side has once; they bound the remaining difference of the clocks.
     """
     took = [np.zeros(1, np.int64)]
     for key, (ours, theirs) in pairs.items():
@@ -269,26 +275,26 @@ def _compared(
 
 
 def _line(fit: Alignment) -> ClockLine:
-    """Return how the second clock stands to the first; clocks that may be equal are taken as equal."""
+    """Return the line of the second clock over the first; clocks that may be equal are taken as equal."""
     return ClockLine(0, 0) if fit.low_ns <= 0 <= fit.high_ns else fit.line
 
 
 def _once(a: Rows, b: Rows, key: _Key) -> _Pair:
-    """Return the messages that are there once in each."""
+    """Return the messages that both records have once."""
     ours, theirs = _rows(a, *key), _rows(b, *key)
     in_a, in_b = matches(a.packet_print[ours], b.packet_print[theirs])
     return ours[in_a], theirs[in_b]
 
 
 def _likely_back(a: Rows, b: Rows, key: _Key, pair: _Pair) -> bool:
-    """Tell whether messages come from the second, which has more of them, or of equally many earlier."""
+    """Return whether messages come from the second record: it has more, or the same number but earlier."""
     more = len(_rows(b, *key)) - len(_rows(a, *key))
     earlier = (a.time_ns[pair[0]] - b.time_ns[pair[1]]).sum() > 0
     return more > 0 or (not more and bool(earlier))
 
 
 def _identified(sides: tuple[_Side, _Side], keys: Sequence[_Key]) -> list[_Side]:
-    """Return both sides, with the IP identification in fingerprints where it is kept on the way."""
+    """Return both sides, with the IP identification in fingerprints if it is kept on the way."""
     rows = [side.rows for side in sides]
     plain = [item.packet_print.copy() for item in rows]
     marked = [item.packet_print ^ item.identification * MIX for item in rows]
@@ -316,7 +322,7 @@ def _within(side: _Side, other: _Side) -> int:
 
 
 def _equal(first: Rows, second: Rows) -> int:
-    """Return the offset by packets that are there once in each; 0 where there are none."""
+    """Return the offset by packets that both records have once, ns; 0 if there are none."""
     _, ours, theirs = np.intersect1d(first.packet_print, second.packet_print, return_indices=True)
     steps = (second.time_ns[theirs] - first.time_ns[ours])[first.msg_id[ours] != NO_MSG_ID]
     return int(np.median(steps)) if len(steps) else 0
@@ -335,11 +341,11 @@ def _rows(rows: Rows, link: int, msg_id: int) -> Places:
 _Key = tuple[int, int]
 """Link and MsgId."""
 _Pair = tuple["Places", "Places"]
-"""Rows of the first, and the rows of the second that are the same packets."""
+"""Rows of the first side, and the rows of the second side with the same packets."""
 
 
 def _back(first: _Side, second: _Side, pairs: Sequence[_Pair]) -> dict[str, bool]:
-    """Return of each sender whether its packets go from the second point to the first."""
+    """Return for each sender whether its packets go from the second point to the first."""
     if not pairs:
         return {}
     ours, theirs = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
@@ -349,7 +355,7 @@ def _back(first: _Side, second: _Side, pairs: Sequence[_Pair]) -> dict[str, bool
 
 
 def _turned(first: _Side, second: _Side, key: _Key, back: dict[str, bool]) -> bool:
-    """Tell whether the packets of a MsgId go from the second point to the first."""
+    """Return whether the packets of a MsgId go from the second point to the first."""
     names = np.concatenate([side.sender[_rows(side.rows, *key)] for side in (first, second)])
     return back.get(str(names[0]), False)
 
@@ -357,9 +363,9 @@ def _turned(first: _Side, second: _Side, key: _Key, back: dict[str, bool]) -> bo
 def _difference(
     near: _Side, far: _Side, key: _Key, sent: Places, came: Places, segment: Segment
 ) -> Difference:
-    """Count one MsgId, from the sender's side to the receiver's; equal ones are not timed."""
+    """Count the differences of one MsgId between the sides; packets with equal copies are not timed."""
     ours, theirs = sent[segment.into], came[segment.out]
-    # What one capture did not live to see is not lost; it lived to see what is between two that it has.
+    # A packet is not lost if the far capture had ended. It covers everything between two packets that it has.
     longest = max(int(segment.took_ns.max(initial=0)), 0)
     missing = np.setdiff1d(sent, ours)
     sent_ns = near.rows.time_ns[missing]
@@ -395,7 +401,7 @@ def _difference(
 
 
 def _echoed(near: Rows, far: Rows, sent: Places, came: Places, extra: Places) -> Mask:
-    """Tell which of what only the receiver's side has came a short time after an equal one."""
+    """Return which packets on the receiver's side only came shortly after an equal one: bool (n,)."""
     echo = came[find_echoes(far, came)]
     likely = np.flatnonzero(np.isin(far.packet_print[extra], far.packet_print[echo]))
     out = np.zeros(len(extra), np.bool_)
@@ -404,7 +410,7 @@ def _echoed(near: Rows, far: Rows, sent: Places, came: Places, extra: Places) ->
 
 
 def _altered(first: Rows, second: Rows, missing: Places, extra: Places) -> int:
-    """Count packets whose count, or whose values, are in both and whose bytes differ."""
+    """Return the number of packets with equal count, or equal values, on both sides, but different bytes."""
     if not len(missing) or not len(extra):
         return 0
     valid = ~first.has(Finding.SEQUENCE_UNSET)[missing]

@@ -1,23 +1,23 @@
-"""Runs of the same system held against each other, route by route: what is worse in the later ones.
+"""Compares runs of the same system, route by route: what is worse in the later runs.
 
-Runs last differently long and start at different times, so counts are compared as rates and shares, and
-times from each run's own start. The rules:
+Runs have different durations and start times. So counts are compared as rates and shares, and times from each
+run's own start. The rules:
 
-1. Two runs or more on both sides: a figure is worse if its mean moved for the worse by more than the
-   tolerance, and the 95 % interval of the difference (Welch) holds no 0.
-2. Else what was lost is worse where so much more is lost in one of 100 equal runs at most, by the spread that
-   the queue model gives for the earlier ones (``limits``) and that was seen; rate and delay where they moved
-   by more than the tolerance.
-3. The tolerance of a loss is one percentage point, of what was not lost at all nothing; that of a delay is
-   10 ms at least.
+1. With two runs or more on both sides, a figure is worse if its mean changed for the worse by more than the
+   tolerance, and the 95 % interval of the difference (Welch) does not contain 0.
+2. Else a loss is worse if at most one in 100 equal runs loses that much more, by the spread that the queue
+   model gives for the earlier runs (``limits``) and by the observed one. A rate or a delay is worse if it
+   changed by more than the tolerance.
+3. The tolerance of a loss is one percentage point, or 0 if the earlier runs lost nothing; that of a delay is
+   at least 10 ms.
 4. A figure of fewer than ``FEWEST`` messages in either run, a delay of fewer than ``FEWEST_DELAYS``, and the
    rate of events, are never worse.
-5. A route is worse that most earlier runs have and most later ones lack, if it is a configured topic or had
-   at least ``FEWEST`` messages, and is no event; a finding or verdict that no earlier run has and most later
-   ones, if it is an error or a warning. A verdict is the same one if it is of the same rule and MsgId,
-   wherever it was.
-6. A field is worse where most later runs leave the range of earlier ones by more than ``limits`` allows, and
-   what cFS sends where it stopped changing. Sizes that differ are told.
+5. A route is worse if most earlier runs have it and most later runs do not, if it is a configured topic or
+   had at least ``FEWEST`` messages, and is no event. A finding or verdict is worse if no earlier run and
+   most later runs have it, if it is an error or a warning. Verdicts are the same if rule and MsgId are, at
+   any place.
+6. A field is worse if most later runs leave the range of the earlier ones by more than ``limits`` allows; a
+   field from cFS also if it stopped changing. Different sizes are reported.
 """
 
 from __future__ import annotations
@@ -56,22 +56,22 @@ FEWEST_DELAYS: Final = 20
 LOSS_SHARE: Final = 0.01
 LATENCY_MS: Final = 10.0
 _CONTENT: Final = 0.99
-"""Share of all equal runs that lose no more by chance."""
+"""Share of equal runs that lose no more by chance."""
 _EVENTS: Final = frozenset({cfe.EVENT_MSG_ID, cfe.SHORT_EVENT_MSG_ID})
 _SERIOUS: Final = frozenset({"error", "warning"})
 _GONE: Final = {"lost": "lost", "superseded": "superseded", "unaccounted": "not accounted for"}
-"""Figures of the balance that say what did not arrive, and how people are told of them."""
+"""Figures of the balance for messages that did not arrive, with their words for people."""
 
 
 class RunSummary(msgspec.Struct, frozen=True):
-    """What is compared of one run.
+    """The compared facts of one run.
 
     Attributes:
-        info: its totals, in the shape of ``info --json``.
-        doctor: its diagnosis, in the shape of ``doctor --json``; of a recording without datagrams nothing.
-        values: of the fields of each topic.
+        info: totals, in the shape of ``info --json``.
+        doctor: diagnosis, in the shape of ``doctor --json``; empty for a recording without datagrams.
+        values: values of the fields of each topic.
         spreads: see ``Run``; MsgIds as text.
-        mission: names spacecraft.
+        mission: mission, which names spacecraft.
     """
 
     info: Mapping[str, Any]
@@ -90,7 +90,7 @@ class RunSummary(msgspec.Struct, frozen=True):
 
     @property
     def seconds(self) -> float:
-        """How long it lasted."""
+        """Duration, s."""
         times = self.doctor if "start_ns" in self.doctor else self.info
         return float(times["end_ns"] - times["start_ns"]) / 1e9
 
@@ -99,19 +99,19 @@ class Point(msgspec.Struct, frozen=True):
     """One figure or field of a route in the earlier and the later runs.
 
     Attributes:
-        what: ``route``, ``rate_hz``, ``lost``, ``superseded``, ``unaccounted``, ``latency_ms``, ``bytes``,
-            ``finding``, ``verdict`` or ``value``; of limits ``max_loss`` and ``max_delay``.
-        route: topic, name or MsgId; None where it is about the whole run.
+        what: kind: ``route``, ``rate_hz``, ``lost``, ``superseded``, ``unaccounted``, ``latency_ms``,
+            ``bytes``, ``finding``, ``verdict`` or ``value``; for limits ``max_loss`` and ``max_delay``.
+        route: topic, name or MsgId; None for the whole run.
         link: the link, or None.
-        msg_id: as ``0x0827``, or None.
-        good: its value in earlier runs, of several the mean; None where it is not there.
-        bad: its value in later runs; None where it is not there.
-        worse: whether the later runs are worse for it.
+        msg_id: MsgId as ``0x0827``, or None.
+        good: value in earlier runs, the mean of several; None if they have none.
+        bad: value in later runs; None if they have none.
+        worse: whether the later runs are worse in this.
         text: one line for people.
-        differs: whether it is told at all.
-        field: of a value, its name.
-        interval: of two runs or more on both sides, where the difference lies (95 %).
-        first: of a value, number of the first message that differs, and its time in s from the run's start.
+        differs: whether it is reported.
+        field: name of the field, for a value.
+        interval: 95 % interval of the difference, if both sides have two runs or more.
+        first: for a value, number of the first message that differs, and its time from the run's start, s.
     """
 
     what: str
@@ -128,24 +128,24 @@ class Point(msgspec.Struct, frozen=True):
     first: tuple[int, float] | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``compare --json``."""
+        """Return the point in the shape of ``compare --json``."""
         values = {name: json_value(value) for name, value in asdict(self).items()}
         return {name: value for name, value in values.items() if name != "differs"}
 
     def result(self) -> CheckResult:
-        """Return it as a result for JUnit."""
+        """Return the point as a result for JUnit."""
         name = f"{self.what} {self.field}" if self.field else self.what
         return CheckResult(self.route or self.link or "run", name, None, self.text, not self.worse)
 
 
 class DifferenceLimits(msgspec.Struct, frozen=True):
-    """How much may differ, and what later runs may show at all.
+    """The accepted differences, and absolute limits of later runs.
 
     Attributes:
-        tolerance: share by which rates and delays may differ, as 0.1.
-        rooms: name of a field to how far it may leave its range.
-        max_loss: pattern of routes, empty for all, and the share that may be lost.
-        max_delay: likewise, and the delay in ms that 99 percent keep to.
+        tolerance: largest relative difference of rates and delays, as 0.1.
+        rooms: name of a field to its tolerance outside its range.
+        max_loss: pattern of routes, empty for all, to the largest share of lost messages.
+        max_delay: pattern of routes, empty for all, to the largest 99th percentile of the delay, ms.
     """
 
     tolerance: float = 0.1
@@ -157,11 +157,11 @@ class DifferenceLimits(msgspec.Struct, frozen=True):
 def compare_runs(
     good: Sequence[RunSummary], bad: Sequence[RunSummary], bounds: DifferenceLimits
 ) -> list[Point]:
-    """Return every figure that both sides have, and all else that differs; what is worse first.
+    """Return every figure that both sides have, and all other differences; worse ones come first.
 
     Args:
         good: earlier runs, at least one.
-        bad: later ones.
+        bad: later runs.
     """
     sides = [[_routes(run) for run in side] for side in (good, bad)]
     points: list[Point] = []
@@ -203,7 +203,7 @@ def _presence(
 
 
 def _difference(ours: Sequence[float], theirs: Sequence[float], step: float = 0.0) -> MeanInterval | None:
-    """Return the interval of a difference; None where one side has no two runs."""
+    """Return the interval of a difference; None if one side has fewer than two runs."""
     return difference_interval(ours, theirs, step) if min(len(ours), len(theirs)) > 1 else None
 
 
@@ -238,7 +238,7 @@ def _moved(
     least: float,
     text: Callable[[float | None], str],
 ) -> Point:
-    """Compare a rate, of which less is worse, or a delay, of which more is."""
+    """Compare a rate, where less is worse, or a delay, where more is worse."""
     before, after = fmean(was), fmean(now)
     interval = _difference(was, now)
     differs = abs(after - before) > least and (interval is None or not interval.low <= 0 <= interval.high)
@@ -251,7 +251,7 @@ def _moved(
 
 
 def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence[Route]) -> Iterator[Point]:
-    """Compare what did not arrive, of one route or of none."""
+    """Compare the messages that did not arrive, of one route or of none."""
     name, (link, msg_id, _) = place or ("of no known route", (None, None, 0))
     route = name if place else None
     for quantity, words in _GONE.items():
@@ -279,11 +279,11 @@ def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence
 
 
 def _is_chance(shares: Sequence[Sequence[float]], spread: float) -> bool:
-    """Return whether one run lost what runs like those of the other side lose.
+    """Return whether the loss of a single run is possible for runs like those of the other side.
 
     Args:
-        shares: of both sides, one of which has one run.
-        spread: standard deviation that the model gives for earlier runs.
+        shares: shares of both sides; one side has one run.
+        spread: standard deviation of earlier runs, from the model.
     """
     one, others = sorted(shares, key=len)
     freedom = MODEL_WORTH + len(others) - 1
@@ -293,7 +293,7 @@ def _is_chance(shares: Sequence[Sequence[float]], spread: float) -> bool:
 
 
 def _limits(key: Key, theirs: Sequence[Route], limits: DifferenceLimits) -> Iterator[Point]:
-    """Hold later runs against the limits that somebody set."""
+    """Compare later runs with the limits that the user set."""
     sent = sum(item["sent"] for item in theirs)
     share = sum(item["lost"] + item["unaccounted"] for item in theirs) / sent if sent else None
     delay = max((item["latency_ms"] for item in theirs if item["latency_ms"] is not None), default=None)
@@ -405,7 +405,7 @@ def _text(limits: tuple[float, float]) -> str:
 
 
 def _routes(run: RunSummary) -> dict[Key, dict[str, Any]]:
-    """Return one row for each link and MsgId, its senders put together; rates are those of the doctor."""
+    """Return one row for each link and MsgId, with the sums of its senders; rates are those of the doctor."""
     rows: dict[Key, dict[str, Any]] = {}
     for row in run.info["routes"]:
         if row["msg_id"] is None:
@@ -455,7 +455,7 @@ def _key(row: Mapping[str, Any]) -> Key:
 
 
 def _elsewhere(run: RunSummary, routes: set[Key]) -> dict[str, Any]:
-    """Return what did not arrive and is of no route, beside all datagrams."""
+    """Return the messages that did not arrive and belong to no route, compared with all datagrams."""
     rows = [row for row in run.doctor["balance"] if _key(row) not in routes]
     losses = {quantity: sum(row[quantity] for row in rows) for quantity in _GONE}
     return {"sent": run.info["datagrams"], "spread": 0.0, **losses}
@@ -489,7 +489,7 @@ def difference_interval(before: Sequence[float], after: Sequence[float], step: f
 
     Args:
         before: values of at least two runs.
-        after: likewise.
+        after: values of at least two later runs.
         step: see ``mean_interval``.
     """
     parts = [(variance(item) + step * step / 12) / len(item) for item in (before, after)]

@@ -1,12 +1,12 @@
-"""Drafts expectations from good runs: limits that the next run like them keeps to (``limits``).
+"""Drafts expectations from good runs: limits that a similar next run meets (``limits``).
 
-A draft passes on its own recordings. What was lost in them becomes a bound, and the draft says so. But it
-never allows that traffic was left out because nobody named its port: a check would be green for what nobody
-looked at.
+The recordings of a draft meet it. Their losses become bounds, and the draft notes this. But a draft never
+allows traffic to be left out because nobody named its port: a check would pass for traffic that nobody
+examined.
 
-A run that somebody judged good widens a file of expectations: what it does not meet is moved as far as a
-draft from this run alone would have it. A topic that is not there, an event, and a filter that no draft
-writes, are left to whoever judged.
+A file of expectations can be widened by a run that the user judged good: each unmet bound moves as far as a
+draft from this run alone would set it. A missing topic, an event, and a filter that no draft writes, are
+left to the user.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ class Draft:
     """Expectations from good runs.
 
     Args:
-        runs: at least one.
+        runs: good runs, at least one.
 
     Attributes:
-        text: of the file.
-        notes: what the draft accepts although it is no good run's, a line each.
+        text: text of the file.
+        notes: lines on accepted facts that are not those of a good run.
     """
 
     def __init__(self, runs: Sequence[Run]) -> None:
@@ -95,7 +95,7 @@ class Draft:
         yield from self._allowed("verdicts", sorted(grave))
 
     def _subjects(self) -> list[Subject]:
-        """Return the topics that are there in all runs, and other messages that are not cFS's own."""
+        """Return the topics in all runs, and other messages that are not cFS's own."""
         every = [{subject.name: subject for subject in subjects_of(run)} for run in self.runs]
         common = [name for name in every[0] if all(name in own for own in every)]
         rare = sorted({name for own in every for name in own} - {*common})
@@ -163,7 +163,7 @@ class Draft:
 
 
 def _is_filter(where: str, names: Names) -> bool:
-    """Return whether a filter can be asked: of structs in lists none can, each by itself."""
+    """Return whether a filter is valid: single fields of structs in lists cannot be filtered."""
     try:
         Where(where, names.context, names=names)
     except WhereError:
@@ -185,7 +185,7 @@ def field_limits(runs: Sequence[Run], topic: str) -> Iterator[tuple[str, str, Ru
 
 
 def subjects_of(run: Run) -> Iterator[Subject]:
-    """Yield the configured topics that are in a run, other messages that are not cFS's own, and samples."""
+    """Yield the configured topics in a run, other messages that are not cFS's own, and samples."""
     for spacecraft in sorted({item.spacecraft for item in run.ledger.accounts.values()}):
         mission = run.context.mission.of(spacecraft)
         accounts = [item for item in run.ledger.accounts.values() if item.spacecraft == spacecraft]
@@ -224,14 +224,14 @@ class ExpectationUpdate:
     """The new text of a file of expectations.
 
     Args:
-        text: of the file.
-        expected: what it says.
-        report: of the check that the run did not pass.
+        text: text of the file.
+        expected: its contents.
+        report: report of the check that the run failed.
         run: the same run.
 
     Attributes:
         text: the new text.
-        notes: what was widened, and what was not, a line each.
+        notes: lines on widened bounds, and on others that were not widened.
     """
 
     def __init__(self, text: str, expected: Expectations, report: CheckReport, run: Run) -> None:
@@ -282,7 +282,7 @@ class ExpectationUpdate:
             return
         limit = limits[key]
         if limit.is_share and not bound.share and bound.high:
-            return  # a bound in messages stays one
+            return  # a bound in messages remains in messages
         suffix = limit.suffix if bound.to_end else ""
         joined = (
             RunLimit(bound.low, bound.high, "").joined(limit)._replace(suffix=suffix, is_share=limit.is_share)

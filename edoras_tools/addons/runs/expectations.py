@@ -64,7 +64,7 @@ _TO_END: Final = " to the end"
 
 
 class Unit(Enum):
-    """What a bound counts; the value is how one is written."""
+    """Unit of a bound; the value is an example in text form."""
 
     MESSAGES = "600, 590..610 or at least 1"
     BYTES = "76, 76..116 or at most 768"
@@ -76,7 +76,7 @@ class Unit(Enum):
         """Read one number; times are in seconds.
 
         Raises:
-            ValueError: it is none of this unit.
+            ValueError: the text has another unit.
         """
         if self is Unit.TIME:
             return time_ns(text) / SECOND
@@ -87,7 +87,7 @@ class Unit(Enum):
         return float(plain)
 
     def text_of(self, value: float | None) -> str:
-        """Return a value for people."""
+        """Return a value as text for people."""
         if value is None:
             return units.NONE
         if self is Unit.RATE:
@@ -98,16 +98,16 @@ class Unit(Enum):
 
 
 class Tolerance(msgspec.Struct, frozen=True):
-    """The least and the most that is accepted, both included.
+    """Lower and upper bound, both included.
 
     Attributes:
-        text: as written.
-        unit: of both; times are in seconds.
-        low: the least.
-        high: the most.
-        share: both are shares of what was sent, from 0 to 1.
-        to_end: of a rate: the messages come to the end of the capture.
-        line: of the file.
+        text: text as written.
+        unit: unit of both; times are in seconds.
+        low: lower bound.
+        high: upper bound.
+        share: whether both are shares of the sent messages, from 0 to 1.
+        to_end: whether messages must come up to the end of the capture; for a rate.
+        line: line in the file.
     """
 
     text: str
@@ -127,7 +127,7 @@ def parse_bound(text: str, unit: Unit) -> Tolerance:
     """Read a bound.
 
     Raises:
-        ValueError: with what is allowed instead.
+        ValueError: the text is no bound; it says what is allowed.
     """
     plain = text.strip().removesuffix(_TO_END)
     to_end = plain != text.strip()
@@ -138,7 +138,7 @@ def parse_bound(text: str, unit: Unit) -> Tolerance:
     values = []
     with suppress(ValueError):
         values = [float(item[:-1]) / 100 if share else unit.number(item) for item in numbers]
-    never = exact and (share or unit in {Unit.RATE, Unit.TIME})  # a rate is never exactly so
+    never = exact and (share or unit in {Unit.RATE, Unit.TIME})  # measured rates are never exact
     if (
         not values
         or never
@@ -176,14 +176,14 @@ _EVENT: Final = re.compile(r"(\w+) (\d+)(?::\s*(.*))?", re.DOTALL)
 
 
 class FieldExpectation(msgspec.Struct, frozen=True):
-    """What must be so of the messages of a topic.
+    """A condition on the messages of a topic.
 
     Attributes:
-        sort: when ``where`` must pass; ``after``: a packet must follow each message that passes it.
-        where: a filter.
-        line: of the file.
-        then: the filter that must pass after it, on any packet.
-        within_ns: how long after it.
+        sort: quantifier of ``where``; ``after``: a packet must follow each message that passes it.
+        where: filter.
+        line: line in the file.
+        then: filter that a later packet must pass.
+        within_ns: time in which it must follow, ns.
     """
 
     sort: Sort
@@ -198,12 +198,12 @@ class FieldExpectation(msgspec.Struct, frozen=True):
 
 
 class EventExpectation(msgspec.Struct, frozen=True):
-    """An event of cFE that must be there, or must not.
+    """An event of cFE that must occur, or must not.
 
     Attributes:
-        must: whether it must be there.
+        must: whether it must occur.
         text: part of its text, or ``APP ID: TEXT`` as the doctor quotes events.
-        line: of the file.
+        line: line in the file.
     """
 
     must: bool
@@ -221,13 +221,13 @@ class EventExpectation(msgspec.Struct, frozen=True):
 
 
 class TopicExpectation(msgspec.Struct, frozen=True):
-    """What is expected of one topic.
+    """The expectations of one topic.
 
     Attributes:
-        name: as written: a topic, the name of a packet, or a MsgId.
-        line: of the file.
-        bounds: by key, in the file's order.
-        fields: about its messages.
+        name: name as written: a topic, the name of a packet, or a MsgId.
+        line: line in the file.
+        bounds: bounds by key, in the file's order.
+        fields: conditions on its messages.
     """
 
     name: str
@@ -237,15 +237,15 @@ class TopicExpectation(msgspec.Struct, frozen=True):
 
 
 class Expectations(msgspec.Struct, frozen=True):
-    """What is expected of a capture.
+    """The expectations of a capture.
 
     Attributes:
-        file: where it was read.
-        topics: of single topics.
-        events: of cFE's events.
-        findings: labels of the findings that are allowed; None: all.
-        verdicts: rules whose verdicts are allowed; None: all but those about the capture itself.
-        bounds: of the whole capture, by key.
+        file: path of the file.
+        topics: expectations of single topics.
+        events: expectations of cFE's events.
+        findings: labels of the allowed findings; None: all.
+        verdicts: rules with allowed verdicts; None: all except those about the capture itself.
+        bounds: bounds of the whole capture, by key.
     """
 
     file: str

@@ -1,9 +1,9 @@
-"""What came back in a replay, held against an earlier run of the same input: the first message that differs.
+"""Compares the answers in a replay with an earlier run of the same input: finds the first different message.
 
-1. Commands are not compared: they are what was sent. Both runs begin with the first of them.
-2. A value differs if at no time within ``_WINDOW_NS`` the earlier run had one so near: what is lost differs
-   from run to run, and so do times.
-3. So near is what ``--tolerance`` says of the field, else a share of its range in the earlier run.
+1. Commands are not compared, because they are the input. Both runs begin with the first command.
+2. A value differs if the earlier run had no value near it within ``_WINDOW_NS`` before or after: losses and
+   times vary from run to run.
+3. A value is near if it is within the ``--tolerance`` of the field, else within a share of the field's range.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 _WINDOW_NS: Final = SECOND
 _PERCENT: Final = 10.0
 _PERIODS: Final = 1.5
-"""The window is at least so many times what usually lies between two messages."""
+"""Least window, as a multiple of the usual time between two messages."""
 
 
 def unlike(good: Path, sent: Path, bench: Workbench, rooms: Mapping[str, float]) -> list[str]:
-    """Return how a run differs from a good one, a line for each field, by the first message that does.
+    """Return the first difference of each field from a good run, one line for each.
 
     Args:
         good: a capture of the good run.
-        sent: a recording of the other one.
-        bench: of both.
-        rooms: name of a field to how far its values may differ; of the empty name, the percent of the range
-            for all others.
+        sent: recording of the other run.
+        bench: workbench for both.
+        rooms: name of a field to its tolerance; with the empty name, the tolerance of all other fields in
+            percent of their range.
 
     Raises:
         EdorasError: one of them cannot be read to its end.
@@ -51,7 +51,7 @@ def unlike(good: Path, sent: Path, bench: Workbench, rooms: Mapping[str, float])
 
 
 def unlike_lines(good: Run, sent: Run, rooms: Mapping[str, float]) -> Iterator[str]:
-    """Yield the lines of ``unlike`` of runs that were read."""
+    """Yield the lines of ``unlike`` for runs that are already read."""
     begins = [_begin_ns(run) for run in (good, sent)]
     for topic, ours in good.values.items():
         if ours.to_cfs:
@@ -63,7 +63,7 @@ def unlike_lines(good: Run, sent: Run, rooms: Mapping[str, float]) -> Iterator[s
 
 
 def _begin_ns(run: Run) -> int:
-    """Return when the first command was sent; without any, when the run began."""
+    """Return the time of the first command, ns since 1970; without commands, the begin of the run."""
     times = [int(item.times_ns[0]) for item in run.values.values() if item.to_cfs and len(item.times_ns)]
     return min(times, default=run.ledger.start_ns)
 
@@ -99,7 +99,7 @@ def _fields(
 def _extremes(
     values: NDArray[np.float64], first: NDArray[np.intp], end: NDArray[np.intp]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the least and most of ``values[first:end]`` of each; NaN where that is empty."""
+    """Return the smallest and the largest value of each ``values[first:end]``; NaN for an empty one."""
     low = np.full(len(first), np.nan)
     high = low.copy()
     some = np.flatnonzero(end > first)

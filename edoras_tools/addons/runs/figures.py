@@ -1,4 +1,4 @@
-"""What was counted of some messages of a run."""
+"""Counts of some messages of a run."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _Item = TypeVar("_Item")
 
 
 class Parts:
-    """What figures are made of, laid out by route, MsgId and topic once for all subjects.
+    """The sources of figures, grouped by route, MsgId and topic once for all subjects.
 
     Args:
-        ledger: of the capture.
-        diagnosis: of the doctor; None of messages alone.
+        ledger: counts of the capture.
+        diagnosis: diagnosis; None for messages alone.
     """
 
     def __init__(self, ledger: Ledger, diagnosis: Diagnosis | None) -> None:
@@ -92,7 +92,7 @@ class Parts:
 def _laid_out(
     items: Sequence[_Item], keys: Callable[[_Item], Iterable[Any]]
 ) -> dict[Any, list[tuple[int, _Item]]]:
-    """Return items, each with its place, by each of their keys."""
+    """Return items with their indices, by each of their keys."""
     rows: dict[Any, list[tuple[int, _Item]]] = {}
     for place, item in enumerate(items):
         for key in keys(item):
@@ -101,13 +101,13 @@ def _laid_out(
 
 
 def _under(rows: Mapping[Any, list[tuple[int, _Item]]], keys: Iterable[Any]) -> list[_Item]:
-    """Return the items under any of some keys, each once, in their order."""
+    """Return the items under any of some keys, each once, in order."""
     own = dict(entry for key in keys for entry in rows.get(key, ()))
     return [own[place] for place in sorted(own)]
 
 
 class Figures(msgspec.Struct, frozen=True):
-    """What was counted of some messages.
+    """The figures of some messages.
 
     Attributes:
         count: messages in the capture.
@@ -115,12 +115,12 @@ class Figures(msgspec.Struct, frozen=True):
         silence: longest time in s without a message, from the capture's start to its end.
         end_silence: time in s from the last message to the capture's end.
         size: smallest and largest datagram in bytes; None without messages.
-        latency: in s, 99 percent took no longer; None where the capture does not show it.
+        latency: 99th percentile, s; None if the capture does not show it.
         sent: messages sent, as far as the balance knows.
-        lost: of the balance.
-        superseded: of the balance.
-        unaccounted: of the balance.
-        not_counted: where nothing counts what was lost, and what would; empty where all was counted.
+        lost: lost messages, from the balance.
+        superseded: messages replaced by newer ones, from the balance.
+        unaccounted: messages without a known fate, from the balance.
+        not_counted: place where losses are not counted, and what would count them; empty if all are counted.
     """
 
     count: int
@@ -137,7 +137,7 @@ class Figures(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, subject: Subject, parts: Parts) -> Figures:
-        """Return the figures of a subject; without a diagnosis, those of messages alone."""
+        """Return the figures of a subject; without a diagnosis, those of its messages alone."""
         packets = subject.packets
         if packets.only_samples and parts.diagnosis is not None:
             samples, rows = parts.samples(packets)
@@ -187,7 +187,7 @@ class Figures(msgspec.Struct, frozen=True):
 
     @classmethod
     def whole(cls, ledger: Ledger, diagnosis: Diagnosis | None) -> Figures:
-        """Return the figures of all messages; ``silence`` is how long the capture lasts."""
+        """Return the figures of all messages; ``silence`` is the duration of the capture."""
         rows = [row for row in diagnosis.balance if row.hop != CAPTURE] if diagnosis else []
         seconds = (ledger.end_ns - ledger.start_ns) / SECOND
         return cls(ledger.datagrams, None, seconds, 0.0, None, None, sent(rows), **_losses(rows))

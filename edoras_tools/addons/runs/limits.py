@@ -1,11 +1,12 @@
-"""Limits for the next run, from what one or many runs showed: tolerance intervals, each with its source.
+"""Limits for the next run, from one or many runs: tolerance intervals, each with its source.
 
-1. A limit holds in 99 of 100 runs like those that were seen, with a confidence of 95 percent.
-2. How much runs differ is first an expectation, which is worth ``_WORTH`` runs from one run and less the
-   more are seen: a rate a hundredth, and the messages at its ends; a silence and a latency a quarter, and
-   150 ms; a field a twentieth of its range, or a two-hundredth of what is sent to cFS.
-3. How much a loss differs the queue model says (``run``), which is worth ``MODEL_WORTH`` runs.
-4. Nothing lost stays nothing lost.
+1. A limit holds in 99 of 100 runs like the observed ones, with a confidence of 95 percent.
+2. The variation of runs is first assumed. The assumption has the weight of ``_WORTH`` runs beside one
+   observed run, and less beside more of them. It is: for a rate, a hundredth and the messages at both ends;
+   for a silence and a latency, a quarter plus 150 ms; for a field, a twentieth of its range, or a
+   two-hundredth if it is sent to cFS.
+3. The variation of a loss comes from the queue model (``run``), with the weight of ``MODEL_WORTH`` runs.
+4. If nothing was lost, nothing may be lost.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.runs.values import FieldValues
 
 _DIGITS: Final = 15
-"""More places behind the point than so many are an exponent."""
+"""Most decimals of a number; with more, it is written with an exponent."""
 _WORTH: Final = 10
 MODEL_WORTH: Final = 100
 _RATE: Final = 0.01
@@ -34,21 +35,21 @@ _LEAST_S: Final = 0.15
 _SENT: Final = 0.005
 _RECEIVED: Final = 0.05
 _FEWEST: Final = 5
-"""A topic with fewer messages has no rate."""
+"""Least number of messages of a topic with a rate."""
 _EQUAL: Final = 1e-6
 _CONTENT: Final = 0.99
-"""Share of all runs that a tolerance interval holds."""
+"""Share of all runs within a tolerance interval."""
 
 
 class RunLimit(NamedTuple):
-    """What the next run may show.
+    """A limit for the next run.
 
     Attributes:
-        low: the least.
-        high: the most.
-        why: what was seen, for a comment.
-        suffix: of the bound.
-        is_share: whether both are shares.
+        low: lower bound.
+        high: upper bound.
+        why: observed values, for a comment.
+        suffix: end of the bound's text.
+        is_share: whether both bounds are shares.
     """
 
     low: float
@@ -58,7 +59,7 @@ class RunLimit(NamedTuple):
     is_share: bool = False
 
     def text(self, unit: Unit) -> str:
-        """Return it as a file of expectations has it."""
+        """Return the limit in the notation of a file of expectations."""
         sign = "%" if self.is_share else "s" if unit is Unit.TIME else ""
         low, high = (_rounded(value, how) for value, how in ((self.low, math.floor), (self.high, math.ceil)))
         if self.is_share:
@@ -68,7 +69,7 @@ class RunLimit(NamedTuple):
         return f"{low}" if low == high else f"{low}..{high}{self.suffix}"
 
     def joined(self, other: RunLimit) -> RunLimit:
-        """Return a limit that holds both."""
+        """Return a limit that includes both."""
         low, high = min(self.low, other.low), max(self.high, other.high)
         return self._replace(low=low, high=high, why=other.why)
 
@@ -78,7 +79,7 @@ def _worth(runs: int) -> int:
 
 
 def _range_text(values: Sequence[float], text: Callable[[float], str]) -> str:
-    """Return what was seen in words."""
+    """Return the range of the observed values in words."""
     if len(values) == 1:
         return f"{text(values[0])} in 1 run"
     low, high = text(min(values)), text(max(values))
@@ -91,9 +92,9 @@ def topic_limits(
     """Yield the limits of one topic by their key.
 
     Args:
-        runs: its figures in each run.
-        spread: standard deviation of what is lost of it.
-        rate_spread: likewise, before it is captured.
+        runs: figures of the topic in each run.
+        spread: standard deviation of its losses.
+        rate_spread: standard deviation of its losses in front of the capture.
     """
     count = len(runs)
     rates = [item.rate for item in runs if item.rate and item.count >= _FEWEST]
@@ -122,7 +123,7 @@ def _time_limit(values: Sequence[float]) -> RunLimit:
 
 
 def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, RunLimit]]:
-    """Yield the limits of what is lost, by their key; those that nothing counted have none."""
+    """Yield the limits of the losses, by their key; losses that nothing counts have none."""
     if not all(item.sent for item in runs):
         return
     for key in LOSS_KEYS:
@@ -145,7 +146,7 @@ def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, R
 
 
 def field_limit(runs: Sequence[FieldValues], *, to_cfs: bool) -> RunLimit | None:
-    """Return the limit of a field; None where it has no number, or was still moving when runs ended."""
+    """Return the limit of a field; None if it has no number, or was still moving at the end of runs."""
     if not all(item.count for item in runs) or 2 * sum(item.is_moving for item in runs) > len(runs):
         return None
     lows, highs = [item.low for item in runs], [item.high for item in runs]
@@ -176,7 +177,7 @@ def field_filter(name: str, limit: RunLimit, *, is_flag: bool = False) -> str:
 
 
 def _number(value: float) -> str:
-    """Return a number without an exponent, unless it is so small that it needs one."""
+    """Return a number without an exponent, unless it is too small."""
     if value == int(value):
         return f"{int(value)}"
     digits = max(1, 7 - math.floor(math.log10(abs(value))))
@@ -184,7 +185,7 @@ def _number(value: float) -> str:
 
 
 def _rounded(value: float, how: Callable[[float], int]) -> float:
-    """Return a value of three digits, above or below it as ``how`` says."""
+    """Return a value with three digits, rounded up or down by ``how``."""
     digits = 2 - math.floor(math.log10(value)) if value > 0 else 0
     scale = 10.0**digits
     rounded = how(round(value * scale, 6)) / scale
@@ -192,12 +193,12 @@ def _rounded(value: float, how: Callable[[float], int]) -> float:
 
 
 def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> MeanInterval:
-    """Return where nearly all runs lie: ``_CONTENT`` of them, with ``MEAN_CONFIDENCE``.
+    """Return the interval that contains ``_CONTENT`` of all runs, with confidence ``MEAN_CONFIDENCE``.
 
     Args:
-        values: one of each run, at least one.
-        spread: standard deviation that was to be expected before any run.
-        freedom: how many runs that expectation is worth.
+        values: one value of each run, at least one.
+        spread: standard deviation assumed before any run.
+        freedom: number of runs that the assumption has the weight of.
     """
     count = len(values)
     squares = variance(values) * (count - 1) if count > 1 else 0.0

@@ -1,4 +1,4 @@
-"""Counts, while a capture is read, what expectations need beside the diagnosis."""
+"""Counts, while a capture is read, the facts that expectations need besides the diagnosis."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ if TYPE_CHECKING:
 
 
 NOT_OBSERVABLE: Final = "not observable in this recording: it has messages and no datagrams"
-"""Found of an expectation that needs datagrams; it is not met."""
+"""Result of an expectation that needs datagrams; it is not met."""
 
 
 class CountedMessages(msgspec.Struct):
-    """How the counting of messages ended; as ``doctor.Findings`` where these can say the same.
+    """The end of counting messages; has the attributes of ``doctor.Findings`` that apply.
 
     Attributes:
         source: the recording.
-        zero_ns: time of its first message.
-        failure: why it ended early, if it did.
-        warnings: a line each.
-        unnamed: nothing: a recording has no ports.
-        diagnosis: none.
+        zero_ns: time of its first message, ns since 1970.
+        failure: error that ended it early, if any.
+        warnings: warnings, one line each.
+        unnamed: always empty: a recording has no ports.
+        diagnosis: always None.
     """
 
     source: Source
@@ -94,12 +94,12 @@ def examine_or_count(
 
 
 class Subject(msgspec.Struct, frozen=True):
-    """The messages that a name stands for.
+    """The messages of a name.
 
     Attributes:
-        name: as people are told.
-        packets: which they are.
-        spacecraft: whose; 0 for those of all.
+        name: name for people.
+        packets: kinds of packets.
+        spacecraft: number of the spacecraft; 0 for all.
     """
 
     name: str
@@ -108,10 +108,10 @@ class Subject(msgspec.Struct, frozen=True):
 
     @classmethod
     def of_name(cls, name: str, context: Context) -> Subject:
-        """Return what a name in a file of expectations stands for.
+        """Return the messages of a name in a file of expectations.
 
         Raises:
-            RouteError: nothing; with what was perhaps meant.
+            RouteError: the name has no messages; the text suggests a similar name.
         """
         prefix, rest = ("", name) if context.mission.recorded else split_topic(name)
         spacecraft = (context.mission.number_of(prefix) if prefix else 0) or FIRST_SPACECRAFT
@@ -128,12 +128,12 @@ class Subject(msgspec.Struct, frozen=True):
         return cls(f"0x{int(name, 0):04x}" if number else name, packets, spacecraft)
 
     def mask(self, rows: ColumnRows) -> NDArray[np.bool_]:
-        """Return which rows are meant."""
+        """Return which rows belong to it: bool (n,)."""
         own = self.packets.mask(rows.batch, rows.columns)[rows.indices()]
         return own & self.owns(rows)
 
     def is_among(self, selection: Selection, mission: Mission) -> bool:
-        """Return whether some of it may be in a prepared selection, without regard to the filter."""
+        """Return whether a prepared selection may have some of its messages; the filter is ignored."""
         packets = self.packets
         links = {mission.routes[index].link for index in packets.routes}
         if selection.links and links and links.isdisjoint(selection.links):
@@ -145,7 +145,7 @@ class Subject(msgspec.Struct, frozen=True):
         )
 
     def owns(self, rows: ColumnRows) -> NDArray[np.bool_]:
-        """Return which rows are of its spacecraft."""
+        """Return which rows belong to its spacecraft: bool (n,)."""
         own: NDArray[np.bool_] = rows.column("spacecraft") == self.spacecraft
         return own if self.spacecraft else ~own
 
@@ -154,16 +154,16 @@ EVENT_MESSAGES = Subject("events", PacketKinds(keys=frozenset({Key(cfe.EVENT_MSG
 
 
 class FilterCount(msgspec.Struct):
-    """Counts which messages pass a filter.
+    """Counts the messages that pass a filter.
 
     Attributes:
-        subject: which messages.
-        where: the filter.
-        then: the filter that has to pass afterwards, on any packet; or None.
-        tested: how many there were.
-        hits: how many passed.
-        first_hit: number and time of the first that passed; None where none did.
-        first_miss: likewise of the first that did not.
+        subject: messages.
+        where: filter.
+        then: filter that a later packet must pass, or None.
+        tested: number of messages tested.
+        hits: number of messages that passed.
+        first_hit: number and time of the first message that passed; None if none did.
+        first_miss: number and time of the first message that did not pass; None if all did.
     """
 
     subject: Subject
@@ -177,7 +177,7 @@ class FilterCount(msgspec.Struct):
     _then_ns: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
 
     def add(self, messages: ColumnRows, rows: ColumnRows) -> None:
-        """Count messages of the subject, and look for what has to come afterwards in all rows."""
+        """Count the messages of the subject, and search all rows for the packets that must follow."""
         passed = self.where.passing(messages)
         number, time_ns = messages.datagram("number"), messages.datagram("time_ns")
         self.tested += len(messages)
@@ -190,7 +190,7 @@ class FilterCount(msgspec.Struct):
             self._then_ns.append(rows.datagram("time_ns")[after])
 
     def unanswered(self, within_ns: int, end_ns: int) -> tuple[NDArray[np.int64], int]:
-        """Return the times of the hits that nothing followed in time, and how many the end leaves open."""
+        """Return the times of hits without a timely follower, and the number of hits that the end leaves open."""
         hits, answers = (np.sort(np.concatenate([*item])) for item in (self._hits_ns, self._then_ns))
         after = np.append(answers, np.iinfo(np.int64).max)[np.searchsorted(answers, hits, "right")]
         missed = hits[after - hits > within_ns]
@@ -202,12 +202,12 @@ class Observation(Counting):
     """Counts datagrams, fields and events; see ``Counting``.
 
     Attributes:
-        subjects: what each topic of the expectations stands for, in their order.
-        fields: a watch for each expectation of fields, by topic.
-        events: a watch for each event; none where there are no datagrams.
+        subjects: messages of each topic of the expectations, in their order.
+        fields: counters of the expectations of fields, by topic.
+        events: counters of the expectations of events; empty without datagrams.
 
     Raises:
-        ConfigError: an expectation names no topic, or a filter no field; all of them at once.
+        ConfigError: an expectation names no topic, or a filter no field; all such errors at once.
     """
 
     def __init__(self, source: Source, bench: Workbench, expected: Expectations) -> None:
@@ -230,7 +230,7 @@ class Observation(Counting):
         report.raise_all()
 
     def about(self, selection: Selection) -> Expectations:
-        """Leave the topics out that a prepared selection leaves out; return the other expectations."""
+        """Drop the topics outside a prepared selection; return the other expectations."""
         keep = [item.is_among(selection, self.report.ledger.mission) for item in self.subjects]
         self.subjects, self.fields = (list(compress(self.subjects, keep)), list(compress(self.fields, keep)))
         return replace(self._expected, topics=tuple(compress(self._expected.topics, keep)))

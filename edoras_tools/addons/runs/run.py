@@ -1,13 +1,13 @@
-"""One run: a capture that was read to its end, and all that is compared of it or drafted from it.
+"""One run: a capture that was read to its end, with the data for comparisons and drafts.
 
-How much a loss would have differed in another run of the same traffic the queue model tells:
+The queue model estimates how much a loss would vary in other runs of the same traffic:
 
-1. The arrivals are those of the capture. When a queue is read is not known to the millisecond: the model is
-   asked at ``_PHASES`` phases of its round.
-2. Whether a reader takes the first of a burst while the rest still comes in is chance, so that less is lost
-   than the model says: each loss that it names then happens with the share that was seen (binomial).
-3. A model that explains less than what was lost, and what was lost without a queue, tells nothing: such
-   losses are taken as independent of each other (Poisson).
+1. The arrivals are those of the capture. The exact times of the reading rounds are unknown, so the model runs
+   with ``_PHASES`` phases of the round.
+2. It is chance whether a reader takes the first messages of a burst while the rest still arrives; then fewer
+   are lost than in the model. So each loss of the model happens with the observed share (binomial).
+3. If the model loses fewer messages than were lost, or if no queue lost them, it does not apply: such losses
+   are taken as independent of each other (Poisson).
 """
 
 from __future__ import annotations
@@ -51,16 +51,16 @@ _PACKED = ("", ".gz", ".zst")
 
 _PHASES: Final = 16
 _LEAST: Final = 1.0
-"""Where anything is lost, what is lost at both ends of a run differs by so much."""
+"""Least variance of losses: at both ends of a run their number varies by chance."""
 _FITS: Final = 1.2
-"""So many times what the model loses may be lost, and it explains it."""
+"""Largest number of actual losses that the model explains, as a multiple of its own losses."""
 
 
 def loss_spreads(diagnosis: Diagnosis | None) -> dict[tuple[str, int, int], float]:
-    """Return the standard deviation of the messages lost of each stream that lost any.
+    """Return the standard deviation of the number of lost messages, for each stream with losses.
 
     Returns:
-        by link, MsgId and spacecraft.
+        The deviations by link label, MsgId and spacecraft.
     """
     spreads: dict[tuple[str, int, int], float] = {}
     parts = (diagnosis.parts or {FIRST_SPACECRAFT: diagnosis}) if diagnosis else {}
@@ -76,7 +76,7 @@ def loss_spreads(diagnosis: Diagnosis | None) -> dict[tuple[str, int, int], floa
 
 
 def _model(case: Case, stream: Stream) -> list[int]:
-    """Return how many of a stream its queues lose at each phase."""
+    """Return the losses of a stream in its queues, at each phase."""
     profile = case.profile
     if stream.link.only_to_cfs:
         rows = np.flatnonzero((case.rows.link == stream.link) & (case.rows.destination == stream.receiver))
@@ -104,7 +104,7 @@ class ValueCounting(Counting):
     """Counts datagrams and values; see ``Counting``.
 
     Attributes:
-        values: of the configured topics.
+        values: values of the configured topics.
     """
 
     def __init__(self, source: Source, bench: Workbench) -> None:
@@ -119,15 +119,15 @@ class ValueCounting(Counting):
 
 
 class Run(msgspec.Struct, frozen=True):
-    """What is known of one run.
+    """The results of one run.
 
     Attributes:
-        name: of its capture.
-        report: its counts.
-        context: mission and decoding.
-        findings: of the doctor, or of who counts messages.
-        values: of the fields of each topic.
-        spreads: standard deviation of what is lost in other runs of this traffic, by link, MsgId and
+        name: name of its capture.
+        report: counts.
+        context: context with mission and decoding.
+        findings: diagnosis, or the counts of messages.
+        values: values of the fields of each topic.
+        spreads: standard deviation of the losses in other runs of this traffic, by link, MsgId and
             spacecraft.
     """
 
@@ -151,23 +151,23 @@ class Run(msgspec.Struct, frozen=True):
 
     @property
     def ledger(self) -> Ledger:
-        """Its counts by route."""
+        """Counts by route."""
         return self.report.ledger
 
     @property
     def diagnosis(self) -> Diagnosis | None:
-        """What the doctor says; None of a recording without datagrams."""
+        """Diagnosis; None for a recording without datagrams."""
         return self.findings.diagnosis
 
     def parts(self) -> Parts:
-        """Return what figures are made of."""
+        """Return the sources of figures."""
         return Parts(self.ledger, self.diagnosis)
 
     def spread(self, subject: Subject | None = None, *, captured: bool = False) -> float:
-        """Return the standard deviation of what is lost of some messages; of all by default.
+        """Return the standard deviation of the losses of some messages; of all by default.
 
         Args:
-            captured: of how many are captured: what goes to cFS is lost behind the capture.
+            captured: whether only losses in front of the capture count: commands are lost behind it.
         """
         if subject is None:
             return hypot(*self.spreads.values())
@@ -183,10 +183,10 @@ class Run(msgspec.Struct, frozen=True):
 
 
 def run_paths(paths: Sequence[Path]) -> list[Path]:
-    """Return the captures that are named, of folders those in them; a rosbag2 folder is one capture.
+    """Return the named captures, and those in named folders; a rosbag2 folder is one capture.
 
     Raises:
-        ConfigError: a folder has none.
+        ConfigError: a folder has no capture.
     """
     endings = tuple(f"{suffix}{packed}" for suffix in FILE_SUFFIXES for packed in _PACKED)
     runs: list[Path] = []

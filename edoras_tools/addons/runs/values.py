@@ -1,9 +1,9 @@
-"""What the fields of each topic held in a run: range, mean, and the values of the first messages themselves.
+"""The fields of each topic in a run: range, mean, and the values of the first messages.
 
-1. Numbers are compared, of structs in structs and of lists up to ``_ELEMENTS`` each, where all messages have
-   as many. Texts are not, nor are stamps: a time is another one in each run.
-2. The values of at most ``_MOST`` messages of a topic are kept, to name the first that differs; range and
-   mean are of all.
+1. Numbers are compared, including those in nested structs, and in lists of up to ``_ELEMENTS`` if all
+   messages have the same length. Texts and stamps are not: times differ in each run.
+2. The values of at most ``_MOST`` messages of a topic are kept, to name the first one that differs; range and
+   mean include all messages.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _MOST: Final = 100_000
 _TIME: Final = ("sec", "nanosec")
 _END: Final = 0.05
 _MOVED: Final = 0.8
-"""A field was still moving whose extreme came in so late a share, so much of its range away."""
+"""Least distance from the first to the last value of a still moving field, as a share of its range."""
 _FEWEST: Final = 20
 
 
@@ -38,8 +38,8 @@ class FieldValues(msgspec.Struct):
     Attributes:
         low: lowest value; infinite without a number.
         high: highest value.
-        count: numbers seen; those that are NaN are none.
-        first_values: f64, of the first messages.
+        count: number of finite values.
+        first_values: f64 (n,), values of the first messages.
         is_whole: whether it is a whole number or a flag.
         is_flag: whether it is true or false.
     """
@@ -68,22 +68,22 @@ class FieldValues(msgspec.Struct):
 
     @property
     def mean(self) -> float:
-        """Mean of the numbers."""
+        """Mean of the finite values."""
         return self._sum / self.count
 
     @property
     def first_values(self) -> NDArray[np.float64]:
-        """Values of the first messages, f64."""
+        """Values of the first messages, f64 (n,)."""
         return np.concatenate([np.zeros(0), *self._first_values])
 
     @property
     def is_constant(self) -> bool:
-        """Whether all are equal."""
+        """Whether all values are equal."""
         return self.low == self.high
 
     @property
     def is_moving(self) -> bool:
-        """Whether it still went where it had never been when the run ended: a longer run goes on."""
+        """Whether the field still reached new extremes when the run ended: a longer run would go further."""
         values = self.first_values
         if self.is_constant or len(values) < _FEWEST:
             return not self.is_constant
@@ -97,7 +97,7 @@ class TopicValues(msgspec.Struct):
 
     Attributes:
         to_cfs: whether its messages go to cFS.
-        fields: by name, elements of lists as ``position[0]``.
+        fields: fields by name; elements of lists as ``position[0]``.
     """
 
     to_cfs: bool = False
@@ -111,11 +111,11 @@ class TopicValues(msgspec.Struct):
 
     @property
     def times_ns(self) -> NDArray[np.int64]:
-        """Time of each message that is kept, i64."""
+        """Times of the kept messages, i64 (n,), ns since 1970."""
         return np.concatenate([np.zeros(0, np.int64), *self._times_ns])
 
     def note(self, numbers: NDArray[np.int64], times_ns: NDArray[np.int64]) -> None:
-        """Note which messages came."""
+        """Record the numbers and times of further messages."""
         if sum(map(len, self._numbers)) < _MOST:
             self._numbers.append(numbers)
             self._times_ns.append(times_ns)
@@ -125,7 +125,7 @@ class ValueCount:
     """Collects the values of the configured topics while a capture is read.
 
     Attributes:
-        topics: by name.
+        topics: values by topic.
     """
 
     def __init__(self) -> None:
@@ -147,7 +147,7 @@ class ValueCount:
 
 
 def _columns(fields: Mapping[str, NDArray[Any] | Ragged]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield the numbers of some messages, a column each."""
+    """Yield the numbers of some messages, one column each."""
     for name, column in fields.items():
         before, _, last = name.rpartition(".")
         if last in _TIME and all((f"{before}.{item}" if before else item) in fields for item in _TIME):

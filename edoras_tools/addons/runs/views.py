@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def _hanging(mark: Text, text: Text, width: int) -> Text:
-    """Return a text behind a mark; what is wrapped goes on below its beginning."""
+    """Return a text behind a mark; wrapped lines are indented below it."""
     indent = mark.cell_len + 1
     lines = text.wrap(Console(width=width), max(1, width - indent))
     return Text("\n" + " " * indent).join(
@@ -54,14 +54,14 @@ def check_view(report: Mapping[str, Any], width: int) -> RenderableType:
 
 
 _SHOWN: Final = {"rate_hz": "rate", "lost": "lost", "latency_ms": "99 % within"}
-"""Figures that a table shows of both sides, though they do not differ."""
+"""Figures that a table shows for both sides even if they are equal."""
 
 
 def runs_view(report: Mapping[str, Any], width: int) -> RenderableType:
-    """Return the view of a comparison: figures of both sides in a table, then all that differs.
+    """Return the view of a comparison: figures of both sides in a table, then all differences.
 
     Args:
-        report: in the form of ``compare --json``.
+        report: report in the form of ``compare --json``.
     """
     parts: list[RenderableType] = [
         _hanging(Text(f"{label:<4}", palette.STRONG), _side(report[label]), width)
@@ -88,7 +88,7 @@ def runs_view(report: Mapping[str, Any], width: int) -> RenderableType:
 
 
 def _figures(rows: Sequence[Mapping[str, Any]], width: int, *, many: bool) -> RenderableType:
-    """Return figures before and after, with what lies between them."""
+    """Return a table of figures before and after, with their difference."""
 
     def text(row: Mapping[str, Any], value: float | None, *, sign: str = "") -> str:
         if value is None:

@@ -1,4 +1,4 @@
-"""``edoras doctor --against`` and ``--bag``: a capture beside another one, or beside bags of the ROS side."""
+"""``edoras doctor --against`` and ``--bag``: a capture compared with another one, or with ROS bags."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def bags(
         with file_progress(files, quiet=quiet) as bar:
             source, bench = open_input(inputs, settings, aligned=True, progress=bar)
             comparisons = against_capture(source, others, bench, scope, bar)
-            if all(path.is_file() or path.is_dir() for path in files):  # a pipe is read only once
+            if all(path.is_file() or path.is_dir() for path in files):  # a pipe can be read only once
                 source, bench = open_input(inputs, settings, aligned=True, progress=bar)
                 judged = examine(source, bench, scope=scope, pace=Pace(monotonic_ns), progress=bar)
     elif scope.selection or scope.period:

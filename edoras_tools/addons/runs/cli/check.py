@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class CheckOptions(NamedTuple):
-    """What is done with the expectations."""
+    """Use of the expectations."""
 
     init: Annotated[bool, Option("--init", help="Draft expectations from good runs, each a file.")] = False
     update: Annotated[bool, Option("--update", help="Widen them by this run, which is a good one.")] = False
@@ -104,7 +104,7 @@ def check(
 
 
 def _expectations(inputs: InputOptions) -> tuple[InputOptions, Path]:
-    """Return the inputs, and the file of expectations, which is named last."""
+    """Return the inputs, and the file of expectations, which is the last argument."""
     files, read = inputs.files
     form = "edoras check FILE... EXPECT.yaml; --init FILE drafts the expectations from a good recording"
     if not files:
@@ -153,7 +153,7 @@ def _draft(
 
 
 def _update(path: Path, expected: Expectations, report: CheckReport, run: Run) -> None:
-    """Widen the expectations by a run."""
+    """Widen the expectations so that a run meets them."""
     from edoras_tools.addons.runs.draft import ExpectationUpdate
 
     update = ExpectationUpdate(path.read_text(encoding="utf-8"), expected, report, run)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def _of_route(read: Callable[[str], Any]) -> Callable[[str], tuple[str, Any]]:
-    """Return what reads ``[ROUTE=]VALUE``."""
+    """Return a parser of ``[ROUTE=]VALUE``."""
 
     def value(text: str) -> tuple[str, Any]:
         route, _, rest = text.rpartition("=")
@@ -31,7 +31,7 @@ def _of_route(read: Callable[[str], Any]) -> Callable[[str], tuple[str, Any]]:
 
 
 class LimitOptions(NamedTuple):
-    """What may differ, and what later runs may show."""
+    """Accepted differences, and limits of later runs."""
 
     tolerance: Annotated[
         list[Any] | None,
@@ -55,7 +55,7 @@ class LimitOptions(NamedTuple):
     force: recordings.Force = False
 
     def bounds(self) -> DifferenceLimits:
-        """Return these options in the form that the work takes."""
+        """Return these options in the form that the comparison takes."""
         from edoras_tools.addons.runs.differences import DifferenceLimits
 
         rooms = dict(self.tolerance or ())
