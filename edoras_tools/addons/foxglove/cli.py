@@ -42,14 +42,14 @@ if TYPE_CHECKING:
 
 
 class SourceOptions(NamedTuple):
-    """What is shown."""
+    """The source."""
 
     inputs: InputOptions = InputOptions()
     sim: Annotated[options.Scenario | None, Option(help="An emulated cFS, its bridges and robots.")] = None
 
 
 class OutputOptions(NamedTuple):
-    """Where it is shown and recorded."""
+    """The server and the recording."""
 
     live: Annotated[Any, Option(parser=place, metavar="[HOST:]PORT", help="For Foxglove; 0: free.")] = "8765"
     host: Annotated[str | None, Option(hidden=True)] = None
@@ -61,7 +61,7 @@ class OutputOptions(NamedTuple):
     metrics: Metrics = None
 
     def endpoint(self) -> Endpoint:
-        """Return where Foxglove connects to."""
+        """Return the address for Foxglove."""
         base: Endpoint = self.live
         port = base.port if self.ws_port is None else self.ws_port
         return replace(base, address=self.host or base.address, port=port)
@@ -69,7 +69,7 @@ class OutputOptions(NamedTuple):
 
 @headed("Playback")
 class PlaybackOptions(NamedTuple):
-    """How a recording is played back."""
+    """Settings of playback."""
 
     speed: Annotated[float | None, Option(parser=sending.factor, help="Factor; default 1.")] = None
     paused: Annotated[bool, Option("--paused", help="Start paused; play in Foxglove, or space here.")] = False
@@ -79,7 +79,7 @@ class PlaybackOptions(NamedTuple):
 
 @headed("Publishing")
 class PublishingOptions(NamedTuple):
-    """What Foxglove may publish, and where it is sent."""
+    """Topics that Foxglove may publish, and their receiver."""
 
     allow: Annotated[list[str] | None, Option(help="Topics that Foxglove may send to cFS.")] = None
     target: Annotated[Any, Option(parser=sending.address, help="Where cFS is; default: this machine.")] = None
@@ -87,7 +87,7 @@ class PublishingOptions(NamedTuple):
     yes: sending.Yes = False
 
     def commands(self, bench: Workbench, outlets: Mapping[Receiver, Send]) -> CommandPublisher | None:
-        """Return what sends Foxglove's messages, once the user confirmed the target; None if not allowed."""
+        """Return a publisher of Foxglove's messages after the user confirmed the target; None: not allowed."""
         if not self.allow:
             return None
         from edoras_tools.addons.foxglove.publish import CommandPublisher
@@ -102,7 +102,7 @@ class PublishingOptions(NamedTuple):
 
 
 class StopOptions(NamedTuple):
-    """How much live traffic is read, and how long a source is shown."""
+    """Limits of live traffic, and of the time that a source is shown."""
 
     limits: options.PartOptions
     every: Annotated[bool, Option("--all", "-a", hidden=True)] = False
@@ -182,7 +182,7 @@ def live(
 
 
 def _piped(paths: Sequence[Path]) -> tuple[SettledFile | None, Source | None]:
-    """Open standard input or a named pipe: a recording to play, or a capture to show as it comes."""
+    """Open standard input or a named pipe: a recording to play, or a live capture."""
     if len(paths) != 1 or not (str(paths[0]) == "-" or paths[0].is_fifo()):
         return None, None
     from edoras_tools.io.formats.open import kept_recording
@@ -233,7 +233,7 @@ def _play(
 def _keyboard(
     player: RecordingPlayer, sink: ServedSink, *, quiet: bool
 ) -> Iterator[tuple[Callable[[], str], Callable[[PlaybackState], None]]]:
-    """Give the functions that read keys and show the state; they do nothing where there is no terminal."""
+    """Give the functions that read keys and show the state; without a terminal they do nothing."""
     tty = sys.stdin.isatty() and sys.stderr.isatty()
     if quiet or not tty or os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp():  # not a job in the background
         yield str, lambda _: None
@@ -243,7 +243,7 @@ def _keyboard(
 
     def show(state: PlaybackState) -> None:
         line = playback_line(state, player.range_ns, len(sink.server.clients), waiting=player.waiting)
-        now = line, monotonic_ns() // 1_000_000_000  # again each second: a message may stand in its place
+        now = line, monotonic_ns() // 1_000_000_000  # repeat it each second: a message may have replaced it
         if now not in latest:
             latest[:] = [now]
             sys.stderr.write(f"\x1b[K{line}  {HELP}"[: get_terminal_size().columns + 2] + "\r")
@@ -294,10 +294,10 @@ def _traffic(
 def server(
     bench: Workbench, listen: Endpoint, origins: Sequence[str] | None, token: str | None
 ) -> Callable[[SourceInfo, SourceStatistics], FoxgloveSink]:
-    """Return what starts a server for a command that relays traffic, and prints its address.
+    """Return a function that starts a server for a command that relays traffic, and prints its address.
 
     Raises:
-        ConfigError: an origin is none.
+        ConfigError: an origin is not valid.
     """
     from edoras_tools.addons.foxglove.serving import attach
 
@@ -336,7 +336,7 @@ def served(summary: Mapping[str, Any]) -> Iterator[str]:
     """Yield one line for all clients, and one for each client that was too slow.
 
     Args:
-        summary: as ``FoxgloveServer.summary`` gives it.
+        summary: result of ``FoxgloveServer.summary``.
     """
     clients = summary["clients"]
     words = [

@@ -1,8 +1,8 @@
-"""Foxglove instead of a ROS 2 graph: a bridge publishes to clients, and receives what they publish.
+"""Foxglove instead of a ROS 2 graph: a bridge publishes to clients, and receives their messages.
 
-Options: ``host`` and ``port`` of the server, port 0 for any that is free (``server.url`` says which);
-``origins`` of web pages that may connect beside Foxglove's and this machine's; ``token`` that who connects
-has to give in the URL.
+Options: ``host`` and ``port`` of the server, port 0 for any free one (``server.url`` has it); ``origins`` of
+web pages that may connect, besides those of Foxglove and of this machine; ``token`` that clients must have
+in the URL.
 A client that does not keep up loses messages, and does not delay the others.
 """
 
@@ -43,7 +43,7 @@ def open_graph(
     """Serve a graph.
 
     Args:
-        domain: not looked at.
+        domain: ignored.
         options: ``host``, ``port``, ``origins`` with commas between, and ``token``.
 
     Raises:
@@ -63,15 +63,15 @@ class FoxgloveGraph:
     """A Foxglove server as a node's graph.
 
     Args:
-        listen: address and port; port 0 is the system's choice.
-        origins: of further web pages that may connect; see ``OriginCheck``.
-        token: what who connects has to give; empty: nobody is asked.
+        listen: address and port; with port 0 the system chooses.
+        origins: origins of further web pages that may connect; see ``OriginCheck``.
+        token: token that clients must have; empty: none is needed.
 
     Attributes:
         server: the server.
 
     Raises:
-        ConfigError: the address cannot be listened on, an origin is none, or ``websockets`` is not installed.
+        ConfigError: the address cannot be used, an origin is not valid, or ``websockets`` is not installed.
     """
 
     def __init__(
@@ -127,19 +127,19 @@ class FoxgloveGraph:
         return publish
 
     def states(self) -> Mapping[str, TopicState]:
-        """See ``Graph``: there is one way only, and the server counts what it drops."""
+        """See ``Graph``: there are no policies, and the server counts dropped messages."""
         return {}
 
     def dropped(self) -> int:
-        """See ``Graph``: not known."""
+        """See ``Graph``: unknown."""
         return 0
 
     def subscribers(self, topic: str) -> None:
-        """See ``Graph``: it is not known."""
+        """See ``Graph``: unknown."""
         del topic
 
     def notes(self) -> list[str]:
-        """Say once where clients connect to, and which web pages were refused; see ``Graph``."""
+        """Return once the address for clients, and notes on refused web pages; see ``Graph``."""
         return [self._notes.pop(0) for _ in range(len(self._notes))]
 
     def close(self) -> None:

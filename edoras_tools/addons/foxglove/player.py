@@ -1,6 +1,6 @@
 """Plays a recording to Foxglove, which controls it: play, pause, seek, speed.
 
-Keys of the terminal control it too, for clients that have no controls of their own.
+Keys of the terminal control it too, for clients without controls.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ _HOME: Final = ("\x1b[h", "\x1boh", "\x1b[1~", "0")
 
 
 def split_keys(text: str) -> Iterator[str]:
-    """Yield the keys in what a terminal sent, in lower case: characters, and sequences (``ESC [ a``)."""
+    """Yield the keys in a terminal's input, in lower case: characters, and sequences (``ESC [ a``)."""
     yield from _KEY.findall(text)
 
 
 def request_of(key: str, state: PlaybackState, start_ns: int) -> PlaybackRequest | None:
-    """Return what a key asks for; None for a key without a meaning.
+    """Return the request of a key; None for a key without a meaning.
 
     Args:
         key: from ``split_keys``.
@@ -68,11 +68,11 @@ def request_of(key: str, state: PlaybackState, start_ns: int) -> PlaybackRequest
 
 
 _TICK_S: Final = 0.02
-"""How often messages are sent and requests are handled."""
+"""Interval at which messages are sent and requests are handled, s."""
 _SETTLED_NS: Final = 300 * MILLISECOND
-"""Subscriptions are complete when none came for this time: clients send them one by one."""
+"""Time without a new subscription after which subscriptions are complete: clients send them one by one."""
 _PATIENCE_NS: Final = 5 * SECOND
-"""A client that has subscribed to nothing for this time only looks at the list of topics."""
+"""Time after which a client without subscriptions is taken to show only the list of topics."""
 _SLOWEST: Final = 1e-3
 _FASTEST: Final = 1e4
 
@@ -80,13 +80,13 @@ _Piece = tuple["PacketBatch", "Columns"]
 
 
 class PlaybackOptions(msgspec.Struct, frozen=True):
-    """How playback begins and ends.
+    """Start and end of playback.
 
     Attributes:
         speed: initial speed, as a multiple of the recorded one.
-        paused: start paused.
-        wait: otherwise start when the first client has subscribed, or has been there for 5 s; else at once.
-        loop: start again at the end.
+        paused: whether to start paused.
+        wait: whether to wait until the first client has subscribed, or has been connected for 5 s.
+        loop: whether to start again at the end.
     """
 
     speed: float = 1.0
@@ -98,7 +98,7 @@ class PlaybackOptions(msgspec.Struct, frozen=True):
 class _Playback(msgspec.Struct):
     """The state of playback: it was at ``at_ns`` when the monotonic clock showed ``since_ns``.
 
-    ``seek_ns`` is the time to seek to, until that is done.
+    ``seek_ns`` is the time to seek to, until that is done; else None.
     """
 
     playing: bool
@@ -112,10 +112,10 @@ class _Playback(msgspec.Struct):
 def open_recording(
     paths: Sequence[Path | SettledFile], settings: Settings
 ) -> tuple[SourceInfo, Workbench, Callable[[], Source]]:
-    """Return information on files, what decodes them, and a function that opens them, any number of times.
+    """Return information on files, their workbench, and a function that opens them, any number of times.
 
     Raises:
-        CaptureError: one cannot be opened, or not more than once.
+        CaptureError: a file cannot be opened, or only once.
         ConfigError: the mission has errors.
     """
     files = [path if isinstance(path, SettledFile) else _settled(path) for path in paths]
@@ -123,7 +123,7 @@ def open_recording(
     source.close()
     info = replace(source.info, name=", ".join(item.name for item in files))
 
-    def reopen() -> Source:  # it also keeps the temporary copies
+    def reopen() -> Source:  # its closure also keeps the temporary copies
         again = [item.path for item in files]
         return open_inputs(again, settings)[0] if bench.mission.recorded else open_files(again)
 
@@ -139,19 +139,19 @@ def _settled(path: Path) -> SettledFile:
 class RecordingPlayer:
     """Plays a source at its own times.
 
-    At every seek the recording is read again from its start: nothing of it is kept in memory.
+    At every seek the recording is read again from its start: none of it is kept in memory.
 
     Args:
-        reopen: opens the source; called for every seek, and once in the constructor to learn its duration.
-        clock: monotonic time in ns.
-        scope: which datagrams, and which time of them; all by default.
+        reopen: opens the source; called for every seek, and once in the constructor to read its duration.
+        clock: function that returns monotonic time, ns.
+        scope: datagrams and period; all by default.
 
     Attributes:
-        range_ns: when the recording starts and ends, ns since 1970.
-        failure: the error if it is cut off; everything that can be read is played.
+        range_ns: start and end of the recording, ns since 1970.
+        failure: error if it is cut off; everything readable is played.
 
     Raises:
-        CaptureError: it contains no selected datagram.
+        CaptureError: the recording has no selected datagram.
         ConfigError: the filter has an error.
         RouteError: the selection names a topic that is not configured.
     """
@@ -177,11 +177,11 @@ class RecordingPlayer:
         self._stopping = False
         start_ns = self.range_ns[0]
         self._playback = _Playback(not options.paused, options.speed, start_ns, clock(), start_ns)
-        self._held = options.wait or options.paused  # nothing is played, not even the message at the start
+        self._held = options.wait or options.paused  # nothing is played, not even the first message
 
     @property
     def state(self) -> PlaybackState:
-        """The current state of playback."""
+        """The present state of playback."""
         with self._lock:
             return self._state(self._clock())
 
@@ -191,7 +191,7 @@ class RecordingPlayer:
         return self._held and self._playback.playing
 
     def control(self, request: PlaybackRequest) -> PlaybackState:
-        """Apply a client's request; return the state that follows."""
+        """Apply a client's request; return the state after it."""
         with self._lock:
             now, playback = self._clock(), self._playback
             playback.at_ns, playback.since_ns = self._position(now), now
@@ -226,7 +226,7 @@ class RecordingPlayer:
         Args:
             sink: from ``attach``, with this as its player.
             duration_ns: stop after this time by the clock; 0: never.
-            keys: returns the keys that were pressed since the last call, in lower case.
+            keys: returns the keys pressed since the last call, in lower case.
             show: called with the state several times a second.
         """
         until = self._clock() + duration_ns if duration_ns else 1 << 63
@@ -263,7 +263,7 @@ class RecordingPlayer:
         return interrupt.is_set()
 
     def _press(self, key: str, sink: ServedSink) -> None:
-        """Do what a key asks for, and tell the clients."""
+        """Apply the request of a key, and send the state to the clients."""
         request = request_of(key, self.state, self.range_ns[0])
         if request is not None:
             sink.server.tell_state(self.control(request))
@@ -273,7 +273,7 @@ class RecordingPlayer:
     def _play(
         self, sink: ServedSink, pieces: Generator[_Piece], piece: _Piece | None, position: int
     ) -> _Piece | None:
-        """Write what is due to the sink; return what comes next, None at the end."""
+        """Write the messages that are due to the sink; return the next piece, None at the end."""
         piece = piece or next(pieces, None)
         while piece is not None and self._playback.seek_ns is None and not self._stopping:
             batch, columns = piece
@@ -349,7 +349,7 @@ class RecordingPlayer:
         return batch.take(rows), columns.take(rows)
 
     def _read(self, start_ns: int, sink: ServedSink) -> Generator[_Piece]:
-        """Yield what was captured from a time on; first show the last earlier message of each topic."""
+        """Yield the messages from a time on; before them, the last earlier message of each topic."""
         source = self._reopen()
         source.follow(self._bench.columns.context.framings)
         latest: dict[int, _Piece] = {}
@@ -380,7 +380,7 @@ class RecordingPlayer:
             source.close()
 
     def _pass_over(self, begin_ns: int) -> None:
-        """Go on at the begin of another run: what was before it is played."""
+        """Continue at the begin of another run, after everything before it is played."""
         with self._lock:
             now, playback = self._clock(), self._playback
             if playback.seek_ns is None and begin_ns > self._position(now):

@@ -1,4 +1,4 @@
-"""Sends what clients of a Foxglove server publish to cFS, if allowed, by the rules of ``inject``."""
+"""Sends the messages that clients of a Foxglove server publish to cFS, if allowed, like ``inject``."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ class Send(Protocol):
     """Sends datagrams to cFS on one link."""
 
     def __call__(self, data: bytes, msg_id: int, /) -> str:
-        """Send a datagram that contains a packet with this MsgId; return why it failed, or an empty text."""
+        """Send a datagram with a packet of this MsgId; return the reason of a failure, or an empty text."""
 
 
 class CommandPublisher(Publisher):
     """Makes packets from messages that clients publish, and sends them.
 
     Args:
-        bench: its mission says which topic goes where.
+        bench: workbench whose mission gives the link of each topic.
         allow: patterns of topics, keys and MsgIds that may be published, e.g. ``/robot_*``; at least one.
         options: target and sender; its ``to`` is set by the route.
         outlets: functions that send on a link, instead of sockets.
 
     Attributes:
-        options: for each link that may be used, with its target; for ``check_target``.
+        options: options for each link that may be used, with its target; for ``check_target``.
 
     Raises:
         RouteError: a pattern matches no topic that goes to cFS.
@@ -111,7 +111,7 @@ class CommandPublisher(Publisher):
             return self._cap(to) or self._outlets[to](datagram, encoder.route.msg_id)
 
     def _cap(self, to: Receiver) -> str:
-        """Return why a message may not be sent now, or an empty text: rates to other machines are limited."""
+        """Return the reason why a message is refused, or an empty text: other machines have a rate limit."""
         options = self.options.get(to)
         if options is None or options.target is None or options.unlimited:
             return ""
@@ -153,7 +153,7 @@ def _send_to_ci(transmitter: Transmitter, data: bytes, _msg_id: int) -> str:
 
 
 class _PeerLink:
-    """A session with cFS as its SBN peer, in a thread of its own."""
+    """A session with cFS as its SBN peer, in its own thread."""
 
     def __init__(self, options: SendOptions, bench: Workbench) -> None:
         assert options.target is not None

@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 __all__ = ["Publisher", "attach", "attach_player", "live", "monitor", "usual_address"]
 
 LEVELS: Final = {finding: max(item.severity - Level.NOTE, 0) for finding, item in EXPLANATIONS.items()}
-"""The level of each finding in ``diagnostic_msgs/msg/DiagnosticStatus``; notes are OK."""
+"""Level of each finding in ``diagnostic_msgs/msg/DiagnosticStatus``; notes are OK."""
 
 
 def usual_address(port: int | None = None) -> Endpoint:
-    """Return the address for Foxglove: the port that was named, else the usual port or any free port."""
+    """Return the address for Foxglove: the named port, else the usual port or any free port."""
     if port is None:
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -59,18 +59,18 @@ def attach(
     origins: OriginCheck = OriginCheck(),  # noqa: B008  frozen
     token: str = "",
 ) -> FoxgloveSink:
-    """Start a server; batches passed to the sink's ``write`` are shown.
+    """Start a server; it shows batches that are passed to the sink's ``write``.
 
     Args:
         listen: address and port; with port 0 the system chooses, see ``server.endpoint``.
-        statistics: of the source, for losses of the capture itself.
+        statistics: statistics of the source, for losses of the capture itself.
         publisher: handles messages that clients publish; None: clients may not publish.
         player: plays a recording; None: the traffic is live.
-        origins: which web pages may connect; by default Foxglove's and this machine's own.
-        token: what clients must give; see ``ServerOptions``.
+        origins: web pages that may connect; by default those of Foxglove and of this machine.
+        token: token that clients must have; see ``ServerOptions``.
 
     Raises:
-        CaptureError: the address cannot be listened on.
+        CaptureError: the address cannot be used.
         ConfigError: ``websockets`` is not installed.
     """
     options = ServerOptions(listen, origins, publisher, player, token)
@@ -79,15 +79,15 @@ def attach(
     )
     endpoint = sink.server.endpoint
     if info.kind == "live" and (info.name in {"lo", "any"} or not is_loopback(endpoint.address)):
-        bench.columns.context.framings.pop(endpoint.port, None)  # its page's traffic is no link's
+        bench.columns.context.framings.pop(endpoint.port, None)  # the traffic of its page belongs to no link
     return sink
 
 
 def monitor(bench: Workbench, info: SourceInfo, statistics: SourceStatistics, *, live: bool) -> LinkMonitor:
-    """Return what judges and counts a link as the page of the server shows it, without a server.
+    """Return a monitor that judges and counts a link as the server's page shows it, without a server.
 
     Args:
-        statistics: of the source, for losses of the capture itself.
+        statistics: statistics of the source, for losses of the capture itself.
         live: see ``LinkMonitor``.
     """
     return LinkMonitor(bench.columns.context, bench.types, info.name, LEVELS, statistics, live=live)
@@ -105,7 +105,7 @@ def attach_player(
     """Start a server for a recording that is played; see ``attach``.
 
     Raises:
-        CaptureError: the address cannot be listened on.
+        CaptureError: the address cannot be used.
         ConfigError: ``websockets`` is not installed.
     """
     if not bench.mission.recorded:
@@ -129,8 +129,8 @@ def live(
     Args:
         source: where datagrams come from; it is closed.
         sink: from ``attach``; it is closed.
-        selection: which datagrams; all by default.
-        target: what to record at the same time.
+        selection: selection of datagrams; all by default.
+        target: target of a recording at the same time.
         limits: when to end; never by default.
         watcher: called with the report after every batch.
 

@@ -316,7 +316,7 @@ def _event(item: EventExpectation, watch: FilterCount, zero_ns: int) -> CheckRes
 
 
 def _allowed(about: str, allowed: frozenset[str], observed: dict[str, Any]) -> Iterator[CheckResult]:
-    """Yield a result for each observed name, with its count or reason: it fails unless the name is allowed."""
+    """Yield a result for each observed name, with its count or reason; it fails unless it is allowed."""
     expected = _only(allowed)
     others = [name for name in observed if name not in allowed]
     for name in others:

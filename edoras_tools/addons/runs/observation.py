@@ -190,7 +190,7 @@ class FilterCount(msgspec.Struct):
             self._then_ns.append(rows.datagram("time_ns")[after])
 
     def unanswered(self, within_ns: int, end_ns: int) -> tuple[NDArray[np.int64], int]:
-        """Return the times of hits without a timely follower, and the number of hits that the end leaves open."""
+        """Return the times of hits without a timely follower, and the number of hits left open by the end."""
         hits, answers = (np.sort(np.concatenate([*item])) for item in (self._hits_ns, self._then_ns))
         after = np.append(answers, np.iinfo(np.int64).max)[np.searchsorted(answers, hits, "right")]
         missed = hits[after - hits > within_ns]

@@ -263,7 +263,7 @@ class Viewer(Navigation):
         self._more_rows(0)
 
     def _sort_again(self) -> None:
-        """Sort again if unsorted packets exceed an eighth of the sorted ones; at the end, if there are any."""
+        """Sort again if unsorted packets exceed an eighth of the sorted ones; at the end if there are any."""
         sorted_rows = 0 if self.store.order is None else len(self.store.order)
         late = len(self.store) - sorted_rows
         if self.packets.sorted_by and late > (

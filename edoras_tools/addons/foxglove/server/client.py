@@ -1,14 +1,15 @@
-"""One client of a Foxglove server: its subscriptions, and what waits for it. No socket, no clock.
+"""One client of a Foxglove server: its subscriptions, and its queue. No socket, no clock.
 
-1. A message on a subscribed topic is sent, waits, or is dropped; at any time these add up to all messages.
-2. It counts as sent when its last byte was taken. The queue is limited: nobody waits for a client.
+1. A message on a subscribed topic is sent, waits, or is dropped; the three counts always add up to all
+   messages.
+2. It counts as sent when the socket took its last byte. The queue is limited: the server waits for no client.
 3. If not all messages of one call fit, the latest are kept. Messages already in the queue stay.
 4. Answers are never dropped: a client with too many waiting answers is disconnected.
-5. At most one time of the clock waits, and it is the latest.
-6. The first time of the clock of a ``foxglove.websocket.v1`` client is a second early. Lichtblick divides the
-   messages of a topic by the time that its clock has shown, and warns of a high frequency above 60 Hz:
-   without that second, at the second message of a topic with 40 Hz.
-7. Why messages of a channel are refused is told at the first one, and again only after one was accepted.
+5. At most one time for the clock waits, and it is the latest.
+6. The first clock time of a ``foxglove.websocket.v1`` client is one second early. Lichtblick divides the
+   number of messages of a topic by the time that its clock has shown, and warns of a high frequency above 60
+   Hz. Without that second it would warn at the second message of a topic with 40 Hz.
+7. The reason for refusing messages of a channel is sent at the first one, and again after one was accepted.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     SharedFrames = tuple[memoryview, NDArray[np.int64], NDArray[np.int64]]
-    """Frames with messages, their ends, and the bytes of the first 0, 1, 2, ... messages; see ``_Piece``."""
+    """Frames with messages, their ends, and the sizes of the first 0, 1, 2, ... messages; see ``_Piece``."""
     from websockets.typing import Subprotocol
 
     from edoras_tools.io.topics.rows import Records
@@ -61,17 +62,17 @@ _TLS_HANDSHAKE: Final = 0x16
 """First byte of a TLS connection (RFC 8446 5.1)."""
 _GOING_AWAY: Final = 1001
 _SILENT: Final = logging.getLogger("edoras_tools.websocket")
-_SILENT.disabled = True  # Python would print reports of loggers without a handler: every failed handshake.
+_SILENT.disabled = True  # Python prints reports of loggers without a handler: every failed handshake
 
 
 class _Piece(msgspec.Struct):
-    """Bytes to send: an answer, or frames with messages.
+    """A part of the output: an answer, or frames with messages.
 
     Attributes:
-        ends: i64, end of each message in them; None for an answer.
-        sizes: i64, bytes of the first 0, 1, 2, ... messages without their heads.
-        bytes_sent: bytes taken by the socket.
-        sent: messages taken completely.
+        ends: i64 (n,), end of each message in the bytes; None for an answer.
+        sizes: i64 (n + 1,), size of the first 0, 1, 2, ... messages without their heads.
+        bytes_sent: number of bytes taken by the socket.
+        sent: number of messages taken completely.
     """
 
     data: memoryview
@@ -85,7 +86,7 @@ class FoxgloveClient:
     """A client, from connecting to closing.
 
     Args:
-        address: where it connects from.
+        address: address of the other end.
         controls: whether it may control playback.
 
     Attributes:
@@ -93,9 +94,9 @@ class FoxgloveClient:
         opened: whether it was admitted.
         failed: whether to disconnect it now.
         ending: whether to disconnect it when everything is sent.
-        dropped: messages dropped because it was too slow.
-        published: messages accepted from it.
-        refused: messages refused.
+        dropped: number of messages dropped because it was too slow.
+        published: number of messages accepted from it.
+        refused: number of messages refused.
     """
 
     def __init__(self, address: Endpoint, *, publishes: bool, controls: bool) -> None:
@@ -105,7 +106,7 @@ class FoxgloveClient:
         )
         self._response: Response | None = None
         self._plain = True
-        """All so far were requests for pages, on a connection that is kept."""
+        """Whether all requests so far were for pages, on a connection that is kept."""
         self._text, self._fragments = False, bytearray()
         self._subscription = np.zeros(0, np.int64)
         self._channels: dict[int, protocol.Channel] = {}
@@ -119,17 +120,17 @@ class FoxgloveClient:
 
     @property
     def plays(self) -> bool:
-        """Whether it is one that controls playback, and is told its state."""
+        """Whether it is a client that controls playback, and receives its state."""
         return self._controls and self._websocket.subprotocol == protocol.PLAYBACK_SUBPROTOCOL
 
     @property
     def subscriptions(self) -> int:
-        """How many topics it has subscribed to."""
+        """Number of topics that it has subscribed to."""
         return int(np.count_nonzero(self._subscription >= 0))
 
     @property
     def due(self) -> bool:
-        """Whether anything is to be sent, or it is to be disconnected."""
+        """Whether something must be sent, or it must be disconnected."""
         return bool(self._queue) or self.ending or self.failed
 
     @property
@@ -139,7 +140,7 @@ class FoxgloveClient:
 
     def receive(self, data: bytes) -> list[protocol.ClientEvent]:
         """Handle received bytes, ``b""`` at the end of the connection; return the events for the server."""
-        # Much faster than a WebSocket's handshake; each browser asks once a second.
+        # Much faster than a WebSocket handshake; each browser sends such a request once a second.
         request = page.plain_request(data) if self._plain and not self._queue else None
         self._plain = request is not None
         if request is not None:
@@ -158,7 +159,7 @@ class FoxgloveClient:
         return events
 
     def accept(self, topics: int, answers: Sequence[dict[str, Any] | bytes]) -> None:
-        """Admit it, with this number of topics, and send it these answers first."""
+        """Admit it, with this number of topics, and send these answers first."""
         assert self._response is not None
         self._subscription = np.full(topics, -1, np.int64)
         self._websocket.send_response(self._response)
@@ -197,7 +198,7 @@ class FoxgloveClient:
         """Queue messages of the topics that it subscribed to; if not all fit, the latest.
 
         Args:
-            shared: the frames of these records that other clients were given: most subscribe alike.
+            shared: frames of these records made for other clients: most clients have the same subscriptions.
         """
         subscription = self._subscription[records.channel_id]
         rows = np.flatnonzero(subscription >= 0)
@@ -240,7 +241,7 @@ class FoxgloveClient:
                 self._append(self._clock)
 
     def answer(self, channel: protocol.Channel, why: str) -> None:
-        """Count a message that it published; if it was refused, tell it why, unless it knows."""
+        """Count a message that it published; if it was refused, send the reason, unless already sent."""
         if why:
             self.refused += 1
             self._tell_once(channel.number, why, channel.topic)
@@ -253,7 +254,7 @@ class FoxgloveClient:
         return [piece.data[piece.bytes_sent :] for piece in islice(self._queue, _PIECES)]
 
     def advance(self, count: int) -> None:
-        """Note that a socket took this many bytes of ``to_send``."""
+        """Record that a socket took this many bytes of ``to_send``."""
         while count:
             piece = self._queue[0]
             step = min(count, len(piece.data) - piece.bytes_sent)
@@ -286,13 +287,13 @@ class FoxgloveClient:
         }
 
     def _fitting(self, length: NDArray[np.int64]) -> int:
-        """Return how many of the last messages can be queued."""
+        """Return the number of the last messages that can be queued."""
         latest = np.cumsum(length[::-1][: MOST_MESSAGES - self._waiting])
         fits = int(np.searchsorted(latest, MOST_WAITING_BYTES - self._waiting_bytes, side="right"))
         return fits if self._waiting else max(fits, 1)
 
     def _read(self, item: Request | Response | Frame) -> Iterator[protocol.ClientEvent]:
-        """Handle a request or a frame; yield what only the server can answer."""
+        """Handle a request or a frame; yield events that only the server can answer."""
         if isinstance(item, Request):
             self._response = self._websocket.accept(item)
             if self._response.status_code in {HTTPStatus.SWITCHING_PROTOCOLS, HTTPStatus.UPGRADE_REQUIRED}:
@@ -328,7 +329,7 @@ class FoxgloveClient:
                 if not self._controls:
                     raise WireError("this server does not support playbackControl")
                 yield request
-            case protocol.Advertise(channels):  # what may not be published is told at its first message
+            case protocol.Advertise(channels):  # a refusal is sent at the channel's first message
                 if len(self._channels) + len(channels) > _MOST_CHANNELS:
                     raise WireError(f"no client may advertise more than {_MOST_CHANNELS} channels")
                 self._channels |= {channel.number: channel for channel in channels}
@@ -345,7 +346,7 @@ class FoxgloveClient:
                 yield protocol.Published(self._channels[number], data)
 
     def _tell_once(self, number: int, why: str, about: str = "") -> None:
-        """Tell why a message of a channel was refused, unless that was told."""
+        """Send the reason why a message of a channel was refused, unless it was sent."""
         if (number, why) not in self._told and len(self._told) < _MOST_CHANNELS:
             self._told.add((number, why))
             self.tell(protocol.error_status(why, about))
@@ -361,7 +362,7 @@ class FoxgloveClient:
             self._subscription[place] = number
 
     def _collect(self) -> None:
-        """Queue what the WebSocket wants to send."""
+        """Queue the output of the WebSocket."""
         for data in self._websocket.data_to_send():
             if data:
                 self._append(_Piece(memoryview(data)))
@@ -375,14 +376,14 @@ class FoxgloveClient:
 
 
 def _opening(path: str, host: str, origin: str | None) -> protocol.Opening:
-    """Return what a request for a page asks for."""
+    """Return the parts of a request for a page."""
     path, _, query = path.partition("?")
     # ws://HOST:PORT/?token=...: in the handshake a web page can only choose the URL.
     return protocol.Opening(origin, parse_qs(query).get("token", [""])[-1], host, path)
 
 
 def _choose_subprotocol(_: ServerProtocol, offered: Sequence[Subprotocol]) -> Subprotocol:
-    """Return the first subprotocol that a client offers and that is supported."""
+    """Return the first supported subprotocol that a client offers."""
     for name in offered:
         if name in protocol.SUBPROTOCOLS:
             return name

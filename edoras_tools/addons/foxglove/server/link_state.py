@@ -1,4 +1,4 @@
-"""What the server's page shows of a link: routes with rates, losses and last values, and the last events."""
+"""The state of a link on the server's page: routes with rates, losses and last values, and last events."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
 
 _MOST_ROUTES: Final = 500
-"""Garbage may contain any number of MsgIds; those above this number are added up in one row."""
+"""Most rows of routes: garbage may contain any number of MsgIds, and one row sums up the others."""
 _MOST_EVENTS: Final = 40
 _STALE_NS: Final = 2500 * MILLISECOND
-"""A route is counted once in a second with traffic; without a count for this long its rate is 0."""
+"""Age of a count from which the rate is 0: a route is counted once in a second with traffic."""
 _GATHERS_NS: Final = 2 * SECOND
 _LOG: Final = "rcl_interfaces/msg/Log"
 _SUMS: Final = ("count", "gaps", "bytes")
@@ -39,7 +39,7 @@ _BITS: Final = 32
 
 
 class _LastPacket(NamedTuple):
-    """The last packet of a route: its time, ns; its message as CDR, empty where it has none; its route."""
+    """The last packet of a route: its time, ns; its message as CDR, empty if there is none; its route."""
 
     time_ns: int
     cdr: bytes
@@ -47,25 +47,25 @@ class _LastPacket(NamedTuple):
 
 
 def route_keys(columns: Columns) -> NDArray[np.int64]:
-    """Return spacecraft, link and MsgId of each row as one number, i64; see ``route_from_key``."""
+    """Return spacecraft, link and MsgId of each row as one number, i64 (n,); see ``route_from_key``."""
     code = columns.spacecraft.astype(np.int64) << 8 | columns.link
     return code << _BITS | (columns.msg_id.astype(np.int64) + 1)
 
 
 def route_from_key(key: int) -> tuple[int, int, int]:
-    """Return spacecraft, link and MsgId of a number."""
+    """Return spacecraft, link and MsgId of a number from ``route_keys``."""
     return key >> _BITS + 8, key >> _BITS & 0xFF, (key & (1 << _BITS) - 1) - 1
 
 
 class LinkState:
-    """Adds up what a sink makes of each batch; any thread may ask for the sum.
+    """Sums up the messages that a sink makes of each batch; any thread may read the sum.
 
     Args:
-        statistics: of the source, for losses of the capture itself; None: it has no such counter.
+        statistics: statistics of the source, for losses of the capture itself; None: it has none.
 
     Attributes:
-        clock: monotonic, in s.
-        wall: the time now, ns since 1970.
+        clock: function that returns monotonic time, s.
+        wall: function that returns the time, ns since 1970.
     """
 
     def __init__(self, mission: Mission, types: TypeStore, statistics: SourceStatistics | None) -> None:
@@ -90,10 +90,10 @@ class LinkState:
         """Add a batch of at least one row.
 
         Args:
-            counts: its messages on ``/edoras/link_statistics``.
-            events: its messages on ``/edoras/events``: of cFE, of its reset log, of F Prime; by what the
-                topic of their spacecraft has in front.
-            statuses: the latest of ``/diagnostics``, by name.
+            counts: messages of the batch on ``/edoras/link_statistics``.
+            events: messages of the batch on ``/edoras/events``: of cFE, of its reset log, of F Prime; by the
+                topic prefix of their spacecraft.
+            statuses: latest statuses of ``/diagnostics``, by name.
         """
         entries = [
             {**entry, "app": f"{prefix}/{entry['app']}" if prefix else entry["app"]}
@@ -106,7 +106,8 @@ class LinkState:
         with self._lock:
             self._time_ns = int(batch.time_ns[-1])
             age_ns = self.wall() - self._time_ns
-            # What is live gathers for a while; what is played, or of another clock, has come just now.
+            # Live datagrams are gathered for some time; those of a recording, or of another clock, count as
+            # new.
             self._heard = self.clock() - (age_ns / SECOND if 0 < age_ns < _GATHERS_NS else 0)
             self._last.update(last)
             self._came.update(came)
@@ -116,15 +117,15 @@ class LinkState:
                 self._count(counts, statuses)
 
     def finish(self, counts: Messages) -> None:
-        """Count the messages of a last second that is not whole; rates are of whole ones."""
+        """Count the messages of an incomplete last second; rates are of complete seconds only."""
         with self._lock:
             self._count(counts, None)
 
     def summary(self) -> dict[str, Any]:
         """Return routes by topic, events by their last time, newest first, and sums.
 
-        Rates are those of the last second, counts those of all that came. ``age_s`` is the time since the
-        last packet of a route.
+        Rates are those of the last second; counts include all messages. ``age_s`` is the time since the last
+        packet of a route.
         """
         with self._lock:
             silent = None if self._heard < 0 else self.clock() - self._heard
@@ -161,7 +162,7 @@ class LinkState:
         }
 
     def _value(self, last: _LastPacket) -> str | None:
-        """Return a message in a few words; None where there is none, or it is not of its route's type."""
+        """Return a message in a few words; None if there is none, or if it is not of its route's type."""
         if not last.cdr:
             return None
         try:
@@ -173,7 +174,7 @@ class LinkState:
     def _last_packets(
         batch: PacketBatch, columns: Columns
     ) -> tuple[dict[tuple[int, int, int], _LastPacket], dict[tuple[int, int, int], int]]:
-        """Return the last packet of each route in a batch, and how many there are."""
+        """Return the last packet of each route in a batch, and the number of packets of each."""
         keys = route_keys(columns)
         own, behind, counts = np.unique(keys[::-1], return_index=True, return_counts=True)
         came = dict(zip(map(route_from_key, own.tolist()), counts.tolist(), strict=True))
@@ -197,7 +198,7 @@ class LinkState:
         return entries
 
     def _add_event(self, entry: dict[str, Any]) -> None:
-        """Count an event among those of the same application and text; the oldest of too many goes."""
+        """Count an event under its application and text; the oldest entry of too many is dropped."""
         key = entry["app"], entry["level"], entry["text"]
         earlier = self._events.pop(key, {"count": 0})
         self._events[key] = {**entry, "count": earlier["count"] + 1}

@@ -1,12 +1,11 @@
-"""The doctor beside a sink: what became of the messages so far, judged again and again while somebody looks.
+"""The doctor beside a sink: judges all messages so far repeatedly, while somebody reads the result.
 
 Rules:
 
-1. Whoever writes batches never waits for a judgement: what comes meanwhile waits in a queue.
-2. After judging it pauses 149 times as long, however much was taken; 9 times where nothing comes any more,
-   and not after the first time, which loads what it needs. It judges nothing while nobody asks, or nothing
-   came.
-3. Where the queue grows beyond its limit, all is judged from there on, and ``since_ns`` says so.
+1. Adding a batch never waits for a judgement: batches wait in a queue.
+2. After a judgement it pauses 149 times as long as it judged; 9 times if no traffic arrives any more; not at
+   all after the first one, which also loads modules. It does not judge while nobody asks, or nothing arrived.
+3. If the queue grows beyond its limit, judging starts afresh from there, and ``since_ns`` has that time.
 """
 
 from __future__ import annotations
@@ -35,35 +34,35 @@ if TYPE_CHECKING:
 
 _EVERY_S: Final = 1.0
 _PAUSE: Final = 149
-"""Times as long as it judged, it pauses."""
+"""Pause after a judgement, as a multiple of its time."""
 _QUIET_PAUSE: Final = 9
-"""The same, where nothing came for ``_QUIET_S``."""
+"""The multiple if nothing arrived for ``_QUIET_S``."""
 _QUIET_S: Final = 2.0
 _SHORT_PAUSE: Final = 3
-"""The same, where adding waits."""
+"""The multiple if adding batches waits (``waits``)."""
 _ASKED_S: Final = 10.0
-"""So long after the last question it goes on."""
+"""Time after the last question until judging stops, s."""
 _MOST_WAITING: Final = 64 << 20
-"""Bytes that wait at the most while it judges."""
+"""Size of the queue from which judging starts afresh, bytes."""
 _TOGETHER: Final = 8 << 20
-"""Bytes that wait for each other: taking few datagrams costs almost as much as taking many."""
+"""Size from which the queue is taken, bytes: taking few datagrams costs almost as much as taking many."""
 _MOST_LISTED: Final = 50
 JUDGED_FIGURES: Final = "datagrams", "lost", "unaccounted", "uncertain", "messages_lost", "messages_uncertain"
-"""What a diagnosis sums up."""
+"""Totals of a diagnosis."""
 _SUMS: Final = "came", "out", "all_lost"
 _FIGURES: Final = ("duplicated", "superseded", "waiting", "unaccounted", "uncertain")
 
 
 class LiveDiagnosis:
-    """Judges all that was taken so far; any thread may add and ask.
+    """Judges everything added so far; any thread may add and ask.
 
     Args:
-        begin: makes an examination.
-        statistics: of the source, for losses of the capture itself.
+        begin: function that makes an examination.
+        statistics: statistics of the source, for losses of the capture itself.
 
     Attributes:
-        waits: whoever adds batches waits for a judgement, instead of rules 1 and 3, and judging takes up to a
-            quarter of the time: for one user who looks, and no server.
+        waits: whether adding a batch waits for a judgement, in place of rules 1 and 3, and judging takes up
+            to a quarter of the time: for a single local user without a server.
     """
 
     waits = False
@@ -83,7 +82,7 @@ class LiveDiagnosis:
         self._before: tuple[int, Mapping[Any, int]] = 0, {}
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch of at least one row; it is not changed afterwards."""
+        """Add a batch of at least one row; it must not be changed afterwards."""
         part = compact(batch, columns)
         with self._state:
             self._added = time.monotonic()
@@ -97,7 +96,7 @@ class LiveDiagnosis:
                 self._judging.release()
 
     def ask(self) -> dict[str, Any] | None:
-        """Return the latest judgement as the page shows it, None before the first; go on judging a while."""
+        """Return the latest judgement for the page, None before the first; keep judging for some time."""
         with self._state:
             self._last_question = time.monotonic()
             if self._thread is None and not self._stop.is_set():
@@ -106,7 +105,7 @@ class LiveDiagnosis:
             return self._latest
 
     def close(self) -> None:
-        """Judge no more."""
+        """Stop judging."""
         self._stop.set()
         with self._state:
             thread = self._thread
@@ -142,7 +141,7 @@ class LiveDiagnosis:
             ended, cost = time.monotonic(), 0.0 if first else time.thread_time() - began
 
     def _add_rates(self, latest: dict[str, Any]) -> None:
-        """Say how many a second came out of each hop since the judgement before."""
+        """Add the rate of each hop's output since the previous judgement, per second."""
         until_ns, before = self._before
         passed, outs = (latest["until_ns"] - until_ns) / SECOND, {}
         for flow in latest["flows"]:
@@ -154,7 +153,7 @@ class LiveDiagnosis:
         self._before = latest["until_ns"], outs
 
     def _take_queue(self) -> None:
-        """Take what waited, as one batch."""
+        """Take the queue, as one batch."""
         with self._state:
             parts, size = self._queue, self._queue_bytes
             self._queue, self._queue_bytes = [], 0
@@ -174,7 +173,7 @@ class LiveDiagnosis:
 
 
 def _page_values(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return what the page shows of a diagnosis: figures are sums of the ledger, as in ``doctor --json``."""
+    """Return a diagnosis in the shape of the page; figures are ledger sums, as in ``doctor --json``."""
     summary = summarize(diagnosis)
     return {
         "until_ns": diagnosis.end_ns,
@@ -189,7 +188,7 @@ def _page_values(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def _routes(ways: Iterable[WaySum]) -> list[dict[str, Any]]:
-    """Return the figures of each route, those of every run of its cFS added up."""
+    """Return the figures of each route, summed over all runs of its cFS."""
     routes: dict[tuple[int, str, int | None], Counter[str]] = {}
     for way in ways:
         first, values = way.hops[0], way.as_json(None)
@@ -208,7 +207,7 @@ def _routes(ways: Iterable[WaySum]) -> list[dict[str, Any]]:
 
 
 def _problem(problem: Problem, diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return a problem with the latest of the messages that were lost by it."""
+    """Return a problem with the latest of the messages that it lost."""
     about = {(item.link, item.msg_id) for item in problem.verdicts if item.msg_id is not None}
     every = diagnosis.parts.get(problem.spacecraft, diagnosis).missing if problem.lost else ()
     shared = (item for item in problem.verdicts if item.lost and item.msg_id is None)
@@ -230,7 +229,7 @@ def _problem(problem: Problem, diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def _flows(ways: Iterable[WaySum], topics: Mapping[int, str]) -> list[dict[str, Any]]:
-    """Return the traffic that goes through the same hops, added up hop by hop: losses first, then uplinks."""
+    """Return the traffic through the same hops, summed up hop by hop: losses first, then uplinks."""
     groups: dict[tuple[int, str, tuple[str, ...]], list[tuple[Row, ...]]] = {}
     for way in ways:
         first = way.hops[0]
@@ -250,7 +249,7 @@ def _flows(ways: Iterable[WaySum], topics: Mapping[int, str]) -> list[dict[str, 
 
 
 def _ends(link: Link, first: str) -> tuple[str, str]:
-    """Return who stands before the first hop and behind the last one, as far as the link says."""
+    """Return the names of the ends before the first hop and behind the last one, if the link has them."""
     if link.only_to_cfs:
         return "ground", ""
     if link.only_from_cfs:

@@ -1,4 +1,4 @@
-"""Which web pages may connect: a browser lets any page connect to this machine, and sends its origin."""
+"""The web pages that may connect: a browser lets any page connect to this machine, and sends its origin."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _ORIGIN: Final = re.compile(r"null|[a-z][a-z0-9+.-]*://[^\s/@?#\\]*")
 
 
 class OriginCheck(msgspec.Struct, frozen=True):
-    """Which web pages may connect: Foxglove's, those served by this machine, and more origins by name.
+    """The web pages that may connect: Foxglove's, those from this machine, and pages of further origins.
 
     Programs send no origin, and need none.
 
     Attributes:
-        origins: more origins (RFC 6454), e.g. ``https://viz.example.org``; ``*`` allows all.
+        origins: further origins (RFC 6454), e.g. ``https://viz.example.org``; ``*`` allows all.
         tell: called with a note when a page or another client was refused, on any thread.
 
     Raises:
@@ -55,8 +55,8 @@ class OriginCheck(msgspec.Struct, frozen=True):
     def admits_host(self, host: str) -> bool:
         """Return whether our own page may be opened with this host, as the browser sends it (``Host``).
 
-        An address may, and a name whose pages may connect. Any other name can be that of a stranger who lets
-        it lead to this machine, so that the browser takes our page for one of his (DNS rebinding).
+        An address is allowed, and a name whose pages may connect. An attacker can make any other name
+        resolve to this machine, so that the browser takes our page for the attacker's (DNS rebinding).
         """
         return self.admits(f"http://{host}") or _is_address(host)
 

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 _STATE: Final = "/live.json"
 _SHARED_S: Final = 0.25
 _FLOWING_S: Final = 1.0
-"""The same while traffic flows: the next batch brings news before."""
+"""Lifetime of the JSON while traffic flows, s: the next batch replaces it earlier."""
 _SOONEST_S: Final = 0.6
 _BEHIND_S: Final = 0.05
-"""How long behind a change browsers ask."""
+"""Time from a change to the browsers' next request, s."""
 _BLOCK: Final = r"<{0}>(.*?)</{0}>"
 _REQUEST: Final = re.compile(rb"GET (/[!-~]*) HTTP/1\.1\r\n((?:[!#-'*+.0-9A-Z^-z|~-]+:[ -~]*\r\n)*)\r\n")
 _NOT_PLAIN: Final = {b"upgrade", b"content-length", b"transfer-encoding", b"expect"}
@@ -42,9 +42,9 @@ class HttpAnswer(NamedTuple):
 
 
 def plain_request(data: bytes) -> tuple[str, str, str | None] | None:
-    """Read a request for a page by a browser that asks again: path with query, host, origin or None.
+    """Parse a browser's repeated request for a page: path with query, host, origin or None.
 
-    None where it is anything else, not whole, or its connection is not to be kept.
+    The result is None if it is anything else, incomplete, or if its connection is not kept.
     """
     match = _REQUEST.fullmatch(data)
     lines = [line.partition(b":") for line in match[2].split(b"\r\n")[:-1]] if match else []
@@ -56,7 +56,7 @@ def plain_request(data: bytes) -> tuple[str, str, str | None] | None:
 
 
 class SharedState:
-    """The JSON of a state, made once for all browsers that ask before it changed."""
+    """The JSON of a state, made once for all browsers that ask before it changes."""
 
     def __init__(self, state: Callable[[], Mapping[str, Any]], clock: Callable[[], float]) -> None:
         self._state, self._clock = state, clock
@@ -65,15 +65,15 @@ class SharedState:
         self._changed = self._every_s = 0.0
 
     def changed(self) -> None:
-        """Note that the state has changed; for any one thread."""
+        """Record that the state has changed; call it from a single thread."""
         now = self._clock()
         self._changed, self._every_s = now, now - self._changed
         self._changes += 1
 
     def next_ms(self) -> int:
-        """Return in how many ms a browser asks again: in about a second, soon after the state has changed.
+        """Return the time until a browser's next request, ms: about a second, soon after the next change.
 
-        So all of them ask at once, which costs less than one by one, and show what has just come.
+        So all browsers ask together, which costs less than one by one, and show the latest state.
         """
         since_s = self._clock() - self._changed
         if not 0 < self._every_s < _FLOWING_S + _BEHIND_S or since_s > 2 * self._every_s:
@@ -82,7 +82,7 @@ class SharedState:
         return round(1000 * (times * self._every_s + _BEHIND_S - since_s))
 
     def text(self) -> str:
-        """Return the state as JSON; for one thread."""
+        """Return the state as JSON; call it from a single thread."""
         changes, now = self._changes, self._clock()
         if now >= self._until or changes != self._shown:
             state = self._state()
@@ -97,8 +97,8 @@ def answer(path: str, state: SharedState) -> HttpAnswer:
     """Return the answer to a request.
 
     Args:
-        path: without the query.
-        state: what is shown.
+        path: path without the query.
+        state: state that is shown.
     """
     if path in {"/", "/index.html"}:
         text, policy = _page()
@@ -114,7 +114,7 @@ def _answer(status: int, kind: str, text: str, headers: Mapping[str, str]) -> Ht
         "Content-Type": f"{kind}; charset=utf-8",
         "Content-Length": str(len(body)),
         "Cache-Control": "no-store",
-        "Referrer-Policy": "no-referrer",  # the address may have the token
+        "Referrer-Policy": "no-referrer",  # the address may contain the token
         "X-Content-Type-Options": "nosniff",
     }
     return HttpAnswer(status, {**always, **headers}, body)
@@ -122,7 +122,7 @@ def _answer(status: int, kind: str, text: str, headers: Mapping[str, str]) -> Ht
 
 @cache
 def _page() -> tuple[str, str]:
-    """Return the page, and the policy that lets a browser load nothing but what is in it and its JSON."""
+    """Return the page, and its policy: a browser may load only its own content and its JSON."""
     text = files("edoras_tools.addons.foxglove.server").joinpath("page.html").read_text("utf-8")
     hashes = []
     for name in ("style", "script"):

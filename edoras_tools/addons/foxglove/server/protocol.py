@@ -1,8 +1,8 @@
 """Messages of the Foxglove WebSocket protocol, to bytes and back: no socket, no state.
 
 Text messages are JSON objects with an ``op``. Binary ones start with one byte for their kind; integers are
-little-endian. Both subprotocols have the same messages, except that playback control needs
-``foxglove.sdk.v1``: a client of the other takes its state for an error.
+little-endian. Both subprotocols have the same messages, but playback control needs ``foxglove.sdk.v1``: a
+client of the other one takes the state of playback for an error.
 https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
 """
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 PLAYBACK_SUBPROTOCOL: Final = "foxglove.sdk.v1"
 """The subprotocol that has playback control."""
 SUBPROTOCOLS: Final = (PLAYBACK_SUBPROTOCOL, "foxglove.websocket.v1")
-"""Supported subprotocols; of those that a client offers, its first one that is supported is used."""
+"""Supported subprotocols; the first supported one that a client offers is used."""
 
 _MESSAGE: Final = 1
 _MESSAGE_FIELDS: Final = [("operation", "u1"), ("subscription", "<u4"), ("time", "<u8")]
@@ -45,15 +45,15 @@ _FRAMES: Final = tuple(
         [("code", "u1"), ("length", ">u8")],
     )
 )
-"""Heads of frames with a message, by how their length is written (RFC 6455 5.2); includes its own head."""
+"""Heads of frames with a message, by the form of their length (RFC 6455 5.2), with the message's own head."""
 _FRAME_BYTES: Final = np.array([head.itemsize for head in _FRAMES])
 _FIELD_BYTES: Final = np.dtype(_MESSAGE_FIELDS).itemsize
 _LENGTH_CODES: Final = (0, 126, 127)
 _SHORTEST: Final = (126, 1 << 16)
-"""The smallest payloads in bytes that need the second and the third head."""
+"""Smallest payloads in bytes that need the second and the third head."""
 
 _BINARY_SCHEMAS: Final = ("protobuf", "flatbuffer")
-"""Encodings of schemas that are no text; they are sent in Base64."""
+"""Encodings of binary schemas, which are sent in Base64."""
 _TIME: Final = struct.Struct("<BQ")
 _PLAYBACK_STATE: Final = struct.Struct("<BBQf?I")
 _PUBLISHED: Final = struct.Struct("<BI")
@@ -61,7 +61,7 @@ _CONTROL: Final = struct.Struct("<BBf?QI")
 _STATUSES: Final = ("Playing", "Paused", "Buffering", "Ended")
 _ERROR: Final = 2
 _TEXT_MOST: Final = 1000
-"""Maximum characters of a status, and bytes of a request's id, because clients' texts are repeated."""
+"""Maximum characters of a status, and bytes of a request's id, because these repeat clients' texts."""
 
 
 class Channel(NamedTuple):
@@ -115,10 +115,10 @@ class Opening(NamedTuple):
     """Ask for admission.
 
     Attributes:
-        origin: of the web page that asks; None: not a web page.
-        token: the one in the URL.
-        host: what it calls the server.
-        path: asks for this page of the server, instead of a WebSocket; empty: for a WebSocket.
+        origin: origin of the web page; None: the client is no web page.
+        token: token in the URL.
+        host: name that it uses for the server.
+        path: path of the requested page of the server; empty: it requests a WebSocket.
     """
 
     origin: str | None
@@ -128,7 +128,7 @@ class Opening(NamedTuple):
 
 
 class RequestRefused(NamedTuple):
-    """Its request was answered with an error already; why, as text of any characters."""
+    """A request was already answered with an error; the reason, as text of any characters."""
 
     why: str
 
@@ -149,7 +149,7 @@ def read_request(message: bytes, *, text: bool) -> Request:
     """Read a text or binary message of a client.
 
     Raises:
-        WireError: it is not a supported request; says why.
+        WireError: it is not a supported request; the text says why.
     """
     try:
         return _read_text(json.loads(message)) if text else _read_binary(message)
@@ -211,12 +211,12 @@ def _text(value: object) -> str:
 def server_info(
     name: str, session: str, *, publish: bool, range_ns: tuple[int, int] | None
 ) -> dict[str, Any]:
-    """Return a server's first message: its name, and what clients may do.
+    """Return a server's first message: its name, and the allowed actions of clients.
 
     Args:
-        name: of the server, shown by clients.
-        session: clients that reconnect keep their state if it is the same.
-        range_ns: start and end of the recording that is played, ns since 1970; None: the traffic is live.
+        name: name of the server, shown by clients.
+        session: id of the session; clients that reconnect keep their state if it is equal.
+        range_ns: start and end of the played recording, ns since 1970; None: the traffic is live.
     """
     info: dict[str, Any] = {"op": "serverInfo", "name": name, "capabilities": ["time"], "sessionId": session}
     if publish:
@@ -234,7 +234,7 @@ def channel(place: int, topic: Topic, definition: str) -> dict[str, Any]:
     """Return the description of a topic: its number, and its schema.
 
     Args:
-        definition: the complete ``ros2msg`` text of its type, where the topic has no schema of its own.
+        definition: complete ``ros2msg`` text of its type, if the topic has no own schema.
     """
     encoding, schema = topic.schema or ("ros2msg", definition.encode())
     return {
@@ -251,12 +251,12 @@ def channel(place: int, topic: Topic, definition: str) -> dict[str, Any]:
 
 
 def advertise(channels: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return the message that offers topics, described by ``channel``."""
+    """Return the message that offers topics, with descriptions from ``channel``."""
     return {"op": "advertise", "channels": channels}
 
 
 def error_status(text: str, about: str = "") -> dict[str, Any]:
-    """Return the message that shows a problem; a later one about the same thing replaces it."""
+    """Return the message that shows a problem; a later one on the same subject replaces it."""
     status = {"op": "status", "level": _ERROR, "message": text[:_TEXT_MOST]}
     return {**status, "id": about[:_TEXT_MOST]} if about else status
 
@@ -279,11 +279,11 @@ def message_frames(
     """Return WebSocket frames with messages of topics.
 
     Args:
-        rows: i64, which messages, at least one.
-        subscriptions: i64, the subscription number for each of ``rows``.
+        rows: i64 (n,), indices of the messages, at least one.
+        subscriptions: i64 (n,), subscription number for each of ``rows``.
 
     Returns:
-        u8, the frames in sequence; i64, the end of each.
+        u8, frames in sequence; i64 (n,), end of each.
     """
     length = records.end[rows] - records.start[rows]
     payload = length + _FIELD_BYTES

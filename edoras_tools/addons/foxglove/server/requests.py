@@ -1,4 +1,4 @@
-"""What clients of a Foxglove server ask for: playback of a recording, and messages to publish as CDR."""
+"""The requests of clients of a Foxglove server: playback of a recording, and messages to publish as CDR."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class PlaybackRequest(msgspec.Struct, frozen=True):
     """A client's request.
 
     Attributes:
-        playing: play, or pause.
+        playing: whether to play, or to pause.
         speed: multiple of the recorded speed.
         seek_ns: time to seek to, ns since 1970; None: do not seek.
     """
@@ -35,7 +35,7 @@ class PlaybackState(msgspec.Struct, frozen=True):
 
     Attributes:
         status: ``Playing``, ``Paused``, ``Buffering`` or ``Ended``.
-        time_ns: ns since 1970.
+        time_ns: present time in the recording, ns since 1970.
         speed: multiple of the recorded speed.
         seeked: whether it was reached by seeking.
     """
@@ -77,7 +77,7 @@ class Publisher:
     """The topics that clients may publish.
 
     Args:
-        unknown: returns why a topic that was not added may not be published.
+        unknown: returns the reason why a topic that was not added may not be published.
     """
 
     def __init__(self, types: TypeStore, unknown: Callable[[str], str]) -> None:
@@ -93,13 +93,13 @@ class Publisher:
         """Allow clients to publish a topic.
 
         Args:
-            type_name: its type, known to ``types``.
+            type_name: type, which ``types`` has.
             send: sends a message as CDR, on the server's thread; returns why it was refused, or None.
         """
         self._topics[topic] = type_name, send
 
     def refusal(self, topic: str, type_name: str, encoding: str) -> str:
-        """Return why a client may not publish a topic with this type and encoding; empty if it may."""
+        """Return the reason why a client may not publish such messages on a topic; empty if it may."""
         if topic not in self._topics:
             return self._unknown(topic)
         expected = self._topics[topic][0]
@@ -110,7 +110,7 @@ class Publisher:
         return ""
 
     def publish(self, topic: str, type_name: str, encoding: str, data: bytes) -> str:
-        """Send a client's message; return why it was refused, or an empty text."""
+        """Send a client's message; return the reason why it was refused, or an empty text."""
         why = self.refusal(topic, type_name, encoding)
         if why:
             return why

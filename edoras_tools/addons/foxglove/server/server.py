@@ -1,8 +1,8 @@
 """A Foxglove WebSocket server: topics to many clients, none of which can delay another or the caller.
 
-The publishing thread also sends what the sockets take at once, because on a busy machine the server's thread
-may not run for a while. That thread sends the rest, and does everything else. A lock protects the
-connections; nobody waits while holding it, and publisher and player are called without it.
+The publishing thread also sends as much as the sockets accept at once, because on a busy machine the server's
+thread may not run for some time. The server's thread sends the rest, and does everything else. A lock
+protects the connections; no thread waits while holding it, and publisher and player are called without it.
 """
 
 from __future__ import annotations
@@ -46,20 +46,20 @@ MOST_CLIENTS: Final = 64
 """Maximum clients, and maximum connections that are not yet clients. If there are more of those, the oldest
 one of the address with the most is closed."""
 _BACKLOG: Final = 4096
-"""Connections that the kernel keeps until they are accepted; it drops the request of one more, and a client
-tries again only after 1, 3 and 7 s."""
+"""Connections that the kernel keeps until they are accepted; it drops the request of a further one, and that
+client tries again only after 1, 3 and 7 s."""
 _AT_ONCE: Final = 256
 """Connections accepted before the others are served."""
 PATIENCE_S: Final = 5.0
-"""Maximum time until a connection must be a client."""
+"""Maximum time until a connection must become a client, s."""
 _GOODBYE_S: Final = 1.0
 _PAUSE_S: Final = 0.05
 _BUFFER_BYTES: Final = 1 << 18
-"""Bytes that the kernel may hold for a client; those cannot be dropped any more."""
+"""Bytes that the kernel may hold for a client; they can no longer be dropped."""
 _MOST_LISTED: Final = 256
-"""Clients that have left and are listed singly; earlier ones are summed up."""
+"""Clients that have left and are listed individually; earlier ones are summed up."""
 _MOST_TOLD: Final = 8
-"""Maximum refusals that are reported, each once, because there can be any number of them."""
+"""Maximum number of different refusals that are reported, because there can be any number of them."""
 _MOST_TEXT: Final = 160
 """Maximum characters of a reason that are reported."""
 _SUMS: Final = ("sent", "dropped", "published", "refused")
@@ -67,11 +67,11 @@ _SUMS: Final = ("sent", "dropped", "published", "refused")
 
 @dataclass(frozen=True, slots=True)
 class ServerOptions:
-    """How clients are served.
+    """Settings of the server.
 
     Attributes:
         listen: address and port; with port 0 the system chooses.
-        origins: which web pages may connect.
+        origins: web pages that may connect.
         publisher: handles messages that clients publish; None: they may not publish.
         player: plays a recording; None: the traffic is live.
         token: clients must give it in the URL, ``?token=...``; empty: no token is needed.
@@ -88,8 +88,8 @@ class _Connection(msgspec.Struct, eq=False):
     """A socket and its client.
 
     Attributes:
-        until: when it is closed at the latest, in s of the monotonic clock.
-        stuck: the server's thread waits until the socket takes more.
+        until: time when it is closed at the latest, monotonic, s.
+        stuck: whether the server's thread waits until the socket accepts more.
     """
 
     socket: socket.socket
@@ -98,7 +98,7 @@ class _Connection(msgspec.Struct, eq=False):
     stuck: bool = False
 
     def send(self) -> bool:
-        """Send what the socket takes; return whether anything remains.
+        """Send as much as the socket accepts; return whether anything remains.
 
         Raises:
             OSError: the other end has closed.
@@ -114,13 +114,13 @@ class FoxgloveServer:
     """A server that listens from construction on.
 
     Args:
-        name: shown by clients.
+        name: name shown by clients.
         topics: topics to offer; their indices are the channel ids of published messages.
         definition: returns the complete ``ros2msg`` text of a topic's type.
 
     Attributes:
         endpoint: the address that it listens on.
-        link_state: returns what its page shows of a link; None: the page counts the topics' messages.
+        link_state: returns the state of a link for its page; None: the page counts the topics' messages.
 
     Raises:
         CaptureError: the address cannot be used.
@@ -182,7 +182,7 @@ class FoxgloveServer:
 
     @property
     def app_url(self) -> str:
-        """The URL that opens Foxglove with this server; without the token, which its site would see."""
+        """The URL that opens Foxglove with this server, without the token, because its site would see it."""
         return "https://app.foxglove.dev/?" + urlencode(
             {"ds": "foxglove-websocket", "ds.url": self.url}, safe="/:"
         )
@@ -211,7 +211,7 @@ class FoxgloveServer:
 
     @property
     def subscriptions(self) -> int:
-        """How many subscriptions the clients have in all."""
+        """Total number of the clients' subscriptions."""
         return sum(client.subscriptions for client in self.clients)
 
     def publish(self, records: Records) -> None:
@@ -223,7 +223,7 @@ class FoxgloveServer:
         self._each(lambda client: client.give(records, shared))
 
     def changed(self) -> None:
-        """Show browsers what ``link_state`` returns now."""
+        """Show browsers the present result of ``link_state``."""
         self._shared.changed()
 
     def tell_time(self, time_ns: int) -> None:
@@ -236,7 +236,7 @@ class FoxgloveServer:
         self._each(lambda client: client.tell(text) if client.plays else None)
 
     def summary(self) -> dict[str, Any]:
-        """Return counts, one row for each client: those that left most recently, then the connected ones."""
+        """Return counts, one row for each client: those that left last, then the connected ones."""
         with self._lock:
             clients = [*self._departed, *(client.summary() for client in self.clients)]
             sums = {key: self._before[key] + sum(item[key] for item in clients) for key in _SUMS}
@@ -257,7 +257,7 @@ class FoxgloveServer:
             remains = False
             for connection in self._open:
                 act(connection.client)
-                with suppress(OSError):  # it has closed; the server's thread notices it too
+                with suppress(OSError):  # it has closed; the server's thread notices this too
                     remains |= connection.send() or connection.client.failed
         if remains:
             self._wake()
@@ -296,7 +296,7 @@ class FoxgloveServer:
                     self._remove(connection)
 
     def _accept_all(self) -> None:
-        """Accept waiting connections and read their requests: most request at once, and so are not closed."""
+        """Accept waiting connections and read their requests at once, so that few are closed without one."""
         strangers = {item: None for item in self._connections.values() if not item.client.opened}
         for _ in range(_AT_ONCE):
             try:
@@ -407,7 +407,7 @@ class FoxgloveServer:
             self._tell(warning)
 
     def _page_state(self) -> dict[str, Any]:
-        """Return what the page shows."""
+        """Return the state for the page."""
         player, clients = self._options.player, [client.summary() for client in self.clients]
         playback = None
         if player is not None:
@@ -436,7 +436,7 @@ class FoxgloveServer:
             tell(warning)
 
     def _send(self, connection: _Connection, now: float) -> bool:
-        """Send what a socket takes; return whether to keep the connection."""
+        """Send as much as a socket accepts; return whether to keep the connection."""
         opened, client = connection.socket, connection.client
         try:
             with self._lock:
@@ -457,7 +457,7 @@ class FoxgloveServer:
         opened, client = connection.socket, connection.client
         self._selector.unregister(opened)
         del self._connections[opened]
-        with self._lock:  # no thread may be sending on it
+        with self._lock:  # no other thread may be sending on it
             with suppress(OSError):
                 opened.shutdown(socket.SHUT_RDWR)
             opened.close()
@@ -481,7 +481,7 @@ class FoxgloveServer:
 
 
 def _readable(text: str, first: str = " ") -> str:
-    """Return text of a client as a terminal may show it; ``first`` is the first character that is kept."""
+    """Return a client's text with ``?`` for characters outside ``first`` to ``~``, cut to ``_MOST_TEXT``."""
     return re.sub(rf"[^{first}-~]", "?", text)[:_MOST_TEXT]
 
 

@@ -1,7 +1,7 @@
 """Shows live traffic or a recording in Foxglove: sends its topics to connected clients.
 
-Beside the topics: findings as ``diagnostic_msgs/msg/DiagnosticArray``, once a second the state of each route
-and link; and for the server's page the state of a link, its routes, rates, losses and last events.
+Besides the topics it sends findings as ``diagnostic_msgs/msg/DiagnosticArray``: once a second the state of
+each route and link. The server's page gets the state of a link: its routes, rates, losses and last events.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ OK: Final = 0
 WARN: Final = 1
 ERROR: Final = 2
 _LEVELS: Final = {"warning": WARN, "error": ERROR}
-"""Severities of the doctor that are no OK."""
+"""Severities of the doctor that are not OK."""
 _SAID: Final = "lost", "remedy", "promise"
 _MOST: Final = 256
-"""Garbage may contain any number of MsgIds; those above this number share one status."""
+"""Most statuses: garbage may contain any number of MsgIds; further ones share one status."""
 _BITS: Final = 32
 _PROMPT_S: Final = 0.2
-"""How long datagrams gather where a client has subscribed to what they become,"""
+"""Time to gather datagrams if a client has subscribed to their topics, s."""
 _CALM_S: Final = 0.95
-"""and where only browsers look, which ask once a second: a batch costs as much as a thousand datagrams."""
+"""The same time if only browsers read, once a second: a batch costs as much as 1000 datagrams."""
 _ALL: Final = 0.95
-"""Where more than this share comes through, the rates before and behind are one."""
+"""Share of delivered messages above which the rates in front of and behind a route count as equal."""
 
 
 class Diagnostics:
@@ -63,13 +63,13 @@ class Diagnostics:
     A status is for a route, or for a MsgId of a link: its level is the worst finding of that second.
 
     Args:
-        name: of the source that is diagnosed.
+        name: name of the source.
         levels: the level of each finding: OK, WARN or ERROR.
-        statistics: of the source, for losses of the capture itself.
+        statistics: statistics of the source, for losses of the capture itself.
 
     Attributes:
-        latest: the statuses of the last message, by name.
-        judgement: of the doctor, as ``LiveDiagnosis`` has it; it becomes statuses of its own.
+        latest: statuses of the last message, by name.
+        judgement: judgement of ``LiveDiagnosis``; its problems become statuses too.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class Diagnostics:
         """Add a batch of at least one row; return the message of a second, if the batch completes one.
 
         Args:
-            wants: whether anybody receives it; else only ``latest`` is set.
+            wants: whether a client receives it; else only ``latest`` is set.
         """
         end = int(batch.time_ns[-1])
         self._until = self._until or int(batch.time_ns[0]) + SECOND
@@ -158,7 +158,7 @@ class Diagnostics:
         return self._entry(level, f"{label}: {topic or name}", ", ".join(worst) if level else "OK", figures)
 
     def _doctor_statuses(self, judgement: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Return what the doctor says in all, and of each problem."""
+        """Return statuses for the doctor's total, and for each problem."""
         level = _LEVELS.get(judgement["worst"], OK)
         figures = {name: judgement[name] for name in JUDGED_FIGURES}
         statuses = [self._entry(level, "doctor", judgement["headline"], figures)]
@@ -178,24 +178,24 @@ class Diagnostics:
 
 
 class LinkMonitor:
-    """What is shown of a link while it runs: its topics, its state, and what the doctor says.
+    """The live view of a link: its topics, its state, and the doctor's judgement.
 
-    Topics, types and messages are those of a recording, plus ``/diagnostics`` and ``/tf``; those of DDS come
-    once they are announced.
+    Topics, types and messages are those of a recording, plus ``/diagnostics`` and ``/tf``; topics of DDS are
+    added when they are announced.
 
     Args:
-        context: of the decoder; the routes of its mission become topics.
-        name: of the source.
-        levels: the level of each finding in the diagnostics: 0 OK, 1 warning, 2 error.
-        statistics: the source's, for losses of the capture itself.
-        offer: offers another topic to clients, and returns its place; by default it has the next one, and
-            whoever adds batches waits for judgements.
-        live: whether time goes on when nothing comes; else ages are those at the end of a capture.
+        context: context of the decoder; the routes of its mission become topics.
+        name: name of the source.
+        levels: level of each finding in the diagnostics: 0 OK, 1 warning, 2 error.
+        statistics: statistics of the source, for losses of the capture itself.
+        offer: offers another topic to clients, and returns its index; by default it gets the next one, and
+            adding batches waits for judgements.
+        live: whether time goes on without traffic; else ages are those at the end of a capture.
 
     Attributes:
-        topics: those that are there from the start.
-        sequences: the counts of all that was added since the last ``restart``.
-        definitions: the complete texts of types that ``types`` has not.
+        topics: topics that exist from the start.
+        sequences: sequence counts of everything added since the last ``restart``.
+        definitions: complete texts of types that are not in ``types``.
 
     Raises:
         RouteError: a route's type is unknown.
@@ -230,13 +230,13 @@ class LinkMonitor:
         self._places = {topic.name: place for place, topic in enumerate(self.topics)}
 
     def place(self, topic: Topic) -> int:
-        """Return the place of a topic; of one that only the content names, after it is offered."""
+        """Return the index of a topic; a topic that only the content names is offered first."""
         if topic.name not in self._places:
             self._places[topic.name] = self._add(topic)
         return self._places[topic.name]
 
     def offer(self) -> None:
-        """Offer the topics that content has named so far."""
+        """Offer the topics that the content has named so far."""
         self._streams.offer()
 
     def add(
@@ -245,9 +245,9 @@ class LinkMonitor:
         """Add a batch of at least one row; return its messages.
 
         Args:
-            wants: whether anybody receives the topic of a place: whole datagrams, which are the first topic
-                and the most expensive, and ``/tf`` are only made for them, and where nobody receives
-                anything, only what is counted here.
+            wants: whether a client receives the topic of an index. Whole datagrams, which are the first
+                topic and the most expensive, and ``/tf`` are only made for clients; without any client, only
+                the messages that are counted here.
         """
         self.offer()
         self._streams.all_wanted = any(map(wants, self._places.values()))
@@ -270,14 +270,14 @@ class LinkMonitor:
         return streams
 
     def finish(self) -> None:
-        """Count what came in the last second, which no other follows."""
+        """Count the messages of the last second, which no other second follows."""
         self._link.finish(self._streams.finish())
 
     def state(self) -> dict[str, Any]:
-        """Return what people are shown: ``LinkState.summary``, with the doctor's figures at the routes.
+        """Return the state for people: ``LinkState.summary``, with the doctor's figures for the routes.
 
-        ``passed_hz`` of a route is how much of its rate goes on, where that is less; ``sent_hz``, where it is
-        seen as it comes out, how much was published.
+        ``passed_hz`` of a route is the rate that passes on, if it is lower; ``sent_hz``, for a route that is
+        captured at its output, is the rate of publishing.
         """
         state, doctor = self._link.summary(), self._doctor.ask()
         fates = {_route_key(item): item for item in (doctor or {}).get("routes", ())}
@@ -293,12 +293,12 @@ class LinkMonitor:
         return {**state, "doctor": doctor}
 
     def restart(self) -> None:
-        """Begin again, because the following messages have other times."""
+        """Start afresh, because the following messages have other times."""
         self._doctor.close()
         self._begin()
 
     def close(self) -> None:
-        """Judge no more."""
+        """Stop judging."""
         self._doctor.close()
 
     def _begin(self) -> None:
@@ -320,7 +320,7 @@ def _route_key(row: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 class ServedSink(Sink):
-    """What is shown, or played, over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
+    """A ``Sink`` that shows or plays traffic over the Foxglove WebSocket protocol; clients cannot delay it.
 
     Attributes:
         server: the server; it listens from construction on.
@@ -360,7 +360,7 @@ class RecordedSink(ServedSink):
     """Serves the messages of a recording.
 
     Args:
-        types: provides the schemas that the recording does not hold.
+        types: schemas that the recording does not contain.
 
     Raises:
         CaptureError: the address cannot be used.
@@ -382,17 +382,17 @@ class RecordedSink(ServedSink):
 class FoxgloveSink(ServedSink):
     """Serves batches over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
 
-    The topics are those of ``LinkMonitor``. All are offered from the start, also those that a recording has
-    only with their first message: who subscribes to what is offered misses nothing.
+    The topics are those of ``LinkMonitor``. All are offered from the start, including those that a recording
+    has only from their first message on: a client that subscribes to an offered topic misses nothing.
 
     Args:
         context: see ``LinkMonitor``.
-        info: of the source; gives the server its name.
+        info: info of the source; it gives the server its name.
         levels: see ``LinkMonitor``.
         statistics: see ``LinkMonitor``.
 
     Attributes:
-        pace: called with the seconds that datagrams may gather from now on.
+        pace: called with the time that datagrams may be gathered from now on, s.
 
     Raises:
         CaptureError: the address cannot be used.
@@ -438,7 +438,7 @@ class FoxgloveSink(ServedSink):
 
     @property
     def sequences(self) -> SequenceCounts:
-        """See ``LinkMonitor``; for others that see the same batches."""
+        """See ``LinkMonitor``; for other users of the same batches."""
         return self._monitor.sequences
 
     def write_faults(self, faults: Sequence[Fault]) -> None:
@@ -452,6 +452,6 @@ class FoxgloveSink(ServedSink):
         self._monitor.restart()
 
     def close(self, statistics: SourceStatistics) -> None:
-        """Close all clients, and judge no more."""
+        """Close all clients, and stop judging."""
         super().close(statistics)
         self._monitor.close()
