@@ -87,7 +87,7 @@ class PublishingOptions(NamedTuple):
     yes: sending.Yes = False
 
     def commands(self, bench: Workbench, outlets: Mapping[Receiver, Send]) -> CommandPublisher | None:
-        """Return a publisher of Foxglove's messages after the user confirmed the target; None: not allowed."""
+        """Return a publisher of Foxglove's messages after the target is confirmed; None if not allowed."""
         if not self.allow:
             return None
         from edoras_tools.addons.foxglove.publish import CommandPublisher

@@ -1,4 +1,4 @@
-"""The balance of the samples of DDS: what each writer wrote, what was captured of it, and what is missing."""
+"""The balance of DDS samples: written, captured and missing samples of each writer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _COUNTED: Final = {"in": "sequence numbers and HEARTBEATs", "out": "samples in t
 def sample_verdict(
     severity: Severity, item: TopicWriter, reason: str, *evidence: str, **about: Any
 ) -> Verdict:
-    """Return a verdict on the samples of one writer; ``about`` has more of its attributes."""
+    """Return a verdict on the samples of one writer; ``about`` has its further attributes."""
     span = item.writer.first_ns, item.writer.last_ns
     of_writer: Any = {"topic": item.topic, "link": RTPS.label, "hop": SAMPLE_HOP, "span": span}
     return verdict(severity, reason, *evidence, **of_writer, **about)
@@ -37,7 +37,7 @@ class SampleEvidence(SampleFollower):
         return [_row(item, drops) for item in self.topic_writers()]
 
     def missing(self, drops: int | None) -> list[Missing]:
-        """Return an entry for each writer and cause; which samples they are only their numbers tell."""
+        """Return an entry for each writer and cause; only sequence numbers identify the samples."""
         entries = []
         for item in self.topic_writers():
             row, times = _row(item, drops), (item.writer.first_ns, item.writer.last_ns)
@@ -54,7 +54,7 @@ def _row(item: TopicWriter, drops: int | None) -> Row:
     writer, fates = item.writer, item.writer.fates()
     unseen = fates["missing"]
     lost = {"given_up": fates["given_up"] + fates["lost_behind"]}
-    # Where the capture itself lost frames, what did not come may be among them.
+    # If the capture itself lost frames, missing samples may be among them.
     lost["before_capture"] = 0 if drops else unseen
     return Row(
         link=RTPS.label,

@@ -1,4 +1,4 @@
-"""What submessages are about, as fields for filters."""
+"""Filter fields for the subjects of submessages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _DOCS: Final = {
 
 
 def sample_fields() -> Iterator[FilterField]:
-    """Yield the fields that hold what submessages of DDS are about."""
+    """Yield the filter fields for the subjects of DDS submessages."""
     readers: dict[str, Callable[[ColumnRows], Series]] = {
         "writer": _writers,
         "topic": _topics,

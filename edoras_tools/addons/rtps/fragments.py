@@ -1,15 +1,17 @@
-"""Puts samples of DDS together that came in fragments: each is a row of its own behind that of the last one.
+"""Reassembles DDS samples from fragments: each becomes its own row behind the row of its last fragment.
 
-The rules that this file keeps:
+Rules:
 
-1. The row of a datagram stays as it is. A sample that becomes whole is a message of its own, as its writer
-   could have sent it: header, time, one DATA. It has the time, number and endpoints of the datagram with its
-   last fragment; its ``original_length`` is -1.
-2. When as many bytes of a sample came again as it has, it is a message again: a copy, sent again or to
-   another reader. Fewer bytes are what was lost on the way to a reader.
-3. Memory does not grow: of samples that are not whole at most ``MOST_FRAGMENT_BYTES`` are kept, and
-   ``MOST_OPEN``; the oldest give way. A sample that claims more than ``LARGEST_SAMPLE`` is left out. Of whole
-   ones ``MOST_WHOLE_BYTES`` are kept; copies of older ones are not noticed.
+1. The row of a datagram is unchanged. A complete sample becomes its own message, as its writer could have
+   sent
+   it: header, time, one DATA. It has the time, number and endpoints of the datagram with its last fragment;
+       its
+   ``original_length`` is -1.
+2. If all bytes of a sample come again, it becomes a message again: a copy, sent again or to another reader.
+   Fewer bytes only replace those that a reader did not receive.
+3. Memory is limited. Of incomplete samples at most ``MOST_OPEN`` and ``MOST_FRAGMENT_BYTES`` are kept; the
+   oldest are dropped. A sample that claims more than ``LARGEST_SAMPLE`` is ignored. Of complete samples
+   ``MOST_WHOLE_BYTES`` are kept; copies of older ones are not recognised.
 """
 
 from __future__ import annotations
@@ -55,7 +57,7 @@ LARGEST_SAMPLE: Final = 32 << 20
 
 
 class _Sample(msgspec.Struct, eq=False):
-    """A sample, and how many bytes of it came again."""
+    """A sample, and the number of its bytes that came again."""
 
     data: NDArray[np.uint8]
     fragment_size: int
@@ -63,7 +65,7 @@ class _Sample(msgspec.Struct, eq=False):
     again: int = 0
 
     def add(self, begin: int, end: int) -> bool:
-        """Add a fragment; tell whether it makes the sample whole, or a copy of it."""
+        """Add a fragment; return whether it completes the sample, or a copy of it."""
         before, size = self.fragments.size, len(self.data)
         self.fragments.add(begin, end)
         new = self.fragments.size - before
@@ -75,12 +77,12 @@ class _Sample(msgspec.Struct, eq=False):
 
 
 class FragmentedSamples:
-    """Puts the samples of a stream together.
+    """Reassembles the samples of a stream.
 
     Attributes:
-        whole: samples that were put together.
-        given_up: samples of which fragments came, and that gave way to others.
-        too_large: fragments of samples that claim too much, or contradict each other.
+        whole: number of reassembled samples.
+        given_up: number of incomplete samples that were dropped for others.
+        too_large: number of fragments of samples that are too large, or contradict each other.
     """
 
     def __init__(self) -> None:
@@ -91,7 +93,7 @@ class FragmentedSamples:
         self._done: dict[bytes, KnownRanges] = {}
 
     def notes(self) -> list[str]:
-        """Return what came, a line each, for users."""
+        """Return notes for users, one line each."""
         unfinished = len(self._open) + self.given_up
         lines = [f"DDS: {plural(self.whole, 'sample')} put together from fragments"] if self.whole else []
         if unfinished:
@@ -105,7 +107,7 @@ class FragmentedSamples:
     def take(
         self, batch: PacketBatch, columns: Columns, decode: Callable[[PacketBatch], Columns]
     ) -> tuple[PacketBatch, Columns]:
-        """Return a batch and its columns with the samples that become whole in it."""
+        """Return a batch and its columns with the samples that are completed in it."""
         rows = np.flatnonzero(columns.link == RTPS)
         rows = rows[batch.original_length[rows] >= 0]
         submessages = rtps_messages(batch, rows).submessages
@@ -145,7 +147,7 @@ class FragmentedSamples:
         start: NDArray[np.int64],
         end: NDArray[np.int64],
     ) -> Iterator[int]:
-        """Add fragments of one sample; yield which of them makes it whole, and whole again."""
+        """Add fragments of one sample; yield the index of each that completes it, or a copy of it."""
         size, step = int(fields["sample_size"][0]), int(fields["fragment_size"][0])
         begin = (fields["fragment_starting_num"] - 1) * step
         stop = np.minimum(begin + fields["fragments_in_submessage"] * step, size)
@@ -183,7 +185,7 @@ class FragmentedSamples:
             self.given_up += 1
 
     def _finished(self, key: tuple[bytes, int]) -> bytes:
-        """Return a whole sample, which is not open any more."""
+        """Return a complete sample, and move it from the incomplete to the complete ones."""
         if key not in self._open:
             return self._whole[key].data.tobytes()
         sample = self._whole[key] = self._open.pop(key)
@@ -198,7 +200,7 @@ class FragmentedSamples:
 
 
 def sample_message(key: tuple[bytes, int], body: bytes, time_ns: int, *, key_only: bool) -> bytes:
-    """Return the message that holds a sample in one piece; its length stands for: up to the end."""
+    """Return the message with a sample in one piece; its submessage length is 0: up to the end."""
     guid, sequence = key
     little = int(SubmessageFlag.LITTLE_ENDIAN)
     head = RTPS_HEADER.emit(
@@ -234,7 +236,7 @@ def _with_messages(
     messages: list[tuple[int, bytes]],
     decode: Callable[[PacketBatch], Columns],
 ) -> tuple[PacketBatch, Columns]:
-    """Return a batch and its columns with made messages behind their rows."""
+    """Return a batch and its columns with the made messages behind their rows."""
     row = np.array([at for at, _ in messages])
     length = np.array([len(raw) for _, raw in messages], np.int64)
     data = np.frombuffer(b"".join(raw for _, raw in messages) + bytes(PADDING), np.uint8)
@@ -249,7 +251,7 @@ def _with_messages(
 
 
 class SampleRows:
-    """Puts samples together, and counts those without a topic."""
+    """Reassembles samples, and counts those without a topic."""
 
     def __init__(self, site: Site) -> None:
         self._site = site
@@ -258,7 +260,7 @@ class SampleRows:
     def take(
         self, batch: PacketBatch, columns: Columns, decode: Callable[[PacketBatch], Columns]
     ) -> tuple[PacketBatch, Columns]:
-        """Return a batch and its columns with the samples that become whole in it."""
+        """Return a batch and its columns with the samples that are completed in it."""
         if not (columns.link == RTPS).any():
             return batch, columns
         batch, columns = self._fragmented.take(batch, columns, decode)
@@ -266,5 +268,5 @@ class SampleRows:
         return batch, columns
 
     def notes(self) -> list[str]:
-        """Return what came, a line each, for users."""
+        """Return notes for users, one line each."""
         return self._fragmented.notes() + self._left.notes(self._site.types, self._site.endpoints)

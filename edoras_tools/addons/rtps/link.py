@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class PublishSubscribeLink(LinkProtocol):
-    """The link between DDS participants, which is told by its first bytes: their ports are any."""
+    """The link between DDS participants; its first bytes identify it, because any port is possible."""
 
     code = 8
     name = "RTPS"
@@ -41,13 +41,13 @@ class PublishSubscribeLink(LinkProtocol):
 
     @property
     def layouts(self) -> tuple[Layout, ...]:  # type: ignore[override]
-        """Its headers, of each submessage in both byte orders; made when they are asked for."""
+        """Its headers, for each submessage in both byte orders; made at the first use."""
         from edoras_tools.addons.rtps.wire.headers import EVERY_RTPS_LAYOUT
 
         return EVERY_RTPS_LAYOUT
 
     def recognise(self, facts: Seen) -> Any:
-        """Recognise the four letters that begin every message."""
+        """Recognise the four letters at the start of every message."""
         from edoras_tools.addons.rtps.wire.headers import RTPS_HEADER
 
         version = facts.field(RTPS_HEADER, "version_major")
@@ -55,7 +55,7 @@ class PublishSubscribeLink(LinkProtocol):
         return BY_CONTENT * (letters & (version >= 0))
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
-        """Judge messages, and learn which endpoints they announce; see :meth:`LinkProtocol.locate`."""
+        """Judge messages, and learn the announced endpoints; see :meth:`LinkProtocol.locate`."""
         return self.part("reader:locate_samples")(batch, rows, site)
 
     def dissect(self, reading: Reading, site: Site) -> None:
@@ -69,40 +69,40 @@ class PublishSubscribeLink(LinkProtocol):
         return self.part("reader:submessage_places")(layout, rows, self)
 
     def rows(self, site: Site) -> OwnRows:
-        """Return what puts samples together that came in fragments."""
+        """Return the object that reassembles samples from fragments."""
         return self.part("fragments:SampleRows")(site)
 
     def topics(self, space: TopicSpace) -> OwnTopics | None:
-        """Return what makes messages of samples; None where nobody decodes what announces their topics."""
+        """Return the object that makes messages of samples; None if nothing decodes topics' announcements."""
         heard = space.endpoints
         return None if heard is None else self.part("topics:SampleMessages")(space, heard)
 
     def follow(self, site: Site) -> Follower:
-        """Return what follows the samples of every writer."""
+        """Return a follower of the samples of every writer."""
         return self.part("writers:SampleFollower")(site.endpoints)
 
     def evidence(self, site: Site) -> LinkEvidence:
-        """Return the same, as rows of the ledger."""
+        """Return a follower of the samples as rows of the ledger."""
         return self.part("evidence:SampleEvidence")(site.endpoints)
 
     def fields(self) -> Iterable[Any]:
-        """Return the fields that hold what submessages are about."""
+        """Return the filter fields for the subjects of submessages."""
         return self.part("fields:sample_fields")()
 
     def send(self, site: Site, *, up: bool) -> LinkSending | None:
-        """Return how samples go to subscribers; neither side of them is up."""
+        """Return the way in which samples go to subscribers; there is no up direction."""
         return None if up else self.part("sending:SampleSending")(self, site)
 
     def sample_reader(self) -> SampleReader:
-        """Return what reads samples."""
+        """Return the reader of samples."""
         return self.part("samples:READER")
 
     def summary(self, decoded: Decoded) -> str:
-        """Return what the submessages are, and of which topics."""
+        """Return the kinds of the submessages, with their topics."""
         return self.part("reader:rtps_summary")(decoded)
 
     def kind_name(self, decoded: Decoded) -> str:
-        """Return what the submessages are, each kind once, and of which topics."""
+        """Return the kinds of the submessages, each once, with their topics."""
         return self.part("reader:rtps_kind")(decoded)
 
 

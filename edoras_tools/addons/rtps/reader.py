@@ -1,4 +1,4 @@
-"""Reads RTPS messages: one for people, many as columns; what participants announce is learnt on the way."""
+"""Reads RTPS messages: one for people, many as columns; it also learns the announcements of participants."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 _ANNOUNCING: Final = (OF_PARTICIPANTS, OF_PUBLICATIONS, OF_SUBSCRIPTIONS)
 _PLAIN: Final = (CDR_BE, CDR_LE)
-"""Representations that ROS messages have."""
+"""Representations of ROS messages."""
 _TOLD_SETS: Final = {SubmessageKind.ACKNACK: "missing", SubmessageKind.GAP: "irrelevant"}
 _NUMBERS: Final = {
     SubmessageKind.DATA: ("writer_sn",),
@@ -63,25 +63,25 @@ _NUMBERS: Final = {
     SubmessageKind.ACKNACK: ("base",),
     SubmessageKind.GAP: ("gap_start", "base"),
 }
-"""The sequence numbers of each kind of submessage."""
+"""Names of the sequence numbers in each kind of submessage."""
 _MOST_TOLD: Final = 6
 
 
 def timeless(flags: int, kind: int) -> bool:
-    """Tell whether it is an INFO_TS without a time."""
+    """Return whether a submessage is an INFO_TS without a time."""
     return kind == SubmessageKind.INFO_TS and bool(flags & SubmessageFlag.NO_TIMESTAMP)
 
 
 class TopicSamples(NamedTuple):
-    """SampleData in some messages, whole, of writers that are not built in; of one length.
+    """Complete samples in some messages, of user writers; columns of one length.
 
     Attributes:
-        row: i64, which of the messages.
-        writer: i64, index into the writers.
-        sequence_number: i64, the writer's.
-        start: i64, first byte of the encapsulation.
-        end: i64, one past the sample.
-        time_ns: i64, when it was written, ns since 1970; -1 where nobody says.
+        row: i64 (n,), index of the message.
+        writer: i64 (n,), index of the writer.
+        sequence_number: i64 (n,), the writer's sequence number.
+        start: i64 (n,), first byte of the encapsulation.
+        end: i64 (n,), one past the sample.
+        time_ns: i64 (n,), time of writing, ns since 1970; -1 if it is not given.
     """
 
     row: NDArray[np.int64]
@@ -93,10 +93,10 @@ class TopicSamples(NamedTuple):
 
 
 def topic_samples(data: NDArray[np.uint8], submessages: Submessages) -> tuple[list[bytes], TopicSamples]:
-    """Return the GUIDs of writers, and their samples; keys of what is disposed of are left out.
+    """Return the GUIDs of writers, and their samples, without the keys of disposed instances.
 
     Args:
-        data: u8, what the submessages point into.
+        data: u8, buffer of the submessages.
     """
     samples, own = _whole_samples(data, submessages)
     fields = SubmessageFields(data, own, SubmessageKind.DATA)
@@ -116,12 +116,12 @@ def topic_samples(data: NDArray[np.uint8], submessages: Submessages) -> tuple[li
 def rows_on(
     batch: PacketBatch, rows: NDArray[np.intp], endpoints: Endpoints, holds: Callable[[str], bool]
 ) -> NDArray[np.intp]:
-    """Return those of some rows that have a whole sample, of a topic that was announced before.
+    """Return those rows that have a complete sample of a topic announced before.
 
     Args:
-        rows: those that hold RTPS.
-        endpoints: what was announced so far.
-        holds: tells of the ROS name of a topic whether it is meant.
+        rows: indices of rows with RTPS.
+        endpoints: endpoints announced so far.
+        holds: function that returns whether a ROS topic is selected.
     """
     writers, samples = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
     entries = [endpoints.find(guid) for guid in writers]
@@ -131,20 +131,20 @@ def rows_on(
 
 
 def _whole_samples(data: NDArray[np.uint8], parts: Submessages) -> tuple[SampleData, Submessages]:
-    """Return the samples in DATA that are there whole, and their submessages."""
+    """Return the complete samples in DATA, and their submessages."""
     samples = read_samples(data, parts, SubmessageKind.DATA)
     samples = samples.take(samples.fits & ((parts.flags[samples.which] & SubmessageFlag.DATA) != 0))
     return samples, parts.take(samples.which)
 
 
 def _of_users(guids: NDArray[np.void]) -> NDArray[np.bool_]:
-    """Tell which endpoints are not built in."""
+    """Return which endpoints are not built in: bool (n,)."""
     kind = guids.view(np.uint8).reshape(-1, GUID_BYTES)[:, -1]
     return (kind & BUILT_IN_KIND) != BUILT_IN_KIND
 
 
 def distinct_guids(guids: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.int64]]:
-    """Return the distinct GUIDs in the order they first come, and which of them each is, i64 (n,)."""
+    """Return the distinct GUIDs in order of their first use, and the index of each input's GUID, i64 (n,)."""
     halves = np.ascontiguousarray(guids).view(np.uint64).reshape(-1, 2)
     first, which = numbered(halves[:, 0], halves[:, 1])
     return [guids[at].tobytes() for at in first.tolist()], which
@@ -156,7 +156,7 @@ def rtps_messages(batch: PacketBatch, rows: NDArray[np.intp]) -> RtpsMessages:
 
 
 def locate_samples(batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
-    """Judge messages, and learn which endpoints they announce."""
+    """Judge messages, and learn the endpoints that they announce."""
     located, messages = Located(len(rows)), rtps_messages(batch, rows)
     located.flag(Finding.TRUNCATED, messages.truncated)
     located.flag(Finding.LENGTH_MISMATCH, messages.odd)
@@ -172,12 +172,12 @@ def locate_samples(batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Lo
 def learn(
     data: NDArray[np.uint8], submessages: Submessages, number: NDArray[np.int64], endpoints: Endpoints
 ) -> None:
-    """Learn what participants announce.
+    """Learn the announcements of participants.
 
     Args:
-        data: u8, what the submessages point into.
-        number: i64, of the datagram of each message.
-        endpoints: is added to.
+        data: u8, buffer of the submessages.
+        number: i64 (n,), number of the datagram of each message.
+        endpoints: endpoints, which are extended.
     """
     samples, own = _whole_samples(data, submessages)
     head = SubmessageFields(data, own, SubmessageKind.DATA).guid("writer_id")
@@ -195,7 +195,7 @@ def dissect_message(reading: Reading, site: Site) -> None:
     """Read one message, submessage by submessage.
 
     Raises:
-        WireError: it is cut. What was read before stays.
+        WireError: the message is cut. The layers read before stay.
     """
     data = reading.data
     reading.read(RTPS_HEADER, 0)
@@ -214,7 +214,7 @@ def dissect_message(reading: Reading, site: Site) -> None:
 
 
 def _insides(octets: NDArray[np.uint8], submessages: Submessages) -> dict[int, tuple[int, int, bool]]:
-    """Return where the data of each submessage lies, and whether its headers are sound."""
+    """Return the start and end of each submessage's data, and whether its headers are sound."""
     out: dict[int, tuple[int, int, bool]] = {}
     for kind in (SubmessageKind.DATA, SubmessageKind.DATA_FRAG):
         samples = read_samples(octets, submessages, kind)
@@ -232,7 +232,7 @@ def _submessage(
     orders = SUBMESSAGE if timeless(flags, kind) else SUBMESSAGE_LAYOUTS.get(kind, SUBMESSAGE)
     layout = orders.of(little=little)
     if not one.whole[0]:
-        # What is there of it is shown, and where it should have ended.
+        # Show the existing part, and where it should have ended.
         reading.read((layout if end - at >= layout.size else SUBMESSAGE.of(little=little)), at)
         claimed = SUBMESSAGE.of(little=little).parse(reading.data, at)["octets_to_next_header"]
         reading.truncated(layout.name, at, max(layout.size, SUBMESSAGE.little.size + claimed))
@@ -302,7 +302,7 @@ def submessage_places(
 
 
 def named_layers(decoded: Decoded) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield what the submessages are, of which topics or built-in endpoints, and their values."""
+    """Yield the kinds of the submessages, their topics or built-in endpoints, and their values."""
     for layer in decoded.layers:
         values = layer.values()
         if "submessage_id" not in values:
@@ -315,7 +315,7 @@ def named_layers(decoded: Decoded) -> Iterator[tuple[str, Mapping[str, Any]]]:
 
 
 def rtps_summary(decoded: Decoded) -> str:
-    """Return what the submessages are, and of which topics or built-in endpoints."""
+    """Return the kinds of the submessages, with their topics or built-in endpoints."""
     texts: list[str] = []
     for name, values in named_layers(decoded):
         numbers = [values[item] for item in ("writer_sn", "first_sn", "last_sn", "base_sn") if item in values]
@@ -329,7 +329,7 @@ def rtps_summary(decoded: Decoded) -> str:
 
 
 def rtps_kind(decoded: Decoded) -> str:
-    """Return what the submessages are, each kind once; empty where there is none."""
+    """Return the kinds of the submessages, each once; empty if there are none."""
     return _listed(list(dict.fromkeys(name for name, _ in named_layers(decoded))))
 
 
@@ -339,24 +339,24 @@ def _listed(texts: list[str]) -> str:
 
 
 class UserSubmessages(NamedTuple):
-    """What is said of writers that are not built in: DATA, HEARTBEAT, GAP and ACKNACK, in their order.
+    """DATA, HEARTBEAT, GAP and ACKNACK submessages about user writers, in order; columns of one length.
 
     Attributes:
-        writers: GUIDs.
-        readers: GUIDs.
-        writer: i64, which writer.
-        reader: i64, which reader.
-        kind: i64, a ``SubmessageKind``.
-        time_ns: i64, capture time.
-        first: i64, the sample's number; the first one that there is (HEARTBEAT), that will not come (GAP),
-            that is not acknowledged (ACKNACK).
-        last: i64, the sample's number; the last one that was written (HEARTBEAT), the base of the set (GAP,
+        writers: GUIDs of writers.
+        readers: GUIDs of readers.
+        writer: i64 (n,), index of the writer.
+        reader: i64 (n,), index of the reader.
+        kind: i64 (n,), a ``SubmessageKind``.
+        time_ns: i64 (n,), capture time, ns since 1970.
+        first: i64 (n,), number of the sample (DATA); first available number (HEARTBEAT); first number that
+            will not come (GAP); first number that is not acknowledged (ACKNACK).
+        last: i64 (n,), number of the sample (DATA); last written number (HEARTBEAT); base of the set (GAP,
             ACKNACK).
-        bits: i64, of the set.
-        set_at: i64, where its words start in ``data``.
-        end: i64, one past the submessage.
-        little: bool, byte order.
-        data: u8, what they point into.
+        bits: i64 (n,), number of bits of the set.
+        set_at: i64 (n,), position of the set's words in ``data``.
+        end: i64 (n,), one past the submessage.
+        little: bool (n,), whether the byte order is little-endian.
+        data: u8, buffer of the submessages.
     """
 
     writers: list[bytes]
@@ -374,7 +374,7 @@ class UserSubmessages(NamedTuple):
     data: NDArray[np.uint8]
 
     def of(self, writer: int) -> UserSubmessages:
-        """Return those of one writer."""
+        """Return the submessages about one writer."""
         mask = self.writer == writer
         shared = {"writers", "readers", "data"}
         return self._replace(
@@ -382,7 +382,7 @@ class UserSubmessages(NamedTuple):
         )
 
     def numbers(self, index: int) -> list[int]:
-        """Return the numbers of a set whose bits are set."""
+        """Return the numbers in a set, whose bits are 1."""
         at, end = int(self.set_at[index]), int(self.end[index])
         words = self.data[at:end].tobytes()
         base, bits = int(self.last[index]), int(self.bits[index])
@@ -398,10 +398,10 @@ _FOLLOWED: Final = {
 
 
 def user_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> UserSubmessages:
-    """Return what is said of writers that are not built in.
+    """Return the submessages about user writers.
 
     Args:
-        rows: those that hold RTPS.
+        rows: indices of rows with RTPS.
     """
     submessages = rtps_messages(batch, rows).submessages
     parts: list[tuple[NDArray[Any], ...]] = []
@@ -435,14 +435,14 @@ def user_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> UserSubmessa
 
 
 class NamedSubmessages(NamedTuple):
-    """Submessages that are about one writer, in their order; of one length.
+    """Submessages about one writer each, in order; columns of one length.
 
     Attributes:
-        row: i64, which of the rows.
-        writers: GUIDs.
-        writer: i64, which writer.
-        number: i64, of the sample; 0 where it is about several.
-        numbered: bool, whether it is about one sample.
+        row: i64 (n,), index into the rows.
+        writers: GUIDs of writers.
+        writer: i64 (n,), index of the writer.
+        number: i64 (n,), number of the sample; 0 for a submessage about several samples.
+        numbered: bool (n,), whether it is about one sample.
     """
 
     row: NDArray[np.int64]
@@ -456,7 +456,7 @@ def named_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> NamedSubmes
     """Return the submessages that are about a writer.
 
     Args:
-        rows: those that hold RTPS.
+        rows: indices of rows with RTPS.
     """
     submessages = rtps_messages(batch, rows).submessages
     parts: list[tuple[NDArray[Any], ...]] = []

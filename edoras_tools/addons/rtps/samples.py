@@ -1,4 +1,4 @@
-"""The samples in datagrams whose topic was announced and whose type is known, as CDR in columns."""
+"""Samples whose topic was announced and whose type is known, as CDR in columns."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def known_samples(
     """Yield the samples of each topic and type.
 
     Args:
-        types: the types; None: none is known.
-        rows: those that hold RTPS.
+        types: types; None: no type is known.
+        rows: indices of rows with RTPS.
     """
     if types is None or not len(rows):
         return
@@ -77,11 +77,11 @@ class _Reader:
     rows_on = staticmethod(rows_on)
 
     def writers(self, batch: PacketBatch, rows: NDArray[np.intp]) -> list[bytes]:
-        """Return the GUIDs of the writers that some rows are about."""
+        """Return the GUIDs of the writers in some rows."""
         return named_submessages(batch, rows).writers
 
     def topic_of(self, guid: bytes, endpoints: Endpoints) -> str:
-        """Return what the topic of a writer is called; its GUID where it was not announced."""
+        """Return the name of a writer's topic; its GUID if it was not announced."""
         endpoint = endpoints.find(guid)
         return endpoint.ros_topic if endpoint and endpoint.topic else f"writer {guid_text(guid)}"
 
@@ -90,25 +90,25 @@ READER: Final = _Reader()
 
 
 def _is_plain(data: NDArray[np.uint8], samples: TopicSamples) -> NDArray[np.bool_]:
-    """Tell which samples are plain CDR, as ROS messages are."""
+    """Return which samples are plain CDR, like ROS messages: bool (n,)."""
     whole = samples.end - samples.start >= ENCAPSULATION.size
     head = gather(data, np.where(whole, samples.start, 0), ENCAPSULATION.size)
     return whole & (ENCAPSULATION.column("representation", head) <= CDR_LE)
 
 
 class LeftSamples:
-    """Counts the captured samples that have no topic, or whose type is not known."""
+    """Counts the captured samples without a topic, or with an unknown type."""
 
     def __init__(self) -> None:
         self._early: Counter[bytes] = Counter()
         self._all: Counter[bytes] = Counter()
 
     def add(self, batch: PacketBatch, rows: NDArray[np.intp], endpoints: Endpoints) -> None:
-        """Take a batch.
+        """Count the samples of a batch.
 
         Args:
-            rows: those that hold RTPS.
-            endpoints: what was announced so far.
+            rows: indices of rows with RTPS.
+            endpoints: endpoints announced so far.
         """
         writers, samples = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
         early = batch.number[rows[samples.row]] < endpoints.since(writers)[samples.writer]
@@ -118,7 +118,7 @@ class LeftSamples:
                     counter[writers[writer]] += number
 
     def notes(self, types: TypeStore | None, endpoints: Endpoints) -> list[str]:
-        """Return how many there were, and why, a line each, for users."""
+        """Return the numbers of such samples with the reason, one line each, for users."""
         endpoint_of = {guid: endpoints.find(guid) for guid in self._all}
         announced = {guid: item for guid, item in endpoint_of.items() if item is not None and item.topic}
         early = sum(number for guid, number in self._early.items() if guid in announced)

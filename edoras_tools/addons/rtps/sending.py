@@ -1,7 +1,8 @@
-"""How samples are sent again: each recorded writer becomes one of ours, with its quality of service.
+"""Sends samples again: each recorded writer is replaced by one of ours, with its quality of service.
 
-The samples go out through the middleware that bridges use, which numbers them anew and finds who subscribes.
-Each that is to be sent is an RTPS message with one DATA of its recorded writer; only this file reads it.
+The samples go out through the middleware of the bridges, which gives them new numbers and finds the
+subscribers. Each sample to send is an RTPS message with one DATA of its recorded writer; only this file
+reads it.
 """
 
 from __future__ import annotations
@@ -39,11 +40,11 @@ if TYPE_CHECKING:
 
 _FIRST_PORT: Final = 7400
 _PORTS_OF_DOMAIN: Final = 250
-"""RTPS 9.6.1.1: where a domain is discovered."""
+"""Ports per domain (RTPS 9.6.1.1)."""
 _KEPT: Final = 10
-"""Samples that a writer keeps for late subscribers where it did not say: ROS's default."""
+"""Samples that a writer keeps for late subscribers if it did not announce a depth: ROS's default."""
 _OTHERS_NS: Final = SECOND
-"""How long further subscribers are waited for once the first is there."""
+"""Time to wait for further subscribers after the first one."""
 _ACKNOWLEDGED_WITHIN_NS: Final = 5 * SECOND
 _ALONE: Final = {"interface": "lo", "multicast": "false", "peers": "127.0.0.1"}
 _NODE: Final = "edoras_replay"
@@ -59,20 +60,20 @@ class Subscribers(SendingSession):
 
     @property
     def next_ns(self) -> int:  # type: ignore[override]
-        """Always: it is asked what time it is."""
+        """Always the present: the session is called at every turn."""
         return 0
 
     def begin(self, writers: WritersTransmitter) -> None:
-        """Take what is sent on."""
+        """Store the writers that send the samples."""
         self._writers = writers
 
     def due(self, *, now: int) -> Iterable[bytes]:
-        """Take the time."""
+        """Store the time; nothing is sent."""
         self._now = now
         return ()
 
     def sent(self, *, now: int) -> None:
-        """Let acknowledgements be waited for."""
+        """Record that samples were sent, so that acknowledgements are awaited."""
         self._sent_ns = now
 
     @property
@@ -87,19 +88,19 @@ class Subscribers(SendingSession):
 
     @property
     def busy(self) -> bool:  # type: ignore[override]
-        """Whether a reliable subscriber has not acknowledged everything; not for ever."""
+        """Whether a reliable subscriber has not acknowledged everything, for a limited time."""
         assert self._writers is not None
         late = self._now - self._sent_ns > _ACKNOWLEDGED_WITHIN_NS
         return not late and not self._writers.graph.acknowledged()
 
     def absence(self) -> str:
-        """Return which topics have no subscriber, and what the middleware says of that."""
+        """Return the topics without a subscriber, with the middleware's notes."""
         assert self._writers is not None
         notes = "".join(f"; {note}" for note in self._writers.graph.notes())
         return f"no subscriber of {listed(self._writers.topics)} in {self._writers.place}{notes}"
 
     def goodbye(self) -> Iterable[bytes]:
-        """Note what became of the samples."""
+        """Note the fate of the samples; nothing is sent."""
         assert self._writers is not None
         if alone := self._writers.topics_alone():
             self._notes.append(f"no subscriber of {listed(alone)}: its samples reached nobody")
@@ -109,29 +110,29 @@ class Subscribers(SendingSession):
         return ()
 
     def notes(self) -> Iterable[str]:
-        """Return it."""
+        """Return the notes."""
         return self._notes
 
 
 class WritersTransmitter:
-    """Writers in a domain; used as a ``Transmitter`` of datagrams is. It is a context manager.
+    """Writers in a domain, with the interface of a ``Transmitter``. It is a context manager.
 
     Args:
-        types: has the types of all topics.
-        announced: what recorded writers said of themselves.
-        target: its port says which domain, its address whom: a loopback address this machine, a multicast
-            one all that discovery finds, another one that machine.
+        types: types of all topics.
+        announced: announcements of the recorded writers.
+        target: address whose port selects the domain. A loopback address reaches this machine, a multicast
+            address all participants that discovery finds, any other address that machine.
 
     Attributes:
-        topics: that are written.
-        graph: the node.
-        place: the domain, for users.
-        target: as given.
-        local: where answers would arrive.
+        topics: topics that are written.
+        graph: node.
+        place: text on the domain, for users.
+        target: target.
+        local: address that would receive answers.
         statistics: counters of samples.
 
     Raises:
-        ConfigError: the port is of no domain, or the middleware is not there or refuses.
+        ConfigError: the port belongs to no domain, or the middleware is absent or refuses.
     """
 
     def __init__(self, types: Any, announced: Sequence[Announcement], target: Endpoint) -> None:
@@ -172,7 +173,7 @@ class WritersTransmitter:
         self._waking.close()
 
     def fileno(self) -> int:
-        """Return a descriptor that is never readable: nothing is answered here."""
+        """Return a descriptor that is never readable: there are no answers."""
         return self._woken.fileno()
 
     def topics_alone(self) -> list[str]:
@@ -200,7 +201,7 @@ class WritersTransmitter:
         return sum(self.send(data.data[a:b]) for a, b in zip(offset.tolist(), ends, strict=True))
 
     def rehearse(self, payload: bytes | memoryview) -> None:
-        """Do nothing: what writes a sample is not ours."""
+        """Do nothing: the middleware writes the samples."""
 
     def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
         """Return nothing: subscribers answer the middleware."""
@@ -210,8 +211,8 @@ class WritersTransmitter:
 def _qos(item: Announcement) -> Qos:
     """Return the quality of service of a writer.
 
-    One that keeps nothing for late subscribers loses no sample for want of room: what it keeps does not
-    decide who matches.
+    A writer that keeps nothing for late subscribers has an unlimited depth, so that it loses no sample; its
+    depth does not matter for matching.
     """
     return Qos(item.reliable, item.transient_local, (item.depth or _KEPT) if item.transient_local else 0)
 
@@ -220,8 +221,8 @@ class SampleSending(LinkSending):
     """Samples of writers that announced a ROS topic of a known type, each once.
 
     Args:
-        link: as given.
-        site: learns who writes what while the recording is read.
+        link: link.
+        site: site that learns the writers while the recording is read.
     """
 
     renews = True
@@ -236,7 +237,7 @@ class SampleSending(LinkSending):
         self._announced: dict[bytes, Announcement] = {}
 
     def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
-        """Tell which rows have a whole sample of a writer that is not built in."""
+        """Return which rows have a complete sample of a user writer: bool (n,)."""
         rows = np.flatnonzero(super().outgoing_rows(batch, columns))
         _, samples = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
         going = np.zeros(len(batch), bool)
@@ -292,7 +293,7 @@ class SampleSending(LinkSending):
         return renewed, np.array(times, np.int64)
 
     def _refusal(self, guid: bytes) -> str:
-        """Return why samples of a writer are not sent; empty where they are."""
+        """Return the reason why samples of a writer are not sent; empty if they are."""
         item: Any = self._site.endpoints.find(guid)
         if item is None or not item.topic:
             return "of a writer that the recording does not announce"

@@ -1,4 +1,4 @@
-"""Samples of DDS whose topic was announced and whose type is known, as messages on their topics."""
+"""Samples whose topic was announced and whose type is known, as messages on their topics."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch
 
 MOST_SAMPLE_TOPICS: Final = 1 << 10
-"""Topics that are added; samples of others are left out."""
+"""Most topics that are added; samples of further ones are left out."""
 _METADATA: Final = {"link": RTPS.label}
 _LOW: Final = (1 << 32) - 1
 
 
 class SampleMessages:
-    """Makes messages of samples; one that comes again, or to several readers, makes one message.
+    """Makes messages of samples; copies, and samples for several readers, make one message.
 
     Args:
-        endpoints: what is announced, as far as it was decoded.
+        endpoints: endpoints announced so far.
     """
 
     def __init__(self, space: TopicSpace, endpoints: Endpoints) -> None:
@@ -36,7 +36,7 @@ class SampleMessages:
         self._announced = 0
         self._ranges: dict[bytes, KnownRanges] = {}
         self._floor: dict[bytes, int] = {}
-        """By writer the number below which a sample is taken for a copy: so far back it is not known."""
+        """Writer to the number below which a sample counts as a copy: older numbers are forgotten."""
         self._names: dict[tuple[str, str], str] = {}
 
     def messages(self, batch: PacketBatch, columns: Columns) -> list[Messages]:
@@ -48,7 +48,7 @@ class SampleMessages:
         return [item for item in messages if item is not None]
 
     def offer(self) -> None:
-        """Add the topics that were announced, of known types, before a sample of theirs comes."""
+        """Add the announced topics of known types, before their first samples."""
         if len(self._endpoints.announced) == self._announced:
             return
         self._announced = len(self._endpoints.announced)
@@ -69,7 +69,7 @@ class SampleMessages:
         return self._names.get(key, "")
 
     def _new(self, item: KnownSamples) -> Mask:
-        """Tell which samples did not come before."""
+        """Return which samples are new: bool (n,)."""
         new = np.ones(len(item.row), bool)
         for writer, at in by_value(item.writer):
             guid = item.writers[writer]
@@ -83,7 +83,7 @@ class SampleMessages:
         return new
 
     def _of(self, batch: PacketBatch, item: KnownSamples) -> Messages | None:
-        """Return the messages of one topic, their bytes copied: they may be written by another process."""
+        """Return the messages of one topic, with copied bytes: another process may write them."""
         trailing = self._space.types.trailing(item.type, batch.data, item.offset, item.length)
         whole = np.flatnonzero((trailing >= 0) & self._new(item))
         name = self._name(item.topic, item.type)

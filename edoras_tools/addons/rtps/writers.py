@@ -1,24 +1,24 @@
-"""What became of the samples of each DDS writer, from what a capture has of its sequence numbers.
+"""The fates of the samples of each DDS writer, from the captured sequence numbers.
 
-The rules that this file keeps:
+Rules:
 
-1. A sample is known by its writer and its sequence number, and counted once: copies (sent again, or to
-   several readers) are counted apart. Endpoints that are built in are left out.
-2. A writer is counted from the first sample that was captured on, up to the last that was captured or that a
-   HEARTBEAT tells of. What a GAP takes out was never to come.
-3. A number in between that never came is
-   ``given_up``, if a reader asked for it in vain and went on when the writer did not have it any more (its
-   HEARTBEATs began behind it, or a GAP took it out);
-   ``unclear``, if a reader went on so without having asked;
+1. A sample is identified by its writer and its sequence number, and counted once. Copies (sent again, or to
+   several readers) are counted separately. Built-in endpoints are ignored.
+2. Counting starts with the first captured sample of a writer. It ends with the last number that was captured
+   or announced in a HEARTBEAT. Numbers in a GAP do not count: they were never to come.
+3. A number in between that was not captured is
+   ``given_up``, if a reader asked for it in vain and went on when the writer no longer had it (its HEARTBEATs
+   began behind it, or a GAP removed it);
+   ``unclear``, if a reader went on in this way without having asked;
    ``not_captured``, if a reader acknowledged it: it came on another way, or while nothing was captured;
    ``waiting``, if the writer is reliable and no reader has acknowledged it yet;
-   ``missing``, if the writer is best effort: lost before the place of the capture, or not captured.
-4. A sample that a reader asked for (ACKNACK) was lost at first: ``behind``, if it had been captured by then:
-   between that place and the reader; else ``before``. If it was captured again it was sent again; if the
-   reader went on without it, and the writer did not have it any more, it is ``given_up``.
-5. Memory is bounded: writers, ranges of numbers and open questions are limited in number. Where the captured
-   numbers of a writer are more than ``_MANY`` ranges, the older half is judged for good: what of it comes
-   later is a copy.
+   ``missing``, if the writer is best effort: it was lost in front of the capture, or not captured.
+4. A sample that a reader asked for (ACKNACK) was lost at first. It is ``behind`` if it had been captured by
+   then: it was lost between the capture and the reader; else ``before``. If it was captured again, it was
+       sent again.
+   If the reader went on without it, and the writer no longer had it, it is ``given_up``.
+5. Memory is limited: so are the numbers of writers, ranges and open requests. If the captured numbers of a
+   writer form more than ``_MANY`` ranges, the older half is judged finally: later samples in it are copies.
 """
 
 from __future__ import annotations
@@ -45,43 +45,43 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch
 
 PRESENCE: Final = "ros_discovery_info"
-"""Topic on which each node of ROS tells of its topics."""
+"""Topic on which each ROS node announces its topics."""
 MOST_READERS: Final = 1 << 10
-"""Of a writer; what others acknowledge is not followed."""
+"""Most readers of a writer; acknowledgements of further ones are ignored."""
 MOST_ASKED: Final = 1 << 14
-"""Samples of a writer that a reader waits for; more are not followed."""
+"""Most requested samples of a writer that are followed."""
 FATES: Final = ("given_up", "unclear", "not_captured", "waiting", "missing", "lost_behind")
 _MANY: Final = MOST_RANGES // 2
-"""With so many ranges of captured numbers, the older half is judged for good."""
+"""Number of ranges of captured numbers from which the older half is judged finally."""
 _HIGHEST: Final = 1 << 62
-"""Numbers above are no sound sequence numbers."""
+"""Highest sound sequence number."""
 _FARTHEST: Final = 1 << 32
-"""A number so far ahead of the others is not believed."""
+"""Largest plausible step of a sequence number."""
 
 
 class SampleWriter(msgspec.Struct, eq=False):
-    """One writer, and what became of its samples.
+    """One writer, and the fates of its samples.
 
     Attributes:
-        guid: of the writer.
-        first_ns: time of its first captured sample; 0 before.
-        last_ns: time of its last one that had not come before.
-        longest_ns: longest time between two of these.
-        first: the first number that was captured, which need not be the lowest; None before.
-        last: the last number that is known to be written.
-        sample_numbers: of samples that were captured whole.
-        irrelevant: numbers that will not come, as GAPs say.
-        copies: captured samples whose number had come before.
-        available: the first number that the writer still has, as its HEARTBEATs say.
-        reliable: whether it sends HEARTBEATs, or is sent ACKNACKs.
-        acknowledged: by reader the number before which that one needs nothing.
+        guid: GUID of the writer.
+        first_ns: time of its first captured sample, ns since 1970; 0 before.
+        last_ns: time of its last sample that is no copy, ns since 1970.
+        longest_ns: longest time between two such samples, ns.
+        first: first captured number, which need not be the lowest; None before.
+        last: last number that is known to be written.
+        sample_numbers: numbers of samples that were captured whole.
+        irrelevant: numbers that will not come, from GAPs.
+        copies: number of captured copies.
+        available: first number that the writer still has, from its HEARTBEATs.
+        reliable: whether it sends HEARTBEATs, or receives ACKNACKs.
+        acknowledged: reader to the number before which it needs nothing.
         requested: numbers that readers asked for.
-        behind: how many of these had been captured by then.
-        open: reader and number of what was asked for and was not captured since; the answer is open.
+        behind: number of requested samples that had been captured before.
+        open: requested number, not captured since, to the readers that wait for it.
         given_up: numbers that a reader asked for, and went on without.
-        unclear: numbers that a reader went on without, and that it had not asked for.
-        floor: the numbers below it are judged for good.
-        settled: what became of these.
+        unclear: numbers that a reader went on without, and had not asked for.
+        floor: number below which all are judged finally.
+        settled: counts of the numbers below ``floor`` by fate.
     """
 
     guid: bytes
@@ -105,7 +105,7 @@ class SampleWriter(msgspec.Struct, eq=False):
     settled: Counter[str] = msgspec.field(default_factory=Counter)
 
     def _judged(self, start: int, end: int) -> Counter[str]:
-        """Count what became of a range of numbers: ``captured``, ``asked``, ``resent``, and ``fates``."""
+        """Count a range of numbers by fate: ``captured``, ``asked``, ``resent``, and ``FATES``."""
         counts: Counter[str] = Counter()
         sure = max(self.acknowledged.values(), default=0)
         never = self.sample_numbers.missing(start, end)
@@ -131,7 +131,7 @@ class SampleWriter(msgspec.Struct, eq=False):
         return self.settled + self._judged(self.floor, self.last + 1)
 
     def settle(self) -> None:
-        """Judge the older half of the numbers for good where they have become too many ranges."""
+        """Judge the older half of the numbers finally if they form too many ranges."""
         if self.first is None or self.sample_numbers.count < _MANY:
             return
         cut = max(self.floor, self.sample_numbers.start_of(self.sample_numbers.count // 2))
@@ -144,7 +144,7 @@ class SampleWriter(msgspec.Struct, eq=False):
 
     @property
     def written(self) -> int:
-        """Samples from the first captured one on, without those that are irrelevant."""
+        """Samples from the first captured one on, without irrelevant numbers."""
         return self.captured + sum(number for fate, number in self.fates().items() if fate != "lost_behind")
 
     @property
@@ -159,11 +159,11 @@ class SampleWriter(msgspec.Struct, eq=False):
 
     @property
     def resent(self) -> int:
-        """Samples that a reader asked for, and that were captured or acknowledged then."""
+        """Samples that a reader asked for, and that were then captured or acknowledged."""
         return self._total()["resent"] - len(self.open)
 
     def fates(self) -> dict[str, int]:
-        """Return what became of what did not come (rule 3), and of what was captured: ``lost_behind``."""
+        """Return the number of missing samples by fate (rule 3), and of captured ones as ``lost_behind``."""
         total = self._total()
         return {name: total[name] for name in FATES}
 
@@ -172,9 +172,9 @@ class TopicWriter(msgspec.Struct, frozen=True):
     """A writer and its topic.
 
     Attributes:
-        topic: its ROS name; the GUID of the writer where it was not announced.
-        type: its ROS name; empty where it was not announced.
-        writer: what became of its samples.
+        topic: ROS name; GUID of the writer if the topic was not announced.
+        type: ROS name; empty if it was not announced.
+        writer: writer with its samples.
     """
 
     topic: str
@@ -182,7 +182,7 @@ class TopicWriter(msgspec.Struct, frozen=True):
     writer: SampleWriter
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``info --json``."""
+        """Return the writer in the shape of ``info --json``."""
         writer = self.writer
         return {
             "topic": self.topic,
@@ -199,7 +199,7 @@ def _size(ranges: list[tuple[int, int]]) -> int:
 
 
 def _within(ranges: KnownRanges, start: int, end: int) -> list[tuple[int, int]]:
-    """Return the parts of a range that are known."""
+    """Return the parts of a range that are in ``ranges``."""
     parts, at = [], start
     for low, high in [*ranges.missing(start, end), (end, end)] if start < end else []:
         if at < low:
@@ -212,15 +212,15 @@ class SampleFollower(LinkEvidence):
     """Follows the samples of every writer.
 
     Args:
-        endpoints: what is announced, as far as it was decoded.
+        endpoints: announced endpoints, as far as they are decoded.
 
     Attributes:
-        writers: by GUID, in order of what was first captured of them.
-        datagrams: of RTPS, as they were captured.
-        reassembled: rows that were put together from fragments.
-        first_ns: time of the first datagram.
-        last_ns: time of the last.
-        left_out: submessages of writers beyond the limit.
+        writers: writers by GUID, in order of their first captured submessage.
+        datagrams: number of RTPS datagrams as captured.
+        reassembled: number of rows reassembled from fragments.
+        first_ns: time of the first datagram, ns since 1970.
+        last_ns: time of the last datagram, ns since 1970.
+        left_out: number of submessages of writers beyond the limit.
     """
 
     def __init__(self, endpoints: Endpoints) -> None:
@@ -230,7 +230,7 @@ class SampleFollower(LinkEvidence):
         self.first_ns = self.last_ns = 0
 
     def topic_writers(self) -> tuple[TopicWriter, ...]:
-        """Return the writers of which samples were captured, but those by which ROS tells of its nodes."""
+        """Return the writers with captured samples, except those by which ROS announces its nodes."""
         writers = []
         for guid, writer in self.writers.items():
             endpoint = self._endpoints.find(guid)
@@ -240,11 +240,11 @@ class SampleFollower(LinkEvidence):
         return tuple(writers)
 
     def announcements(self) -> list[Announcement]:
-        """Return what participants and endpoints said of themselves."""
+        """Return the announcements of participants and endpoints."""
         return [item for item, _ in self._endpoints.announced.values() if isinstance(item, Announcement)]
 
     def summary(self) -> dict[str, Any]:
-        """Return the writers, and how many of their samples were captured."""
+        """Return the writers, with the number of their captured samples."""
         return {"samples": [item.as_json() for item in self.topic_writers()]}
 
     def samples(self) -> list[SampleStream]:
@@ -256,11 +256,11 @@ class SampleFollower(LinkEvidence):
         ]
 
     def spans(self) -> list[tuple[int, int]]:
-        """Return from when to when datagrams were captured."""
+        """Return the begin and end of the captured datagrams."""
         return [(self.first_ns, self.last_ns)] if self.datagrams else []
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch, with the samples that were put together from fragments."""
+        """Add a batch, with the samples reassembled from fragments."""
         rows = np.flatnonzero(columns.link == RTPS)
         if not len(rows):
             return
@@ -283,17 +283,17 @@ class SampleFollower(LinkEvidence):
 
 
 class _Pass:
-    """Takes what a batch has of one writer.
+    """Adds the submessages of a batch to one writer.
 
     Args:
-        submessages: in the order they were captured.
+        submessages: submessages of the writer, in order of the capture.
     """
 
     def __init__(self, writer: SampleWriter, submessages: UserSubmessages) -> None:
         self._writer, self._submessages = writer, submessages
 
     def run(self) -> None:
-        """Take all of it."""
+        """Add all submessages."""
         writer, submessages = self._writer, self._submessages
         sound = (submessages.first > 0) & (submessages.first < _HIGHEST) & (submessages.last < _HIGHEST)
         kind = np.where(sound | (submessages.kind == SubmessageKind.ACKNACK), submessages.kind, 0)
@@ -301,7 +301,7 @@ class _Pass:
         beats = np.flatnonzero(kind == SubmessageKind.HEARTBEAT)
         gaps = np.flatnonzero(kind == SubmessageKind.GAP)
         acks = np.flatnonzero(kind == SubmessageKind.ACKNACK)
-        if writer.first is None and len(data):  # what was said before the first sample is not counted
+        if writer.first is None and len(data):  # HEARTBEATs and ACKNACKs before the first sample do not count
             beats, acks = beats[beats > data[0]], acks[acks > data[0]]
         numbers = submessages.first[data]
         before = writer.sample_numbers if not len(acks) else _copied(writer.sample_numbers)
@@ -355,13 +355,13 @@ class _Pass:
         before: KnownRanges,
         beats: tuple[NDArray[np.int64], NDArray[np.int64], int],
     ) -> None:
-        """Take ACKNACKs in order: what a reader asks for, and what it needs no more.
+        """Process ACKNACKs in order: numbers that a reader asks for, and numbers that it no longer needs.
 
         Args:
             acks: indices of the ACKNACKs.
-            before: samples that were captured in earlier batches.
-            beats: indices of the HEARTBEATs, from which number on each says that there are samples, and what
-                those before said.
+            before: samples captured in earlier batches.
+            beats: indices of the HEARTBEATs; first available number of each; first available number from
+                earlier batches.
         """
         submessages, writer = self._submessages, self._writer
         first_at: dict[int, int] = {}
@@ -390,7 +390,7 @@ class _Pass:
                     writer.open.setdefault(number, set()).add(reader)
 
     def _went_on(self, reader: bytes, low: int, base: int, available: int) -> None:
-        """Note what a reader needs no more, from ``low`` up to ``base``."""
+        """Record that a reader no longer needs the numbers from ``low`` up to ``base``, not included."""
         writer = self._writer
         for number in [item for item, readers in writer.open.items() if item < base and reader in readers]:
             writer.open[number].discard(reader)
@@ -405,7 +405,7 @@ class _Pass:
 
 
 def _copied(ranges: KnownRanges) -> KnownRanges:
-    """Return ranges that do not change when others do."""
+    """Return a copy of ranges."""
     copy = KnownRanges()
     for start, end in ranges:
         copy.add(start, end)

@@ -8,4 +8,4 @@ from __future__ import annotations
 from typing import Final
 
 RTPS_MAGIC: Final = b"RTPS"
-"""How every message begins."""
+"""First bytes of every message."""

@@ -1,8 +1,7 @@
 """The headers of RTPS: of a message, and of each kind of submessage (DDSI-RTPS 2.5, 8.3.7 and 9.4).
 
-The byte order is that of the sender, told by a flag of each submessage: there are two layouts of each kind,
-the second for senders with the most significant byte first. A sequence number is two words, of which the high
-one comes first in either order.
+Each submessage has the byte order of its sender, given by a flag. So there are two layouts of each kind, the
+second for big-endian senders. A sequence number is two words; the high one comes first in either order.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ GUID_BYTES: Final = PREFIX_BYTES + ENTITY_BYTES
 
 
 class SubmessageKind(IntEnum):
-    """Which submessage it is (9.4.5.1.1); vendors have those from 0x80 on."""
+    """Kinds of submessages (9.4.5.1.1); vendors have those from 0x80 on."""
 
     PAD = 0x01
     ACKNACK = 0x06
@@ -44,19 +43,19 @@ class SubmessageKind(IntEnum):
 
 
 class SubmessageFlag(IntFlag):
-    """Flags of submessages; what the second to the fourth bit say depends on the kind."""
+    """Flags of submessages; the meaning of the second to the fourth bit depends on the kind."""
 
     LITTLE_ENDIAN = 0x01
     INLINE_QOS = 0x02
-    """Of DATA and DATA_FRAG: a parameter list is in front of the data."""
+    """DATA and DATA_FRAG: a parameter list is in front of the data."""
     NO_TIMESTAMP = 0x02
-    """Of INFO_TS: what follows has no time."""
+    """INFO_TS: the following submessages have no time."""
     DATA = 0x04
-    """Of DATA: it holds a sample."""
+    """DATA: it contains a sample."""
     KEY = 0x08
-    """Of DATA: it holds a key alone: what it names is disposed of."""
+    """DATA: it contains a key only, of an instance that is disposed of."""
     FRAGMENT_KEY = 0x04
-    """Of DATA_FRAG: its fragments are those of a key."""
+    """DATA_FRAG: its fragments are those of a key."""
 
 
 SUBMESSAGE_NAMES: Final[Mapping[int, str]] = {int(item): item.name for item in SubmessageKind}
@@ -73,7 +72,7 @@ VENDOR_NAMES: Final[Mapping[int, str]] = {
     0x0113: "Zhenrong ZRDDS",
     0x0114: "S2E Dust DDS",
 }
-"""As their owners registered them at the OMG."""
+"""Vendor names as registered at the OMG."""
 
 RTPS_HEADER: Final = Layout(
     "rtps",
@@ -207,20 +206,20 @@ SUBMESSAGE_LAYOUTS: Final[Mapping[int, Orders]] = {
         Field("sample_size", 32, "bytes of the whole sample"),
     ),
 }
-"""The header of each kind of submessage, its own four bytes included; others have these four alone."""
+"""Header of each kind of submessage, including the common four bytes; other kinds have only these four."""
 EVERY_RTPS_LAYOUT: Final = (
     RTPS_HEADER,
     *(layout for orders in (SUBMESSAGE, *SUBMESSAGE_LAYOUTS.values()) for layout in orders),
 )
 EMPTY_KINDS: Final = (SubmessageKind.PAD, SubmessageKind.INFO_TS)
-"""Where a length of 0 does not mean: up to the end (9.4.5.1.3)."""
+"""Kinds for which a length of 0 does not mean: up to the end (9.4.5.1.3)."""
 WITH_SEQUENCE_SET: Final = (SubmessageKind.ACKNACK, SubmessageKind.GAP)
 INLINE_AT: Final = SUBMESSAGE_LAYOUTS[SubmessageKind.DATA].little.by_name["octets_to_inline_qos"].end
-"""What ``octets_to_inline_qos`` counts from, in DATA and DATA_FRAG."""
+"""Origin of the offset ``octets_to_inline_qos``, in DATA and DATA_FRAG."""
 
 
 def entity_names(names: Iterable[tuple[str, str]]) -> dict[bytes, str]:
-    """Return names by entity id, which is given in hex."""
+    """Return names by entity id; the ids are given in hex."""
     return {bytes.fromhex(number): name for number, name in names}
 
 
@@ -243,9 +242,9 @@ BUILT_IN: Final[Mapping[bytes, str]] = entity_names(
         ("000301c4", "type lookup reply reader"),
     ]
 )
-"""Endpoints that every participant has (9.3.1.5)."""
+"""Endpoints of every participant (9.3.1.5)."""
 OF_PARTICIPANTS: Final = bytes.fromhex("000100c2")
 OF_PUBLICATIONS: Final = bytes.fromhex("000003c2")
 OF_SUBSCRIPTIONS: Final = bytes.fromhex("000004c2")
 BUILT_IN_KIND: Final = 0xC0
-"""Bits of the last byte of an entity id that is built in."""
+"""Bits that are set in the last byte of a built-in entity id."""

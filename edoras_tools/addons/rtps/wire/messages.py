@@ -1,7 +1,7 @@
-"""Many RTPS messages in columns: their submessages, and the samples that these hold.
+"""Many RTPS messages in columns: their submessages, and the samples in these.
 
-All messages of a batch are walked at once: each step takes the next submessage of every one. A message with
-more than ``MOST_SUBMESSAGES`` is read up to there; inline QoS up to ``MOST_PARAMETERS``.
+All messages of a batch are read in parallel: each step reads the next submessage of every message. At most
+``MOST_SUBMESSAGES`` are read of a message, and ``MOST_PARAMETERS`` of inline QoS.
 """
 
 from __future__ import annotations
@@ -42,18 +42,18 @@ _DESTINATION_AT: Final = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_DST].little.by_n
 
 
 class Submessages(NamedTuple):
-    """Submessages of some messages, in their order; of one length.
+    """Submessages of some messages, in order; columns of one length.
 
     Attributes:
-        row: i64, which of the messages.
-        start: i64, its first byte in the data.
-        end: i64, one past its last byte that is there.
-        kind: u8, a ``SubmessageKind``, or another number.
-        flags: u8, ``SubmessageFlag``.
-        source: i64, where the GUID prefix of the participant stands that it is from.
-        destination: i64, where that of the participant stands that it is for; ``NOWHERE``: for all.
-        time_ns: i64, when the writer wrote what is in it, ns since 1970; ``NO_TIME`` where nobody says.
-        whole: bool, all of it is there.
+        row: i64 (n,), index of the message.
+        start: i64 (n,), first byte in the data.
+        end: i64 (n,), one past the last byte that exists.
+        kind: u8 (n,), a ``SubmessageKind``, or another number.
+        flags: u8 (n,), ``SubmessageFlag``.
+        source: i64 (n,), position of the sending participant's GUID prefix.
+        destination: i64 (n,), position of the receiving participant's GUID prefix; ``NOWHERE``: for all.
+        time_ns: i64 (n,), time of writing, ns since 1970; ``NO_TIME`` if it is not given.
+        whole: bool (n,), whether all its bytes exist.
     """
 
     row: NDArray[np.int64]
@@ -67,22 +67,22 @@ class Submessages(NamedTuple):
     whole: NDArray[np.bool_]
 
     def take(self, mask: NDArray[Any]) -> Submessages:
-        """Return some of them."""
+        """Return the submessages that a mask or indices select."""
         return Submessages(*(column[mask] for column in self))
 
     @property
     def little(self) -> NDArray[np.bool_]:
-        """Which have the least significant byte first."""
+        """Whether each is little-endian: bool (n,)."""
         return np.asarray((self.flags & SubmessageFlag.LITTLE_ENDIAN) != 0)
 
 
 class RtpsMessages(NamedTuple):
-    """What is in some messages.
+    """The contents of some messages.
 
     Attributes:
-        submessages: all of them.
-        truncated: bool (n,), of which messages bytes are missing.
-        odd: bool (n,), which hold more submessages than are read.
+        submessages: all submessages.
+        truncated: bool (n,), whether bytes of a message are missing.
+        odd: bool (n,), whether a message has more submessages than are read.
     """
 
     submessages: Submessages
@@ -93,12 +93,12 @@ class RtpsMessages(NamedTuple):
 def read_messages(
     data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.integer[Any]]
 ) -> RtpsMessages:
-    """Read many messages; nothing in them can make this raise.
+    """Read many messages; no contents can raise an error.
 
     Args:
-        data: u8, contiguous.
-        offset: i64 (n,), where each begins.
-        length: (n,), bytes that are there.
+        data: u8, contiguous buffer.
+        offset: i64 (n,), first byte of each message.
+        length: (n,), number of bytes that exist.
     """
     count = len(offset)
     end = offset + length
@@ -152,7 +152,7 @@ def _note_times(
     time_ns: NDArray[np.int64],
     active: NDArray[np.int64],
 ) -> None:
-    """Note the times that INFO_TS gives to what follows."""
+    """Store the times that INFO_TS gives to the following submessages."""
     orders = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_TS]
     some = np.flatnonzero((kind == SubmessageKind.INFO_TS) & whole & ~no_time)
     if len(some):
@@ -180,14 +180,14 @@ def _least() -> NDArray[np.int64]:
 
 
 LEAST_BYTES: Final = _least()
-"""Bytes of a submessage of each kind, at the least."""
+"""Least size of a submessage of each kind, bytes."""
 _MAY_BE_EMPTY: Final = np.isin(np.arange(256), EMPTY_KINDS)
 
 
 def _number(
     orders: Orders, name: str, head: NDArray[np.uint8], little: NDArray[np.bool_]
 ) -> NDArray[np.int64]:
-    """Read a number of headers of either byte order."""
+    """Read a number from headers of both byte orders, i64 (n,)."""
     if little.all():
         return orders.little.column(name, head).astype(np.int64)
     return np.where(little, orders.little.column(name, head), orders.big.column(name, head)).astype(np.int64)
@@ -197,9 +197,9 @@ class SubmessageFields:
     """The fields of submessages of one kind.
 
     Args:
-        data: u8, what they point into.
-        submessages: submessages of that kind, all whole.
-        kind: which.
+        data: u8, buffer of the submessages.
+        submessages: submessages of that kind, all complete.
+        kind: kind.
     """
 
     def __init__(self, data: NDArray[np.uint8], submessages: Submessages, kind: SubmessageKind) -> None:
@@ -216,12 +216,12 @@ class SubmessageFields:
         return (self.number(f"{name}_high") << 32) + self.number(f"{name}_low")
 
     def guid(self, name: str) -> NDArray[np.void]:
-        """Return the GUID of an endpoint, V16 (n,): ``writer_id`` is the source's, ``reader_id`` the other's.
+        """Return the GUID of an endpoint, V16 (n,): ``writer_id`` at the source, ``reader_id`` at the target.
 
-        Where nothing says which participant it is for, its prefix is zero.
+        If the destination is not given, the prefix is zero.
         """
         prefix = self._submessages.source if name == "writer_id" else self._submessages.destination
-        # The other way round: an ACKNACK is from the reader, and for the writer.
+        # Reversed in an ACKNACK: it goes from the reader to the writer.
         if self._orders in _FROM_READERS:
             prefix = self._submessages.destination if name == "writer_id" else self._submessages.source
         slot = self._orders.little.by_name[name]
@@ -239,13 +239,13 @@ _FROM_READERS: Final = (
 
 
 class SampleData(NamedTuple):
-    """What DATA and DATA_FRAG hold; of one length.
+    """The data in DATA and DATA_FRAG; columns of one length.
 
     Attributes:
-        which: i64, index of the submessage.
-        start: i64, first byte of the data in its encapsulation; of a fragment, of its part.
-        end: i64, one past the last.
-        fits: bool, the header and the inline QoS are sound.
+        which: i64 (n,), index of the submessage.
+        start: i64 (n,), first byte of the data in its encapsulation; for a fragment, of its part.
+        end: i64 (n,), one past the last byte.
+        fits: bool (n,), whether the header and the inline QoS are sound.
     """
 
     which: NDArray[np.int64]
@@ -254,7 +254,7 @@ class SampleData(NamedTuple):
     fits: NDArray[np.bool_]
 
     def take(self, mask: NDArray[Any]) -> SampleData:
-        """Return some of them."""
+        """Return the data that a mask or indices select."""
         return SampleData(*(column[mask] for column in self))
 
 
@@ -262,9 +262,9 @@ def read_samples(data: NDArray[np.uint8], submessages: Submessages, kind: Submes
     """Find the data of submessages, behind inline QoS.
 
     Args:
-        data: u8, what they point into.
+        data: u8, buffer of the submessages.
         submessages: all submessages of some messages.
-        kind: ``DATA`` or ``DATA_FRAG``; those that are cut, and DATA without data, are left out.
+        kind: ``DATA`` or ``DATA_FRAG``; cut submessages, and DATA without data, are left out.
     """
     members = (submessages.kind == kind) & submessages.whole
     if kind == SubmessageKind.DATA:
@@ -273,7 +273,7 @@ def read_samples(data: NDArray[np.uint8], submessages: Submessages, kind: Submes
     some = submessages.take(which)
     inline = SubmessageFields(data, some, kind).number("octets_to_inline_qos")
     start = some.start + INLINE_AT + inline
-    # 8.3.7.2: fields of later versions may stand in between; fewer bytes than those of now may not.
+    # 8.3.7.2: a later version may add fields in between; fewer bytes than in this version are an error.
     least = some.start + SUBMESSAGE_LAYOUTS[kind].little.size
     fits = (start >= least) & (start <= some.end)
     start = np.where(fits, start, some.end)
@@ -298,12 +298,12 @@ def sequence_set(data: bytes, at: int, end: int, *, little: bool, base: int, bit
     """Return the numbers of a sequence number set, or of a set of fragments (9.4.2.6, 9.4.2.8).
 
     Args:
-        data: what it is in.
-        at: behind ``num_bits``.
+        data: bytes that contain the set.
+        at: position behind ``num_bits``.
         end: one past the submessage.
-        little: byte order.
-        base: the first number that a bit stands for.
-        bits: how many; those whose words are not there are left out.
+        little: whether the byte order is little-endian.
+        base: number of the first bit.
+        bits: number of bits; bits in missing words are ignored.
     """
     bits = min(bits, MOST_BITS, (end - at) // 4 * 32)
     order = "<u4" if little else ">u4"
@@ -313,9 +313,9 @@ def sequence_set(data: bytes, at: int, end: int, *, little: bool, base: int, bit
 
 
 MOST_BITS: Final = 256
-"""Of a set; no sound one has more (8.3.5.5)."""
+"""Most bits of a valid set (8.3.5.5)."""
 
 
 def guid_text(guid: bytes) -> str:
-    """Return a GUID as people and other tools write it: ``0110..35.00000403``: prefix, entity id, in hex."""
+    """Return a GUID in the usual text form: ``0110..35.00000403``: prefix, entity id, in hex."""
     return f"{guid[:PREFIX_BYTES].hex()}.{guid[PREFIX_BYTES:].hex()}"

@@ -1,6 +1,6 @@
-"""Parameter lists: what participants tell each other of themselves and of their endpoints (9.6.3).
+"""Parameter lists: announcements of participants about themselves and their endpoints (9.6.3).
 
-Read leniently: a list that is cut, or never ends, is read as far as it goes.
+Reading is lenient: a list that is cut, or has no end, is read as far as possible.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 MOST_PARAMETERS_READ: Final = 1 << 9
 LONGEST_TEXT: Final = 1 << 10
-"""Bytes of a name; longer ones are cut."""
+"""Longest name, bytes; longer ones are cut."""
 _MUST_UNDERSTAND: Final = 0x3FFF
-"""The bits of a parameter id without the flags of vendors and of what must be understood."""
+"""Bits of a parameter id without the flags for vendors and for parameters that must be understood."""
 _ENCAPSULATIONS: Final[dict[int, Literal["big", "little"]]] = {0x0002: "big", 0x0003: "little"}
-"""PL_CDR by its representation: the byte order."""
+"""Byte order by the representation of PL_CDR."""
 
 
 class ParameterId(IntEnum):
@@ -47,24 +47,24 @@ class ParameterId(IntEnum):
 
 _LOCATORS: Final = (ParameterId.UNICAST_LOCATOR, ParameterId.DEFAULT_UNICAST_LOCATOR)
 _SHARED_MEMORY: Final = 16
-"""Kind of a locator of Fast DDS that is no address of a network (its ``LOCATOR_KIND_SHM``)."""
+"""Kind of a Fast DDS locator that is no network address (its ``LOCATOR_KIND_SHM``)."""
 _RELIABLE: Final = 2
-"""Kind of reliability (9.3.2)."""
+"""Reliable kind of reliability (9.3.2)."""
 STATUS_NAMES: Final = {1: "disposed", 2: "unregistered"}
 
 
 class Announcement(msgspec.Struct, frozen=True):
-    """What a participant says of itself or of an endpoint; empty or None where it does not say.
+    """The announcement of a participant or an endpoint; absent values are empty or None.
 
     Attributes:
-        guid: of the endpoint, or of the participant.
-        topic: as DDS has it: ``rt/cmd_vel``.
-        type: as DDS has it: ``geometry_msgs::msg::dds_::Twist_``.
-        name: of the participant.
-        shared_memory: whether it can be reached through the memory of its host, past any network.
-        reliable: of a writer, whether it sends lost samples again; DDS's default for writers.
-        transient_local: whether late subscribers get its last samples.
-        depth: samples that it keeps; 0 where it does not say, or keeps all.
+        guid: GUID of the endpoint, or of the participant.
+        topic: name in DDS: ``rt/cmd_vel``.
+        type: name in DDS: ``geometry_msgs::msg::dds_::Twist_``.
+        name: name of the participant.
+        shared_memory: whether it can be reached through its host's memory, without a network.
+        reliable: whether a writer sends lost samples again; DDS's default for writers.
+        transient_local: whether late subscribers get the last samples.
+        depth: number of samples that it keeps; 0 if it is not given, or all are kept.
     """
 
     guid: bytes
@@ -78,17 +78,17 @@ class Announcement(msgspec.Struct, frozen=True):
 
     @property
     def is_writer(self) -> bool:
-        """Whether it is of a writer (table 9.1)."""
+        """Whether it is about a writer (table 9.1)."""
         return self.guid[-1:] in {b"\x02", b"\x03"}
 
     @property
     def ros_topic(self) -> str:
-        """What ROS calls the topic."""
+        """Name of the topic in ROS."""
         return ros_topic(self.topic)
 
     @property
     def ros_type(self) -> str:
-        """What ROS calls the type."""
+        """Name of the type in ROS."""
         return ros_name(self.type)
 
 
@@ -96,7 +96,7 @@ def read_parameters(data: bytes) -> Iterator[tuple[int, bytes, Literal["big", "l
     """Yield id, value and byte order of each parameter in an encapsulation; nothing if it is no list.
 
     Args:
-        data: from the encapsulation on.
+        data: bytes from the encapsulation on.
     """
     order = _ENCAPSULATIONS.get(int.from_bytes(data[:2], "big"))
     if order is not None:
@@ -106,11 +106,11 @@ def read_parameters(data: bytes) -> Iterator[tuple[int, bytes, Literal["big", "l
 def read_parameter_list(
     data: bytes, order: Literal["big", "little"]
 ) -> Iterator[tuple[int, bytes, Literal["big", "little"]]]:
-    """Yield what ``read_parameters`` does, of a list without an encapsulation, as inline QoS is.
+    """Yield id, value and byte order of each parameter in a list without encapsulation, such as inline QoS.
 
     Args:
-        data: from the first parameter on; what is behind the last one is not read.
-        order: its byte order.
+        data: bytes from the first parameter on; bytes behind the last one are ignored.
+        order: byte order.
     """
     at = 0
     for _ in range(MOST_PARAMETERS_READ):
@@ -125,7 +125,7 @@ def read_parameter_list(
 
 
 def read_status(data: bytes, order: Literal["big", "little"]) -> str:
-    """Return what inline QoS says became of an instance; empty where it says nothing (9.6.4.9)."""
+    """Return the status of an instance in inline QoS; empty if there is none (9.6.4.9)."""
     for number, value, _ in read_parameter_list(data, order):
         if number & _MUST_UNDERSTAND == ParameterId.STATUS_INFO and len(value) >= 4:
             return " and ".join(name for bit, name in STATUS_NAMES.items() if value[3] & bit)
@@ -133,10 +133,10 @@ def read_status(data: bytes, order: Literal["big", "little"]) -> str:
 
 
 def read_announcement(data: bytes) -> Announcement | None:
-    """Read what is said of a participant or an endpoint; None where no GUID is in it.
+    """Read the announcement of a participant or an endpoint; None if it has no GUID.
 
     Args:
-        data: from the encapsulation on.
+        data: bytes from the encapsulation on.
     """
     guid, participant, topic, kind, name, shared_memory = b"", b"", "", "", "", False
     numbers = {ParameterId.RELIABILITY: _RELIABLE, ParameterId.DURABILITY: 0, ParameterId.HISTORY: 0}
@@ -153,7 +153,7 @@ def read_announcement(data: bytes) -> Announcement | None:
         elif parameter == ParameterId.ENTITY_NAME:
             name = _text(value, order)
         elif parameter in numbers:
-            # Behind the kind keep_last, 0, the depth follows; behind keep_all it means nothing.
+            # The depth follows the kind keep_last, 0; behind keep_all it has no meaning.
             at = 4 + 4 * any(value[:4]) if parameter == ParameterId.HISTORY else 0
             numbers[ParameterId(parameter)] = int.from_bytes(value[at : at + 4], order)
         elif parameter in _LOCATORS:
@@ -171,11 +171,11 @@ def _text(value: bytes, order: Literal["big", "little"]) -> str:
 
 
 _TOPIC: Final = "rt/"
-"""What ROS puts before the name of a topic; those of requests and replies keep theirs."""
+"""Prefix of ROS topics in DDS; topics of requests and replies keep theirs."""
 
 
 def ros_topic(topic: str) -> str:
-    """Return the ROS name of a topic of DDS; the name itself where it is of no ROS topic.
+    """Return the ROS name of a DDS topic; the DDS name if it is no ROS topic.
 
     https://design.ros2.org/articles/topic_and_service_names.html
     """
