@@ -1,4 +1,4 @@
-"""``edoras archive``: an index of many recordings, and what it says."""
+"""``edoras archive``: an index of many recordings, and queries of it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class _Archive(Group):
-    """The group: what is no command of it is a folder to index."""
+    """The group: a word that is no command of it is a folder to index."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments; ``archive DIR`` is ``archive index DIR``."""
@@ -37,10 +37,10 @@ class _Archive(Group):
 
 
 class _ArchiveCommand(Command):
-    """A command of it, refused in a line where the libraries of the extra are missing."""
+    """A command of the group; without the libraries of the extra it fails with one line."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run it."""
+        """Run the command."""
         missing = [name for name in ("duckdb", "distributed", "fsspec", "pyarrow") if find_spec(name) is None]
         if missing:
             raise ConfigError(
@@ -57,11 +57,11 @@ archive = command_group(
 Index = Annotated[Path, Option(envvar="EDORAS_ARCHIVE", help="The index, a DuckDB file.")]
 _INDEX = Path("archive.duckdb")
 _MOST_TOLD = 50
-"""Captures that are not whole, of which an update tells; the index has all."""
+"""Most incomplete captures that an update lists; the index has all."""
 
 
 class RowFormat(StrEnum):
-    """How rows are printed."""
+    """Formats of printed rows."""
 
     TABLE = "table"
     CSV = "csv"
@@ -69,7 +69,7 @@ class RowFormat(StrEnum):
 
 @headed("Printing")
 class RowOptions(NamedTuple):
-    """How rows are printed."""
+    """Format of printed rows."""
 
     json: options.Json = False
     layout: Annotated[RowFormat, Option("--format", help="Format of the rows.")] = RowFormat.TABLE
@@ -82,7 +82,7 @@ class RowOptions(NamedTuple):
 
 
 class WorkerOptions(NamedTuple):
-    """Who reads the captures."""
+    """The processes that read the captures."""
 
     jobs: Annotated[int | None, Option(parser=options.count, help="Processes; default: one per core.")] = None
     scheduler: Annotated[str | None, Option(help="Use dask's workers, e.g. tcp://10.0.0.5:8786.")] = None
@@ -90,7 +90,7 @@ class WorkerOptions(NamedTuple):
 
 @headed("Selection")
 class SpanOptions(NamedTuple):
-    """Which captures, by their time."""
+    """The period of the captures."""
 
     start: Annotated[Any, Option(parser=moment, metavar="DATE", help="Only captures that end later.")] = None
     end: Annotated[Any, Option(parser=moment, metavar="DATE", help="Only captures that begin before.")] = None
@@ -209,7 +209,7 @@ def losses(
 
 
 def _print_rows(kind: str, rows: list[dict[str, Any]], printing: RowOptions) -> None:
-    """Print captures, or losses, in one of their forms."""
+    """Print captures, or losses, in one of the formats."""
     if printing.json:
         print_json({kind: rows})
     elif printing.csv:

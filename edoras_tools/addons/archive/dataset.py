@@ -17,26 +17,26 @@ if TYPE_CHECKING:
     from edoras_tools.addons.archive.index import Index
 
 _LONGEST: Final = 80
-"""Bytes of a topic in a folder's name, where each takes up to three of 255; a longer one ends in its hash."""
+"""Longest topic in a folder's name, bytes: each takes up to three of 255; a longer one ends in its hash."""
 _DATE: Final = "coalesce(strftime(c.began, '%Y-%m-%d'), 'unknown')"
 
 
 def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]:
-    """Write every table of an index; a folder is complete, or not there.
+    """Write every table of an index; afterwards a folder is complete, or absent.
 
-    It is written in a folder beside it. What a killed export left there is removed, and an export that it was
-    about to replace gets its name again.
+    It is written in another folder beside it. Remains of a killed export there are removed, and an export
+    that was about to be replaced then gets its name again.
 
     Args:
-        folder: where; new, or empty.
-        force: replace an earlier export.
+        folder: target; new, or empty.
+        force: whether to replace an earlier export.
 
     Returns:
         Rows by table.
 
     Raises:
-        ConfigError: something is there.
-        CaptureError: it cannot be written.
+        ConfigError: the folder is not empty.
+        CaptureError: the folder cannot be written.
     """
     check_folder(folder)
     beside = folder.with_name(name_that_fits(f".{folder.name}", ".part"))
@@ -52,7 +52,7 @@ def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]
     try:
         with os_errors(f"{folder}: cannot be written"):
             _put_back(old, folder)
-            shutil.rmtree(new, ignore_errors=True)  # both are of an export that was killed
+            shutil.rmtree(new, ignore_errors=True)  # both are remains of a killed export
             shutil.rmtree(old, ignore_errors=True)
             _check_earlier(folder, force=force)
             new.mkdir()
@@ -69,7 +69,7 @@ def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]
 
 
 def _put_back(old: Path, folder: Path) -> None:
-    """Give an earlier export its name again, where no new one has it."""
+    """Give an earlier export its name again, unless a new one has it."""
     if old.exists() and not folder.exists():
         old.rename(folder)
 

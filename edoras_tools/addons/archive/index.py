@@ -2,11 +2,11 @@
 
 Rules:
 
-1. The rows of a capture are written in one transaction, in which its old rows are deleted: they are complete
-   or not there, whenever the program is killed. Nothing else ties tables together, and no row refers to the
-   order in which captures were read.
-2. A table has no key: the only writer deletes what it replaces, and DuckDB lets no second process write.
-3. Who only reads opens the file for reading, and waits for no one.
+1. The rows of a capture are written in one transaction, which also deletes its old rows: they are complete or
+   absent, even if the program is killed. There are no other relations between tables, and no row depends on
+   the order in which captures were read.
+2. Tables have no keys: the only writer deletes the rows that it replaces, and DuckDB allows no second writer.
+3. A reader opens the file for reading only, and waits for no other program.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 
 _ABOUT: Final = "CREATE TABLE about (name VARCHAR, value VARCHAR)"
 _CLOSED: Final = ("memory_limit = '200MB'", "enable_external_access = false", "lock_configuration = true")
-"""What holds while a user's query runs; the last locks the others."""
+"""Settings for a user's query; the last one locks the others."""
 MOST_S = 60.0
-"""DuckDB works so long for a user's query."""
+"""Longest time of a user's query, s."""
 
 
 @contextmanager
 def open_index(path: Path, *, write: bool = False) -> Iterator[Index]:
-    """Open an index; one that is to be written is made if it is not there, and stays if it gets a capture.
+    """Open an index. For writing it is created if necessary, and kept if it gets a capture.
 
     Raises:
         CaptureError: it cannot be opened or written, is being written by another program, or is no index.
@@ -62,10 +62,10 @@ def open_index(path: Path, *, write: bool = False) -> Iterator[Index]:
         index = Index(path, connection)
         index.check(write=write)
         yield index
-    except EdorasError:  # a mission with mistakes, a folder that is not there
+    except EdorasError:  # such as a mission with mistakes, or a missing folder
         bare = new and not index.ask("SELECT 1 FROM captures LIMIT 1")
         raise
-    except duckdb.Error as error:  # a full disk, for one
+    except duckdb.Error as error:  # such as a full disk
         action = "written" if write else "read"
         raise CaptureError(f"{path}: cannot be {action}: {first_line(error)}") from error
     finally:
@@ -75,7 +75,7 @@ def open_index(path: Path, *, write: bool = False) -> Iterator[Index]:
 
 
 def first_line(error: Exception) -> str:
-    """Return what DuckDB says in one line, without the kind of its error."""
+    """Return DuckDB's message in one line, without the kind of its error."""
     line = str(error).partition("\n")[0]
     return line.partition(" Error: ")[2] or line
 
@@ -84,7 +84,7 @@ class Index:
     """An open index.
 
     Args:
-        connection: to DuckDB.
+        connection: connection to DuckDB.
     """
 
     def __init__(self, path: Path, connection: duckdb.DuckDBPyConnection) -> None:
@@ -93,10 +93,10 @@ class Index:
         self._left_s = 0.0
 
     def check(self, *, write: bool) -> None:
-        """Check that this is an index of this version; make its tables in an empty file.
+        """Check that this is an index of this version; create its tables in an empty file.
 
         Raises:
-            CaptureError: it is not.
+            CaptureError: it is not an index of this version.
         """
         tables = {name for (name,) in self.ask("SELECT table_name FROM information_schema.tables")}
         if not tables and write:
@@ -127,9 +127,9 @@ class Index:
         return [dict(zip(names, row, strict=True)) for row in result.fetchall()]
 
     def answer(self, sql: str) -> tuple[list[str], Iterator[tuple[Any, ...]]]:
-        """Return the names of the columns of a user's query, and its rows as they are asked for.
+        """Return the column names of a user's query, and an iterator over its rows.
 
-        From then on the connection reads and writes no other file, and fetches nothing.
+        From then on the connection can access no other file or address.
 
         Raises:
             ConfigError: DuckDB refuses it, or it takes longer than ``MOST_S``.
@@ -168,11 +168,11 @@ class Index:
             self._left_s -= monotonic() - began
 
     def replace(self, captures: Iterable[str], parts: Sequence[Mapping[str, Any]]) -> None:
-        """Put rows in the place of those of some captures, all or none.
+        """Replace the rows of some captures, all or none.
 
         Args:
-            captures: whose rows are deleted.
-            parts: name of a table to a ``pyarrow.Table`` of new rows, each.
+            captures: captures whose rows are deleted.
+            parts: name of a table to a ``pyarrow.Table`` of new rows.
         """
         old = list(captures)
         with self._transaction():
@@ -186,19 +186,19 @@ class Index:
                     self._connection.unregister("new_rows")
 
     def touch(self, items: Iterable[ListedFile]) -> None:
-        """Note the new date of captures whose contents are the same."""
+        """Store the new version of captures whose contents are unchanged."""
         with self._transaction():
             for item in items:
                 values = item.size, item.version, item.url
                 self.run("UPDATE captures SET size = ?, version = ?, gone = false WHERE capture = ?", values)
 
     def leave(self, missing: Sequence[str], back: Sequence[str], *, forget: bool) -> None:
-        """Mark captures that are no longer there, and those that are again.
+        """Mark captures that no longer exist, and those that exist again.
 
         Args:
-            missing: URLs of captures that are not there.
-            back: URLs of captures that were not there, and are.
-            forget: delete the rows of those that are gone.
+            missing: URLs of captures that no longer exist.
+            back: URLs of captures that were missing, and exist again.
+            forget: whether to delete the rows of missing captures.
         """
         if forget:
             self.replace(missing, [])
@@ -226,6 +226,6 @@ class Index:
 
 
 def _mistake(error: Exception) -> str:
-    """Return DuckDB's message in one line: its part before the query itself, which the user has."""
+    """Return DuckDB's message in one line, without the query itself, which the user knows."""
     text = str(error).partition("\nLINE ")[0]
     return " ".join(text.split()) or "the query failed"

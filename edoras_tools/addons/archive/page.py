@@ -33,13 +33,13 @@ _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _MOST_WORST: Final = 20
 _MOST_ERRORS: Final = 200
 BINS: Final = 60
-"""Most bars of a trend."""
+"""Maximum number of bars of a trend."""
 MOST_COLUMNS: Final = 60
-"""Runs of the heat map."""
+"""Maximum number of runs in the heat map."""
 _MOST_ROWS: Final = 12
 _STRIP: Final = 40
 _HEAT: Final = (0.0, 0.01, 0.1, 0.5)
-"""Shares up to which a cell of the heat map has a colour; beyond the last one it has the fifth."""
+"""Upper limits of the shares for the colours of a heat map cell; a larger share has the fifth colour."""
 _HEATS: Final = ("nothing missing", "up to 1 %", "up to 10 %", "up to 50 %", "more")
 _MARKS: Final = 3
 _DAY_S: Final = 86_400
@@ -56,18 +56,19 @@ _PARTS: Final = {
 
 
 class ArchiveTrends(msgspec.Struct, frozen=True):
-    """What a report shows; rows are as the queries of ``addons.archive.questions`` name them.
+    """The contents of a report; rows have the names of the queries in ``addons.archive.questions``.
 
     Attributes:
-        name: of the index.
-        totals: of all captures with datagrams.
-        runs: a row for each, the oldest first.
-        routes: those with the most losses.
-        shares: what was sent and is missing, a row a route and run, of the latest runs, the oldest first.
-        trends: routes of several runs: what was sent and is missing, by bin of the whole time.
+        name: name of the index.
+        totals: totals of all captures with datagrams.
+        runs: one row for each run, the oldest first.
+        routes: routes with the most losses.
+        shares: sent and missing messages of the latest runs, one row for each route and run, the oldest
+            first.
+        trends: sent and missing messages of routes with several runs, by bin of the whole time.
         delays: routes with the longest latencies: the 99th percentile of each run.
-        rules: errors and warnings, by rule.
-        errors: why captures are not whole, a line each.
+        rules: errors and warnings by rule.
+        errors: reasons why captures are incomplete, one line each.
     """
 
     name: str
@@ -82,22 +83,22 @@ class ArchiveTrends(msgspec.Struct, frozen=True):
 
     @property
     def bin_ns(self) -> int:
-        """Length of a bin."""
+        """Length of a bin, ns."""
         return bin_ns(self.totals)
 
 
 def bin_ns(totals: dict[str, Any]) -> int:
-    """Return how long a bin of the whole time is: a round time, and bins are at most ``BINS``."""
+    """Return the length of a bin of the whole time, ns: a round time that gives at most ``BINS`` bins."""
     least = max(1, -(-(int(totals["end_ns"]) - int(totals["start_ns"])) // BINS))
     return next((step * SECOND for step in _ROUND_S if step * SECOND >= least), least)
 
 
 class _Calendar(TimeSpan, frozen=True):
-    """How long a chart is, in s, and when it begins."""
+    """The span of a chart, s."""
 
     @classmethod
     def of(cls, trends: ArchiveTrends) -> _Calendar:
-        """Return that of all captures."""
+        """Return the span of all captures."""
         start_ns, end_ns = trends.totals["start_ns"], trends.totals["end_ns"]
         return cls(start_ns / 1e9, max(1.0, (end_ns - start_ns) / 1e9))
 
@@ -201,12 +202,12 @@ def _bins(trends: ArchiveTrends) -> int:
 
 
 def _apart(frame: Frame, points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the points that can be told apart in the picture, however many there are."""
+    """Return points that are distinguishable in the picture, from any number."""
     return list({(frame.x(x), frame.y(y)): (x, y) for x, y in points}.values())
 
 
 def _heat_map(trends: ArchiveTrends) -> Iterable[str]:
-    """Yield a row a topic of those with the most losses, a cell a run; the key is the section's."""
+    """Yield one row for each topic with the most losses, one cell for each run; the legend is elsewhere."""
     captures = list(dict.fromkeys(row["capture"] for row in trends.shares))
     cells = {(row["route"], row["link"], row["capture"]): row for row in trends.shares}
     drawn = {key[:2] for key in cells}

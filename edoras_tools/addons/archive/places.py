@@ -1,4 +1,4 @@
-"""Where captures are: folders and files by fsspec, local or at a URL; which version of a file is there."""
+"""Access to captures in folders and files by fsspec, local or at a URL, and to the version of a file."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _HINTS: Final = {"s3": "pip install s3fs", "gs": "pip install gcsfs", "abfs": "p
 _NOT_FOUND: Final = 404
 _NO_KEYS: Final = "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or name a profile with AWS_PROFILE"
 _VERSIONS: Final = ("ETag", "etag", "Last-Modified", "LastModified", "updated", "mtime")
-"""What servers call the version of a file, the best first."""
+"""Names of a file's version in server answers, the best first."""
 
 
 class ListedFile(msgspec.Struct, frozen=True):
     """A capture as its folder lists it.
 
     Attributes:
-        url: where it is; of a local file its absolute path.
-        size: bytes; -1 where nobody says.
+        url: address; for a local file its absolute path.
+        size: size, bytes; -1 if unknown.
         version: changes when the file does.
     """
 
@@ -43,10 +43,10 @@ class ListedFile(msgspec.Struct, frozen=True):
 
 
 def find_captures(roots: Iterable[str]) -> list[ListedFile]:
-    """Return every capture in some folders and below them, and every file that is named, by URL.
+    """Return every capture in and below some folders, and every named file, by URL.
 
     Raises:
-        CaptureError: a folder or file is not there, or cannot be listed.
+        CaptureError: a folder or file does not exist, or cannot be listed.
     """
     files: dict[str, ListedFile] = {}
     for root in roots:
@@ -56,7 +56,7 @@ def find_captures(roots: Iterable[str]) -> list[ListedFile]:
             scheme = root.partition(":")[0]
             hint = _HINTS.get(scheme, f"install what fsspec needs for {scheme}:")
             raise CaptureError(f"{root}: {error}; {hint}") from error
-        except Exception as error:  # each file system has errors of its own
+        except Exception as error:  # each file system has its own errors
             cause = cause_of(error)
             if isinstance(cause, FileNotFoundError):
                 raise CaptureError(f"{root}: there is no such file or folder; check the name") from error
@@ -75,9 +75,9 @@ def _under(root: str) -> Iterator[ListedFile]:
         raise FileNotFoundError(root)
     captures = {name: item for name, item in listing.items() if name.lower().endswith(_SUFFIXES)}
     if _is_local(system):
-        # neither pipes nor devices
+        # no pipes or devices
         captures = {name: item for name, item in captures.items() if Path(name).is_file()}
-    # A folder of a web server is a page: size and date of each file are told only when it is asked for.
+    # A folder of a web server is a page: size and date of a file are known only after a request for it.
     unknown = [name for name, item in captures.items() if item.get("size") is None]
     with ThreadPoolExecutor(_ASKED_AT_ONCE) as pool:
         captures |= dict(zip(unknown, pool.map(system.info, unknown), strict=True))
@@ -86,7 +86,7 @@ def _under(root: str) -> Iterator[ListedFile]:
 
 
 def _is_file(system: Any, path: str) -> bool:
-    """Return whether a path is a file. To a web server a folder is one too: its address ends with a slash."""
+    """Return whether a path is a file. To a web server a folder is a file too, whose address ends with ``/``."""
     if _is_local(system):
         return Path(path).is_file()
     item = system.info(path)
@@ -96,7 +96,7 @@ def _is_file(system: Any, path: str) -> bool:
 
 def _listed(system: Any, path: str, item: Mapping[str, Any]) -> ListedFile:
     if _is_local(system):
-        status = Path(path).stat()  # of what a link leads to
+        status = Path(path).stat()  # of the target of a link
         return ListedFile(path, status.st_size, str(status.st_mtime_ns))
     size, versions = item.get("size"), (item.get(name) for name in _VERSIONS)
     version = next((str(value).strip('"') for value in versions if value is not None), "")
@@ -108,10 +108,10 @@ def _is_local(system: Any) -> bool:
 
 
 def listed_now(url: str) -> ListedFile:
-    """Return what is at a URL now.
+    """Return the file at a URL as it is now.
 
     Raises:
-        OSError: nothing, or it cannot be asked.
+        OSError: there is none, or the request failed.
     """
     system, path = url_to_fs(url)
     system.invalidate_cache()
@@ -120,7 +120,7 @@ def listed_now(url: str) -> ListedFile:
 
 @contextmanager
 def at_hand(url: str) -> Iterator[Path]:
-    """Yield a local file with what is at a URL: itself where it is local, else a copy, removed at the end.
+    """Yield a local file with the contents of a URL: itself if it is local, else a copy, removed at the end.
 
     Raises:
         OSError: it cannot be fetched.
@@ -135,18 +135,18 @@ def at_hand(url: str) -> Iterator[Path]:
 
 
 def is_remote(url: str) -> bool:
-    """Return whether a capture has to be fetched, by its URL."""
+    """Return whether a capture must be fetched, by its URL."""
     return "://" in url
 
 
 def root_of(text: str) -> str:
-    """Return what a user named as a URL, or as an absolute path without a slash at its end."""
+    """Return a user's argument as a URL, or as an absolute path without a slash at its end."""
     system, path = url_to_fs(text)
     return str(path) if _is_local(system) else str(system.unstrip_protocol(path))
 
 
 def cause_of(error: BaseException) -> BaseException:
-    """Return what went wrong: fsspec says of whatever a web server does not give that it is not there."""
+    """Return the cause of an error: fsspec reports any failure of a web server as a missing file."""
     cause = error.__cause__
     if not isinstance(error, FileNotFoundError) or cause is None or getattr(cause, "status", 0) == _NOT_FOUND:
         return error
@@ -155,7 +155,7 @@ def cause_of(error: BaseException) -> BaseException:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return what went wrong, in one line."""
+    """Return the cause of an error, in one line."""
     if isinstance(error, FileNotFoundError):
         return "it is no longer there"
     return (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0]

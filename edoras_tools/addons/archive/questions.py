@@ -1,4 +1,4 @@
-"""Questions that are asked of an index: lists of captures and losses, and what a report says of them."""
+"""Queries of an index: lists of captures and losses, and the contents of a report."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ WHERE o.sent > 0 AND (? IS NULL OR c.end_ns >= ?) AND (? IS NULL OR c.start_ns <
 
 
 class ArchiveSpan(msgspec.Struct, frozen=True):
-    """A span of time; captures that overlap it are meant.
+    """A span of time; it selects captures that overlap it.
 
     Attributes:
         since_ns: ns since 1970 UTC; None for no limit.
@@ -61,7 +61,7 @@ class ArchiveSpan(msgspec.Struct, frozen=True):
 
     @property
     def values(self) -> list[int | None]:
-        """The values of a query's four places."""
+        """Values of the four parameters of a query."""
         return [self.since_ns, self.since_ns, self.until_ns, self.until_ns]
 
 
@@ -73,11 +73,11 @@ def list_captures(index: Index, span: ArchiveSpan) -> list[dict[str, Any]]:
 def list_losses(
     index: Index, span: ArchiveSpan, topics: tuple[str, ...] = (), *, over: float = 0.0
 ) -> list[dict[str, Any]]:
-    """Return what was lost or is unaccounted for, by capture and route, the oldest capture first.
+    """Return lost and unaccounted messages, by capture and route, the oldest capture first.
 
     Args:
-        topics: patterns of topics, names or MsgIds; all if empty.
-        over: only where more than this share of what was sent is missing.
+        topics: patterns of topics, names or MsgIds; empty for all.
+        over: share of the sent messages; only rows with more missing messages are returned.
     """
     losses = [row for row in index.rows(_LOST, span.values) if not topics or _fits(row, topics)]
     for row in losses:
@@ -88,10 +88,10 @@ def list_losses(
 
 
 def count_examined(index: Index, span: ArchiveSpan, topics: tuple[str, ...] = ()) -> int:
-    """Return how many captures of a span of time have messages, of these topics if any are named.
+    """Return the number of captures of a span of time with messages, of these topics if any are named.
 
     Raises:
-        CaptureError: none.
+        CaptureError: there is no such capture.
     """
     captures = {row["capture"] for row in index.rows(_SENT, span.values) if not topics or _fits(row, topics)}
     if not captures:
@@ -182,7 +182,7 @@ GROUP BY 1, 2 ORDER BY severity, captures DESC, rule
 
 
 def trends_of(index: Index, span: ArchiveSpan) -> ArchiveTrends:
-    """Ask an index for all that a report shows.
+    """Query an index for all contents of a report.
 
     Raises:
         CaptureError: no capture with datagrams is in the span.
@@ -195,7 +195,7 @@ def trends_of(index: Index, span: ArchiveSpan) -> ArchiveTrends:
         raise CaptureError(f"{index.path}: has no capture with datagrams in this time; nothing to report")
     bad = index.ask("SELECT error FROM captures WHERE error IS NOT NULL ORDER BY capture")
     routes, delayed = index.rows(_ROUTES), index.rows(_DELAYED)
-    often = [row for row in routes if row["captures"] > 1]  # one run is no trend
+    often = [row for row in routes if row["captures"] > 1]  # a single run is no trend
     bins = [totals["start_ns"], bin_ns(totals)]
     return ArchiveTrends(
         str(index.path),

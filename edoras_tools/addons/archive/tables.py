@@ -1,7 +1,7 @@
 """The tables of an index, each as a list of columns: for DuckDB, for Arrow, and for the page in docs.
 
-A row belongs to one capture, whose URL is its column ``capture``. What ``info --json`` and ``doctor --json``
-have too has the same name here, but for ``in``, ``out`` and ``of``, which SQL reads as its own words.
+A row belongs to one capture, whose URL is in its column ``capture``. Columns have the names of ``info
+--json`` and ``doctor --json``, except ``in``, ``out`` and ``of``, which are words of SQL.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ _TYPES: Final = {
     "bool": ("BOOLEAN", pa.bool_()),
     "time": ("TIMESTAMP", pa.timestamp("us")),
 }
-"""Kind of a column to its type in DuckDB and in Arrow. A time is UTC; the column in ns beside it is exact."""
+"""Kind of a column to its types in DuckDB and Arrow. A time is UTC; the column in ns next to it is exact."""
 
 
 class IndexColumn(msgspec.Struct, frozen=True):
     """One column.
 
     Attributes:
-        name: of the column.
+        name: name.
         kind: ``text``, ``texts``, ``int``, ``real``, ``bool`` or ``time``.
-        description: what it is, for the documentation.
+        description: description for the documentation.
     """
 
     name: str
@@ -48,9 +48,9 @@ class IndexTable(msgspec.Struct, frozen=True):
     """One table.
 
     Attributes:
-        name: of the table.
-        description: what a row is, for the documentation.
-        columns: in order; the first is ``capture``.
+        name: name.
+        description: description of a row, for the documentation.
+        columns: columns in order; the first is ``capture``.
     """
 
     name: str
@@ -73,7 +73,7 @@ class IndexTable(msgspec.Struct, frozen=True):
         return pa.schema([(item.name, _TYPES[item.kind][1]) for item in self.columns])
 
     def arrow(self, rows: list[dict[str, Any]]) -> Any:
-        """Return rows as a ``pyarrow.Table``; what a row does not have is null."""
+        """Return rows as a ``pyarrow.Table``; missing values are null."""
         return pa.Table.from_pylist(rows, self.schema)
 
 

@@ -1,13 +1,13 @@
-"""Brings an index up to date: lists captures, has workers read the new and changed ones, writes their rows.
+"""Brings an index up to date: lists captures, lets workers read new and changed ones, and writes their rows.
 
 Rules:
 
-1. Captures are read in groups, so that small files are not a task each; a group is small enough that every
+1. Captures are read in groups, so that small files are not separate tasks; a group is so small that every
    worker gets several.
-2. A few groups per worker are under way at a time: results are written as they come, and do not pile up.
-3. A worker that is lost is replaced by dask, and its group is read again. A group that loses several workers
-   is divided into single captures; one that still does is listed as unreadable, with that reason.
-4. What was written stays: when the program ends early, the next update goes on with the rest.
+2. Only a few groups per worker are in progress: results are written as they arrive, and do not pile up.
+3. Dask replaces a lost worker, and its group is read again. A group that loses several workers is divided
+   into single captures; one that still loses workers is listed as unreadable, with that reason.
+4. Written rows stay: after an early end of the program the next update continues with the rest.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 _PATIENCE_S: Final = 10
-"""A scheduler that has not answered by then, or has no worker, is refused."""
+"""Time after which a scheduler that has not answered, or has no worker, is given up, s."""
 
 _THRIFTY: Final = {
     "distributed.worker.profile.enabled": False,
@@ -50,26 +50,26 @@ _THRIFTY: Final = {
     "distributed.admin.system-monitor.interval": "5s",
     "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": "1"},
 }
-"""What local workers do beside their work, less often: 1 % of a core instead of 4. And not the 64 KiB that
-dask has a worker keep of freed memory: each larger column would be mapped anew, a quarter of all its time."""
+"""Intervals of the local workers' side tasks: 1 % of a core instead of 4. Also, dask must not let a worker
+keep 64 KiB of freed memory: each larger column would be mapped again, a quarter of all its time."""
 
 
 @contextmanager
 def workers(jobs: int, scheduler: str, *, most: int) -> Iterator[Client]:
     """Yield a client of a cluster that has at least one worker.
 
-    A local cluster speaks TLS with a certificate that only its own processes have: on a machine with several
-    users nobody else can give it work.
+    A local cluster uses TLS with a certificate that only its own processes have: on a machine with several
+    users nobody else can submit work.
 
     Args:
         jobs: worker processes on this machine; 0: one for each processor core.
         scheduler: address of a dask scheduler to use instead; empty for none.
-        most: more processes than this on this machine would have nothing to do.
+        most: largest useful number of processes on this machine.
 
     Raises:
         CaptureError: the scheduler does not answer, or has no worker.
     """
-    quiet = logging.CRITICAL + 1  # a lost worker is told by whoever waits for its results
+    quiet = logging.CRITICAL + 1  # a lost worker is reported when its results are awaited
     for name in ("asyncio", "tornado", *logging.root.manager.loggerDict):
         if name.partition(".")[0] in {"asyncio", "distributed", "tornado"}:
             logging.getLogger(name).setLevel(quiet)
@@ -115,7 +115,7 @@ def _client(scheduler: str) -> Client:
 
 
 async def _kind(address: str) -> str:
-    """Ask who is at an address: ``Client`` would wait for ever for one that accepts and says nothing."""
+    """Return the kind of the process at an address; ``Client`` would wait for ever for one that is silent."""
     async with rpc(address, connection_args=Security().get_connection_args("client")) as other:
         return str((await other.identity())["type"])
 
@@ -123,21 +123,21 @@ async def _kind(address: str) -> str:
 _GROUP_BYTES: Final = 16 << 20
 _GROUP_CAPTURES: Final = 64
 _GROUPS_EACH: Final = 8
-"""At least so many groups for each worker, where there are enough captures: the last ones end together."""
+"""Least number of groups for each worker, if there are enough captures, so that all end together."""
 _UNDER_WAY: Final = 3
-"""Groups for each worker that were handed out and are not written yet."""
+"""Groups for each worker that were submitted and are not written yet."""
 
 
 class Update(msgspec.Struct, frozen=True):
-    """What is to be done.
+    """The order of an update.
 
     Attributes:
         roots: folders, files and URLs.
-        settings: missions and options, for all captures.
+        settings: missions and options for all captures.
         jobs: worker processes on this machine; 0: one for each processor core.
-        scheduler: address of a dask scheduler instead; empty for none.
-        again: read every capture, not only those that are new or changed.
-        forget: delete what the index has of captures that are no longer there.
+        scheduler: address of a dask scheduler to use instead; empty for none.
+        again: whether to read every capture, not only new or changed ones.
+        forget: whether to delete the rows of captures that no longer exist.
     """
 
     roots: tuple[str, ...]
@@ -149,15 +149,15 @@ class Update(msgspec.Struct, frozen=True):
 
 
 class UpdateReport(msgspec.Struct):
-    """What was done.
+    """The result of an update.
 
     Attributes:
-        listed: captures that are there.
-        read: captures whose rows were written.
-        same: captures with a new date and the contents that the index has.
-        missing: captures that the index has and that are no longer there.
-        bad: error of each capture that could not be read whole, now or before.
-        lost_workers: workers that were lost.
+        listed: number of captures that exist.
+        read: number of captures whose rows were written.
+        same: number of captures with a new version but unchanged contents.
+        missing: captures in the index that no longer exist.
+        bad: error of each capture that could not be read completely, now or before.
+        lost_workers: number of lost workers.
         interrupted: whether Ctrl-C ended it.
     """
 
@@ -190,15 +190,15 @@ def bring_up_to_date(
     progress: Progress | None = None,
     on_line: Callable[[str], None] = lambda _line: None,
 ) -> UpdateReport:
-    """Read what is new or changed, and write it to an index.
+    """Read new or changed captures, and write their rows to an index.
 
     Args:
-        index: open for writing.
+        index: index, open for writing.
         on_line: called with lines for the user while it runs.
 
     Raises:
-        CaptureError: a folder cannot be listed, the scheduler is not there or was lost, the disk is full.
-        ConfigError: a mission has mistakes, or a worker sees another one.
+        CaptureError: a folder cannot be listed, the scheduler is absent or was lost, the disk is full.
+        ConfigError: a mission has mistakes, or a worker reads another one.
     """
     settings = fingerprint(update.settings)
     files = find_captures(update.roots)
@@ -245,7 +245,7 @@ def _interrupt() -> None:
 
 
 def _is_new(item: ListedFile, row: dict[str, Any] | None, settings: str) -> bool:
-    """Return whether a capture has to be read: also one that could not be read at all, or was changing."""
+    """Return whether a capture must be read: also if it could not be read at all, or was changing."""
     if row is None or row["settings"] != settings or row["sha256"] is None or row["state"] == CHANGING:
         return True
     return not item.version or (row["size"], row["version"]) != (item.size, item.version)
@@ -262,7 +262,7 @@ def _count(client: Client) -> int:
 def _tasks(
     new: Sequence[ListedFile], hashes: dict[str, str | None], settings: Settings, print_: str, workers_: int
 ) -> deque[Task]:
-    """Divide captures into groups; the largest first, so that the last ones to end are small."""
+    """Divide captures into groups; the largest first, so that the last ones are small."""
     total = sum(max(0, item.size) for item in new)
     most_bytes = min(_GROUP_BYTES, total // (_GROUPS_EACH * workers_))
     most = max(1, min(_GROUP_CAPTURES, len(new) // (_GROUPS_EACH * workers_)))
@@ -284,12 +284,12 @@ def _tasks(
 
 
 class _Run:
-    """Hands out groups and writes what comes back.
+    """Submits groups and writes their results.
 
     Args:
-        index: open for writing.
-        report: filled while it runs.
-        contents: captures that the index has rows of.
+        index: index, open for writing.
+        report: report, updated during the run.
+        contents: captures that have rows in the index.
         on_line: called with lines for the user.
     """
 
@@ -307,11 +307,11 @@ class _Run:
         self._workers: set[str] = set()
 
     def all(self, waiting: deque[Task], progress: Progress | None) -> None:
-        """Do all groups.
+        """Process all groups.
 
         Raises:
             CaptureError: the scheduler was lost, or the index cannot be written.
-            ConfigError: a worker cannot do it.
+            ConfigError: a worker cannot do the work.
         """
         try:
             self._all(waiting, progress)
@@ -336,7 +336,7 @@ class _Run:
             show("captures", of - self._report.unfinished, of)
 
     def _watch(self) -> None:
-        """Tell of workers that are no longer there."""
+        """Report workers that no longer exist."""
         now = set(self._client.nthreads())
         if lost := len(self._workers - now):
             self._report.lost_workers += lost
@@ -372,12 +372,12 @@ class _Run:
 
 
 def _more(coming: Any) -> list[Future]:
-    """Return what else is complete by now; it is written in the same transaction."""
+    """Return further results that are complete by now; they are written in the same transaction."""
     return list(coming.next_batch(block=False))
 
 
 def _result(future: Future) -> Any:
-    """Return what a worker returned.
+    """Return the result of a worker.
 
     Raises:
         ConfigError: the worker could not begin.

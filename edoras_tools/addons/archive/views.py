@@ -1,4 +1,4 @@
-"""What an index says, as tables for people."""
+"""Tables of an index for people."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 _LOST: Final = Level.ERROR.style
 _WIDEST: Final = 40
-"""Cells of a column of an answer."""
+"""Maximum width of a column of an answer, in cells."""
 _MOST_LINES: Final = 1000
-"""Rows of an answer in a table; CSV and JSON have all."""
+"""Maximum number of rows of an answer in a table; CSV and JSON have all."""
 
 
 def update_lines(summary: Mapping[str, Any], index: str) -> Iterator[str]:
-    """Yield what an update did, in the shape of ``archive --json``."""
+    """Yield lines on an update, from the shape of ``archive --json``."""
     parts = [f"{summary['read']:,} read", f"{summary['unchanged']:,} unchanged"]
     parts += [f"{summary[name]:,} {words}" for name, words in _RARE.items() if summary[name]]
     yield f"{index}: {plural(summary['found'], 'capture')}: {', '.join(parts)}"
@@ -46,10 +46,10 @@ _RARE: Final = {
 
 
 def captures_table(rows: Sequence[Mapping[str, Any]], width: int) -> RenderableType:
-    """Return captures as a table, and below it why some are not whole.
+    """Return captures as a table, and below it the reasons why some are incomplete.
 
     Args:
-        rows: as ``archive list --json`` has them.
+        rows: rows in the shape of ``archive list --json``.
     """
     columns = (
         Column("Began (UTC)", lambda row: plain(_when(row["start_ns"])), justify="left"),
@@ -69,7 +69,7 @@ def losses_table(rows: Sequence[Mapping[str, Any]], width: int) -> RenderableTyp
     """Return losses as a table.
 
     Args:
-        rows: as ``archive losses --json`` has them.
+        rows: rows in the shape of ``archive losses --json``.
     """
     columns = (
         Column("Began (UTC)", lambda row: plain(_when(row["start_ns"])), justify="left"),
@@ -94,11 +94,11 @@ def _route(row: Mapping[str, Any]) -> str:
 
 
 ROW_TABLES: Final = {"captures": captures_table, "losses": losses_table}
-"""By the name of the rows in JSON."""
+"""Tables by the name of their rows in JSON."""
 
 
 def answer_table(names: Sequence[str], rows: Iterable[Sequence[Any]], width: int) -> RenderableType:
-    """Return the answer to a query as a table, numbers on the right; below it, what it has no room for."""
+    """Return the answer to a query as a table, numbers on the right; below it, a note on what is left out."""
     some = iter(rows)
     first_rows = list(islice(some, _MOST_LINES))
     rest = sum(1 for _ in some)
@@ -131,13 +131,13 @@ def answer_table(names: Sequence[str], rows: Iterable[Sequence[Any]], width: int
 
 
 def short(capture: str) -> str:
-    """Return the URL of a capture as people are told of it: without the folder they are in."""
+    """Return a short name of a capture for people: its URL without the common folder."""
     path, folder = Path(capture), Path.cwd()
     return str(path.relative_to(folder)) if path.is_relative_to(folder) else capture
 
 
 def json_rows(rows: Iterable[Sequence[Any]]) -> list[list[Any]]:
-    """Return the rows of an answer as JSON takes them: times and the like are texts."""
+    """Return the rows of an answer as JSON values: times and the like become texts."""
     return [[_plain(value) for value in row] for row in rows]
 
 

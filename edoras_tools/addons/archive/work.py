@@ -1,7 +1,7 @@
-"""The work that a worker does: reads a group of captures, each once, and returns their rows as Arrow tables.
+"""The work of a worker: reads a group of captures, each once, and returns their rows as Arrow tables.
 
-A worker is any process that can import this module, on this machine or another one. It keeps nothing between
-two groups, so a group can be done again, elsewhere, with the same result.
+A worker is any process that can import this module, on this or another machine. It keeps no state between two
+groups, so another worker can repeat a group with the same result.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ if TYPE_CHECKING:
     """Name of a table to its rows."""
 
 _MOST_EVENTS: Final = 1_000_000
-"""Of one capture; a warning tells of the rest."""
+"""Maximum number of events of one capture; a warning reports the rest."""
 _HASHED_BYTES: Final = 1 << 20
 _TRIES: Final = 3
-"""When so many captures in a row cannot be fetched, those after them in their group are not asked for: each
-may take many seconds, and the next update asks for all of them."""
+"""Number of consecutive captures that cannot be fetched, after which the rest of the group is skipped: each
+may take many seconds, and the next update tries all of them again."""
 READ_WHOLE, READ_IN_PART, NOT_READ, CHANGING = "whole", "cut", "unreadable", "changing"
 """States of a capture."""
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -56,9 +56,9 @@ class Task(msgspec.Struct, frozen=True):
     """A group of captures to read.
 
     Attributes:
-        captures: the URL of each, and the hash that the index has of it with these settings; empty for none.
-        settings: missions and options to read them with; the files must be there for the worker too.
-        fingerprint: of the settings, as the machine that asks sees them.
+        captures: URL of each capture, with its hash in the index for these settings; empty for none.
+        settings: missions and options for reading; the worker needs the same files.
+        fingerprint: hash of the settings on the machine that submits the work.
     """
 
     captures: tuple[tuple[str, str], ...]
@@ -67,12 +67,12 @@ class Task(msgspec.Struct, frozen=True):
 
 
 class Done(msgspec.Struct, frozen=True):
-    """What became of a group.
+    """The result of a group.
 
     Attributes:
-        rows: name of a table to its rows, a ``pyarrow.Table``; tables without rows are not there.
-        same: those whose contents are as the index has them, though their date is not.
-        misfit: why the worker can read nothing; empty if it can.
+        rows: name of a table to its rows, a ``pyarrow.Table``; tables without rows are absent.
+        same: captures with unchanged contents, but a new version.
+        misfit: reason why the worker can read nothing; empty if it can.
     """
 
     rows: dict[str, Any]
@@ -81,15 +81,15 @@ class Done(msgspec.Struct, frozen=True):
 
 
 def fingerprint(settings: Settings, bench: Workbench | None = None) -> str:
-    """Return a hash of all that decides how a capture is read: options, and the contents of the named files.
+    """Return a hash of all settings that affect reading: options, and the contents of the named files.
 
     Args:
-        bench: made of the settings, where it is at hand.
+        bench: workbench of the settings, if it exists already.
 
     Raises:
         EdorasError: a file cannot be read.
     """
-    bench = bench or settings.workbench()  # a mistake in a mission is told once, not for each capture
+    bench = bench or settings.workbench()  # a mistake in a mission is reported once, not for each capture
     parts: list[Any] = [settings.distro, sorted(settings.options.described().items())]
     parts += [(name, sha256(data).hexdigest()) for name, data in sorted(bench.mission.files.items())]
     for folder in settings.msg_paths:
@@ -99,7 +99,7 @@ def fingerprint(settings: Settings, bench: Workbench | None = None) -> str:
 
 
 def examine_group(task: Task) -> Done:
-    """Read a group of captures; what goes wrong with one is told in its row."""
+    """Read a group of captures; an error of one is stored in its row."""
     try:
         bench = task.settings.workbench()
         settings_print = fingerprint(task.settings, bench)
@@ -133,8 +133,8 @@ class _Group(msgspec.Struct):
     """A group that is being read.
 
     Attributes:
-        bench: reads a capture that carries no missions, types and options of its own.
-        unfetched: captures in a row that could not be fetched.
+        bench: workbench for captures without missions, types and options.
+        unfetched: number of consecutive captures that could not be fetched.
     """
 
     task: Task
@@ -142,17 +142,17 @@ class _Group(msgspec.Struct):
     unfetched: int = 0
 
     def check(self, url: str) -> None:
-        """Check that a capture is worth asking for.
+        """Check that it is worthwhile to request a capture.
 
         Raises:
-            CaptureError: those before it could not be fetched.
+            CaptureError: the previous ones could not be fetched.
         """
         if self.unfetched >= _TRIES:
             raise CaptureError(f"{url}: not asked for, as {_TRIES} others could not be fetched; index again")
 
 
 def _examined(url: str, known_digest: str, group: _Group) -> IndexRows | ListedFile:
-    """Return the rows of a capture; or what it is now, if its contents are known."""
+    """Return the rows of a capture; if its contents are known, its present listing instead."""
     digest, before = "", ListedFile(url, -1, "")
     try:
         group.check(url)
@@ -174,7 +174,7 @@ def _examined(url: str, known_digest: str, group: _Group) -> IndexRows | ListedF
         reason = f"{url}: cannot be read: {reason_of(cause)}"
         rows, state = {}, _bad(NOT_READ, reason)
     if state.get("state") == CHANGING:
-        rows, before = {}, ListedFile(url, -1, "")  # it is no capture yet: the next update reads it
+        rows, before = {}, ListedFile(url, -1, "")  # not complete yet: the next update reads it
     identity = {"size": before.size, "version": before.version, "sha256": digest or None, "gone": False}
     identity |= {"settings": group.task.fingerprint, "made_by": __version__}
     capture = rows.get("captures", [{}])[0]
@@ -186,7 +186,7 @@ def _bad(state: str, reason: str) -> dict[str, Any]:
 
 
 class _Listening(Counting):
-    """Counts datagrams, and keeps what applications of cFS say."""
+    """Counts datagrams, and keeps the events of cFS's applications."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -205,10 +205,10 @@ class _Listening(Counting):
 
 
 def _read(path: Path, url: str, group: _Group) -> IndexRows:
-    """Read a capture to its end, as far as that is possible.
+    """Read a capture to its end, as far as possible.
 
     Raises:
-        EdorasError: nothing of it can be read.
+        EdorasError: nothing can be read.
     """
     source = open_file(path, url)
     own = source.info.attachments or source.info.definitions or source.info.read_with
@@ -242,12 +242,12 @@ def rows_of(
     events: Sequence[tuple[int, EventRecord]],
     missions: Mapping[str, bytes],
 ) -> IndexRows:
-    """Return the rows of a capture, without the column ``capture``; ``captures`` has one, without identity.
+    """Return the rows of a capture, without the column ``capture``; that of ``captures`` has no identity yet.
 
     Args:
-        info: its totals, in the shape of ``info --json``.
-        events: what applications of cFS said, each with its spacecraft.
-        missions: the mission files it was read with, by name.
+        info: totals, in the shape of ``info --json``.
+        events: events of cFS's applications, each with its spacecraft.
+        missions: mission files used for reading, by name.
     """
     doctor = findings.summary()
     streams = doctor["routes"]
@@ -301,7 +301,7 @@ def _capture(info: Mapping[str, Any], doctor: Mapping[str, Any]) -> dict[str, An
 
 
 def _those(table: IndexTable, row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a row has of a table's columns."""
+    """Return the values of a row for a table's columns."""
     return {name: row[name] for name in table.names if name in row}
 
 
@@ -317,7 +317,7 @@ def _latencies(row: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
 
 
 def _outcomes(findings: Findings) -> list[dict[str, Any]]:
-    """Return the sums of each route's rows of the balance; the capture's own losses are of none."""
+    """Return the sums of each route's rows of the balance; the capture's own losses belong to no route."""
     diagnosis = findings.diagnosis
     rows = sorted((row for row in diagnosis.balance if row.hop != CAPTURE), key=_key)
     outcomes = []
@@ -341,7 +341,7 @@ def _event(item: EventRecord) -> dict[str, Any]:
 
 
 def _moment(time_ns: int) -> datetime | None:
-    """Return a time as a date; None where it is none."""
+    """Return a time as a date; None if there is none."""
     try:
         return (_EPOCH + timedelta(microseconds=time_ns // 1000)).replace(tzinfo=None)
     except OverflowError:
