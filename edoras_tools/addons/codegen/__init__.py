@@ -1,7 +1,7 @@
 """C99 for flight software without ROS, generated from ROS message definitions.
 
-``bounds`` says how long sequences and strings may be, ``plan`` what types look like in C (``sizes``: how long
-their longest CDR is), ``header``, ``codec``, ``tables`` and ``mission`` write one kind of file each,
-``generation`` puts the files of a library together with those of ``runtime/``, which are C as it is;
-``summary`` says what they are. ``generator`` is a whole cFS app, for ``edoras sweep``.
+``bounds`` has the maximum lengths of sequences and strings, ``plan`` the C form of types (and the size of
+their longest CDR). ``header`` writes the headers; ``generation`` writes the other files, and adds those of
+``runtime/``, which are plain C. ``summary`` describes the result. ``generator`` is a whole cFS app, for
+``edoras sweep``.
 """

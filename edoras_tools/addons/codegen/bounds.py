@@ -1,4 +1,4 @@
-"""How long sequences and strings may be: without a heap, each takes the space of its longest."""
+"""Maximum lengths of sequences and strings: without a heap, each takes the space of its longest value."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _RULE: Final = re.compile(r"(?P<type>[\w/]+)\.(?P<field>\w+)(?P<each>\[\])?=(?P<
 
 
 class BoundRule(msgspec.Struct, frozen=True):
-    """What the command line says of one field.
+    """A bound on one field from the command line.
 
     Attributes:
-        text: as it was given.
-        type: the message type that has the field, in full.
-        field: the field's name.
-        each: whether the strings of a sequence or array are meant, not their number.
-        most: elements, characters (UTF-8 bytes) or UTF-16 units.
+        text: text as given.
+        type: full name of the message type that has the field.
+        field: name of the field.
+        each: whether the bound is for the strings of a sequence or array, not for their number.
+        most: maximum number of elements, characters (UTF-8 bytes) or UTF-16 units.
     """
 
     text: str
@@ -44,7 +44,7 @@ class BoundRule(msgspec.Struct, frozen=True):
         """Read ``TYPE.FIELD=MOST``, or ``TYPE.FIELD[]=MOST`` for the strings of a sequence.
 
         Raises:
-            ConfigError: it is no such rule.
+            ConfigError: the text is not such a rule.
         """
         match = _RULE.fullmatch(text.replace(" ", ""))
         most = _whole(match["most"]) if match else 0
@@ -61,9 +61,9 @@ class Bounds:
     """The bound of every field.
 
     Attributes:
-        strings: characters of a string that neither its definition nor a rule bounds.
-        sequences: elements of such a sequence.
-        rules: they go before both; a definition's own bound may be lowered, not raised.
+        strings: maximum characters of a string without a bound in its definition or a rule.
+        sequences: maximum elements of a sequence without a bound in its definition or a rule.
+        rules: rules, which precede both; they may lower a definition's own bound, not raise it.
     """
 
     strings: int = STRINGS_DEFAULT
@@ -77,23 +77,23 @@ class Bounds:
         )
 
     def elements(self, owner: str, item: MessageField) -> int:
-        """Return the elements of an array, or the most of a sequence; 0 for a single value."""
+        """Return the elements of an array, or the maximum of a sequence; 0 for a single value."""
         if item.shape is not Shape.SEQUENCE:
             return item.size
         return self._rules.get((owner, item.name, False)) or item.size or self.sequences
 
     def characters(self, owner: str, item: MessageField) -> int:
-        """Return the most characters of a string, or of each in an array or sequence; 0 for other types."""
+        """Return the maximum characters of a string, or of each one in an array or sequence; else 0."""
         if item.type not in STRINGS:
             return 0
         each = item.shape is not Shape.SCALAR
         return self._rules.get((owner, item.name, each)) or item.string_bound or self.strings
 
     def check(self, definitions: Iterable[Definition]) -> None:
-        """See that every rule speaks of something that is there and that it may bound.
+        """Check that every rule names an existing field, and may bound it.
 
         Raises:
-            ConfigError: some do not; a line each.
+            ConfigError: some rules do not, one line each.
         """
         fields = {(item.name, each.name): each for item in definitions for each in item.fields}
         types = {owner for owner, _ in fields}
@@ -107,7 +107,7 @@ class Bounds:
 
 
 def _refusal(rule: BoundRule, item: MessageField | None, *, type_known: bool) -> str:
-    """Return why a rule cannot be followed; empty where it can."""
+    """Return the reason why a rule cannot be applied; empty if it can."""
     if item is None:
         return (
             f"{rule.type} has no field {rule.field}" if type_known else f"{rule.type} is in none of the types"

@@ -1,6 +1,6 @@
 """Generates a library: selects the types and makes the text of each file.
 
-And what cFS needs of a mission: MsgIds, packet structs and the table of Telemetry Output.
+It also generates the files of a mission for cFS: MsgIds, packet structs and the table of Telemetry Output.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 _ONE_BY_ONE: Final = frozenset({"bool", "string", "wstring", "message"})
-"""Kinds of which many are not copied at once: any byte but 0 is true."""
+"""Kinds whose arrays are not copied at once: any byte other than 0 is true."""
 
 
 def codec(library: CLibrary, package: str, command: str) -> str:
@@ -71,7 +71,7 @@ def _init(message: Message) -> str:
 
 
 def _default(member: CMember) -> str:
-    """Return what gives a field its default, once all is zero."""
+    """Return the statements that give a field its default value, after all is set to zero."""
     place, default = f"message->{member.name}", member.ros.default
     if member.message:
         if not member.message.has_defaults or member.is_sequence:
@@ -96,7 +96,7 @@ def _default(member: CMember) -> str:
 
 
 def _texts(member: CMember) -> list[tuple[str, str]]:
-    """Return the default strings of a field, each with a name for it."""
+    """Return the default strings of a field, each with a name."""
     default = member.ros.default
     if not member.elements:
         return [(member.name, default)] if default is not None else []
@@ -212,7 +212,7 @@ def side_files(mission: Mission, command: str) -> dict[str, str]:
 
 
 def _by_key(routes: Sequence[Route]) -> dict[str, Route]:
-    """Return each route under a unique name: key, side, and the MsgId where two names would be equal."""
+    """Return each route under a unique name: key, side, and the MsgId if two names would be equal."""
     plain = [_plain(route) for route in routes]
     often = Counter(plain)
     return {
@@ -284,7 +284,7 @@ def _subscriptions(routes: dict[str, Route], command: str) -> str:
 
 
 RUNTIME: Final = Path(__file__).parent / "runtime"
-"""C that is the same for every library: CDR, and the functions of edoras_core."""
+"""Folder of the C files that every library contains: CDR, and the functions of edoras_core."""
 _CONFIG: Final = "edoras_core/config.h"
 POOL_DEFAULT: Final = 4
 MOST_POOLED: Final = 1024
@@ -295,11 +295,13 @@ class LibraryOrder(msgspec.Struct, frozen=True):
 
     Attributes:
         types: names, as ``geometry_msgs/msg/Twist`` or ``geometry_msgs/Twist``, or whole packages.
-        bounds: of sequences and strings.
-        mission: its types are added, and its tables for cFS.
-        pool: messages of a type that may be in use at once, where edoras_core takes them from a heap.
-        envelope: of the EDORAS envelope, see ``wire.envelope``.
-        keep_values: whether a ``get_`` function that fails leaves the app's variable alone; it writes 0 else.
+        bounds: bounds of sequences and strings.
+        mission: mission whose types are added, and its tables for cFS.
+        pool: number of messages of a type that may be in use at once: edoras_core takes them from a pool in
+            place of a heap.
+        envelope: name of the format of the EDORAS envelope, see ``wire.envelope``.
+        keep_values: whether a failing ``get_`` function leaves the app's variable unchanged; else it writes
+            0.
     """
 
     types: Sequence[str] = ()
@@ -314,8 +316,8 @@ class Generated(msgspec.Struct, frozen=True):
     """A library in C.
 
     Attributes:
-        library: its messages.
-        files: their texts by name.
+        library: messages.
+        files: texts of the files by name.
     """
 
     library: CLibrary
@@ -327,7 +329,7 @@ def generate(types: TypeStore, order: LibraryOrder) -> Generated:
 
     Raises:
         RouteError: a type is not known.
-        ConfigError: no type is named, or an order cannot be followed.
+        ConfigError: no type is named, or an option cannot be applied.
     """
     type_names = [*_type_names(types, order.types), *(route.type for route in order.mission.routes)]
     if not type_names:
@@ -385,7 +387,7 @@ def _type_names(types: TypeStore, names: Iterable[str]) -> list[str]:
     """Return the types of some names and packages.
 
     Raises:
-        RouteError: a package has none.
+        RouteError: a package has no type.
     """
     selection = []
     for name in names:
@@ -405,7 +407,7 @@ _INCLUDES: Final = f'#include "{UMBRELLA}"\n#include "edoras_core/tables.h"\n'
 
 
 def tables(library: CLibrary, command: str) -> str:
-    """Return the text of the file that holds the tables."""
+    """Return the text of the file with the tables."""
     about = "Every field by its name, for the functions of edoras_core, and the pools behind create_msg."
     pooled_names = {message.ros_name for message in library.requested}
     parts = [banner(command, about) + _INCLUDES]

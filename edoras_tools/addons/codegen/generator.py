@@ -9,7 +9,7 @@ from edoras_tools.addons.codegen.layout import MARK, banner, guarded
 from edoras_tools.errors import ConfigError
 
 STARTUP: Final = "CFE_APP, edoras_gen, EDORAS_GEN_Main, EDORAS_GEN, 80, 32768, 0x0, 0;"
-"""The line of ``cfe_es_startup.scr`` that starts the app."""
+"""Line of ``cfe_es_startup.scr`` that starts the app."""
 _SOURCES: Final = Path(__file__).parent / "generator_app"
 _MSGIDS: Final = "fsw/inc/edoras_gen_msgids.h"
 
@@ -18,7 +18,7 @@ def generator_app(msg_id: int) -> dict[str, str]:
     """Return the text of each file of the app by its name.
 
     Raises:
-        ConfigError: the MsgId is none of a command.
+        ConfigError: the MsgId is not one of a command.
     """
     if not 0x1800 <= msg_id <= 0x1FFF:
         raise ConfigError(f"--generator 0x{msg_id:04x}: a command's MsgId is from 0x1800 to 0x1fff")

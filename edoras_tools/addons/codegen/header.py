@@ -26,12 +26,12 @@ _ABOUT: Final = """\
  */
 """
 UMBRELLA: Final = "edoras_core/messages.h"
-"""The header that includes every package's."""
+"""Header that includes those of all packages."""
 _C_TYPES: Final = {"bool": "bool", "float32": "float", "float64": "double"}
 
 
 def header_name(package: str) -> str:
-    """Return the header of a package; in a folder, so that no header of the app can have its name."""
+    """Return the header of a package; in a folder, so that its name differs from all headers of the app."""
     return f"edoras_msgs/{package}.h"
 
 

@@ -22,7 +22,7 @@ _KEYWORDS: Final = frozenset(
 )
 """Keywords of C and C++, and macros that compilers define."""
 _TAKEN: Final = frozenset({"init", "read", "write", "encode", "decode", "MAX_CDR"})
-"""The suffix of a type's name in C."""
+"""Suffixes of names in C that are functions or constants of a type."""
 
 
 def c_type_name(ros: str) -> str:
@@ -31,11 +31,11 @@ def c_type_name(ros: str) -> str:
 
 
 def member_name(ros: str, others: Collection[str] = ()) -> str:
-    """Return a field's C name: its own; keywords get as many ``_`` behind as needed.
+    """Return a field's C name: its own; a keyword gets as many ``_`` behind it as needed.
 
     Args:
-        ros: its own name.
-        others: of the fields beside it.
+        ros: name in ROS.
+        others: names of the other fields of the message.
     """
     name = ros
     while name in _KEYWORDS or (name != ros and name in others):
@@ -60,7 +60,7 @@ def literal(ros_type: str, value: Any) -> str:
 
 
 def string_literal(value: str) -> str:
-    """Return a string literal; other characters than printable ASCII are octal escapes of three digits."""
+    """Return a string literal; characters other than printable ASCII are octal escapes of three digits."""
     return (
         '"'
         + "".join(

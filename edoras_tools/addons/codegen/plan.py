@@ -1,10 +1,10 @@
 """Message types for C: in the order that C requires, each with the maximum size of its fields.
 
-How many bytes the longest message of a type takes, padding and all: padding depends on where a value starts,
-and that on how long the strings before it are. What counts is only the start's place modulo 8. So a value is
-an 8 by 8 matrix: from a start at place ``r`` to an end at place ``s``, the most bytes that takes, or
-``_NEVER``. One value after another is the product of their matrices in the algebra where plus is maximum and
-times is plus; so many of them is a power, by repeated squaring.
+The size of the longest message includes padding. Padding depends on the position of a value, and that on the
+lengths of the strings before it. Only the position modulo 8 matters. So a value is an 8 by 8 matrix: from a
+start at position ``r`` to an end at position ``s``, the maximum size, or ``_NEVER``. Two values in sequence
+are the product of their matrices, in the algebra where plus is maximum and times is plus; a repeated value
+is a power, computed by repeated squaring.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _MOST: Final = 1 << 50
 
 
 def nothing() -> NDArray[np.int64]:
-    """Return the matrix of no bytes."""
+    """Return the matrix of an empty value."""
     return np.where(np.eye(_PLACES, dtype=bool), 0, _NEVER)
 
 
@@ -55,7 +55,7 @@ def aligned(size: int) -> NDArray[np.int64]:
 
 
 def then(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the matrix of one value after another."""
+    """Return the matrix of two values in sequence."""
     total: NDArray[np.int64] = (first[:, :, None] + second[None, :, :]).max(axis=1)
     return np.where(total < 0, _NEVER, np.minimum(total, _MOST))
 
@@ -77,23 +77,23 @@ def up_to(matrix: NDArray[np.int64], most: int) -> NDArray[np.int64]:
 
 
 def longest(matrix: NDArray[np.int64]) -> int:
-    """Return the most bytes from an aligned start."""
+    """Return the maximum size from an aligned start, bytes."""
     return int(matrix[0].max())
 
 
 _LARGEST_MESSAGE: Final = 1 << 26
-"""Most bytes of one message; a larger static array is a mistake."""
+"""Maximum size of one message, bytes; a larger static array is a mistake."""
 
 
 class CMember(msgspec.Struct, frozen=True):
     """One field of a message.
 
     Attributes:
-        ros: the field as its definition has it.
-        name: in C.
-        elements: of an array, or the most of a sequence; 0 for a single value.
-        characters: most of a string, without its end; 0 for other types.
-        message: the type of a nested message.
+        ros: field of the definition.
+        name: name in C.
+        elements: number of elements of an array, or maximum of a sequence; 0 for a single value.
+        characters: maximum length of a string, without its end; 0 for other types.
+        message: type of a nested message.
     """
 
     ros: MessageField
@@ -109,7 +109,7 @@ class CMember(msgspec.Struct, frozen=True):
 
     @property
     def kind(self) -> str:
-        """The name of what it holds one or more of, in the names of the runtime's functions."""
+        """Kind of its element or elements, as in the names of the runtime's functions."""
         if self.message:
             return "message"
         return "uint8" if self.ros.type in {"byte", "char"} else self.ros.type
@@ -119,9 +119,9 @@ class Message(msgspec.Struct, frozen=True, dict=True):
     """One message type.
 
     Attributes:
-        definition: what it was made from.
-        members: in wire order; an empty message has the placeholder that ROS 2 sends.
-        most_trailing: bytes that writers of ROS 2 may leave behind the last field.
+        definition: definition that it was made from.
+        members: members in wire order; an empty message has the placeholder that ROS 2 sends.
+        most_trailing: maximum number of bytes that writers of ROS 2 may leave behind the last field.
     """
 
     definition: Definition
@@ -130,22 +130,22 @@ class Message(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def ros_name(self) -> str:
-        """As ``geometry_msgs/msg/Twist``."""
+        """Name as ``geometry_msgs/msg/Twist``."""
         return self.definition.name
 
     @property
     def name(self) -> str:
-        """The C type, and what its functions start with."""
+        """Name of the C type, and prefix of its functions."""
         return c_type_name(self.ros_name)
 
     @property
     def package(self) -> str:
-        """As ``geometry_msgs``."""
+        """Package as ``geometry_msgs``."""
         return self.ros_name.partition("/")[0]
 
     @property
     def short_name(self) -> str:
-        """As ``Twist``."""
+        """Name as ``Twist``."""
         return self.ros_name.rpartition("/")[2]
 
     @property
@@ -155,12 +155,12 @@ class Message(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def fingerprint(self) -> str:
-        """The start of the SHA-256 of its definition."""
+        """Start of the SHA-256 of its definition, hex."""
         return hashlib.sha256(self.definition.text.encode()).hexdigest()[:16]
 
     @cached_property
     def matrix(self) -> NDArray[np.int64]:
-        """Its longest CDR, see ``sizes``."""
+        """Matrix of its longest CDR, see the top of this file."""
         matrix = nothing()
         for member in self.members:
             matrix = then(matrix, _matrix(member))
@@ -168,12 +168,12 @@ class Message(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def most_bytes(self) -> int:
-        """Bytes of its longest CDR, encapsulation included."""
+        """Size of its longest CDR, including the encapsulation, bytes."""
         return ENCAPSULATION_BYTES + longest(self.matrix)
 
     @cached_property
     def has_defaults(self) -> bool:
-        """Whether a new message is anything but zeros."""
+        """Whether a new message has values other than zeros."""
         return any(
             member.ros.default is not None or (member.message is not None and member.message.has_defaults)
             for member in self.members
@@ -184,8 +184,8 @@ class CLibrary(msgspec.Struct, frozen=True):
     """All messages that are generated together.
 
     Attributes:
-        messages: those that others use before them.
-        requested: those that were asked for, by type, sorted; the others are nested in them.
+        messages: messages; each comes after those that it nests.
+        requested: requested messages, sorted by type; the others are nested in them.
     """
 
     messages: tuple[Message, ...]
@@ -193,11 +193,11 @@ class CLibrary(msgspec.Struct, frozen=True):
 
     @property
     def packages(self) -> tuple[str, ...]:
-        """Those that others use before them."""
+        """Packages; each comes after those that it uses."""
         return tuple(dict.fromkeys(message.package for message in self.messages))
 
     def of(self, package: str) -> tuple[Message, ...]:
-        """Return the messages of a package, those that others use before them."""
+        """Return the messages of a package; each comes after those that it nests."""
         return tuple(message for message in self.messages if message.package == package)
 
     def uses(self, package: str) -> tuple[str, ...]:
@@ -209,11 +209,11 @@ class CLibrary(msgspec.Struct, frozen=True):
 
 
 def plan_messages(types: TypeStore, type_names: Iterable[str], bounds: Bounds) -> CLibrary:
-    """Plan the messages for some types, and for all that they nest.
+    """Plan the messages for some types, and for all types nested in them.
 
     Raises:
         RouteError: a type is not known.
-        ConfigError: a definition holds mistakes, a bound does not fit it, or packages use each other.
+        ConfigError: a definition has mistakes, a bound does not fit it, or packages use each other.
     """
     names = sorted(set(type_names))
     definitions = {item.name: item for name in names for item in types.definitions(name)}
@@ -231,7 +231,7 @@ def plan_messages(types: TypeStore, type_names: Iterable[str], bounds: Bounds) -
 
 
 def _ordered(definitions: dict[str, Definition]) -> list[str]:
-    """Return the types, package by package, each after all that it nests."""
+    """Return the types, package by package, each after all types nested in it."""
     graph = {
         name: sorted({field.type for field in item.fields if "/" in field.type})
         for name, item in sorted(definitions.items())
@@ -286,7 +286,7 @@ def _check_default(owner: str, member: CMember) -> None:
 
 
 def _characters(member: CMember, value: str) -> bytes | tuple[int, ...]:
-    """Return the characters of a string as they count towards its bound."""
+    """Return the characters of a string in the units of its bound."""
     return value.encode() if member.ros.type == "string" else utf16(value)
 
 
@@ -297,7 +297,7 @@ def utf16(value: str) -> tuple[int, ...]:
 
 
 def _matrix(member: CMember) -> NDArray[np.int64]:
-    """Return the longest CDR of a field."""
+    """Return the matrix of a field's longest CDR."""
     if member.message:
         one = member.message.matrix
     elif member.ros.type in STRINGS:

@@ -1,4 +1,4 @@
-"""What was generated, in lines for a terminal: each type, how long its CDR gets, and what bounds it."""
+"""Lines on the generated files for a terminal: each type with the size of its longest CDR, and its bounds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def summary(generated: Generated, folder: Path, removed: Sequence[str]) -> list[str]:
-    """Return the lines: a type each, then the files.
+    """Return the lines: one for each type, then the files.
 
     Args:
         removed: files of an earlier library that were deleted.
@@ -38,7 +38,7 @@ def summary(generated: Generated, folder: Path, removed: Sequence[str]) -> list[
 
 
 def app_summary(files: Iterable[str], folder: Path) -> list[str]:
-    """Return the lines for the generator app: its files, and how it is built into a cFS."""
+    """Return the lines for the generator app: its files, and how to build it into a cFS."""
     return [
         *(f"{folder / name}" for name in files),
         "",

@@ -25,19 +25,20 @@ if TYPE_CHECKING:
 
 
 def write_folder(folder: Path, files: Mapping[str, str], *, force: bool = False) -> list[str]:
-    """Write files, and remove those that were generated before and are not among them.
+    """Write files, and remove earlier generated files that are not among them.
 
     Args:
-        folder: created if missing.
-        files: texts by name, which may lie in folders.
-        force: generated files that are there may be changed and removed.
+        folder: target; created if missing.
+        files: texts by name, which may contain folders.
+        force: whether existing generated files may be changed and removed.
 
     Returns:
-        the names of the files that were removed.
+        The names of the removed files.
 
     Raises:
-        ConfigError: one of the files is there and was not generated, or would be changed without permission;
-            nothing is written then.
+        ConfigError: a file exists and was not generated, or would be changed without permission; then
+        nothing is
+            written.
         EdorasError: a file cannot be written.
     """
     try:
@@ -74,13 +75,13 @@ def _ours(path: Path) -> bool:
 
 
 class GroundDescription(msgspec.Struct, frozen=True):
-    """What was written, and what it lacks.
+    """A description of packets, with notes on its gaps.
 
     Attributes:
-        text: the description.
-        telemetry: packets from cFS in it.
-        commands: packets to cFS in it.
-        notes: what is left out, a line each.
+        text: text of the description.
+        telemetry: number of packets from cFS in it.
+        commands: number of packets to cFS in it.
+        notes: omissions, one line each.
     """
 
     text: bytes
@@ -95,12 +96,12 @@ def describe_packets(
     """Describe the packets that CI and TO carry: those of the mission's routes, and of known C structs.
 
     Args:
-        bench: the mission, its types and its structs.
-        name: of the space system, or the target.
-        for_cosmos: for COSMOS, instead of XTCE.
+        bench: workbench with the mission, its types and its structs.
+        name: name of the space system, or the target.
+        for_cosmos: whether the description is for COSMOS, not XTCE.
 
     Raises:
-        ConfigError: MsgIds are of version 2, or a mission names two topics alike.
+        ConfigError: MsgIds are of version 2, or a mission has two topics with similar names.
     """
     context = bench.columns.context
     headers = context.options.headers or cfe.STANDARD
@@ -113,7 +114,7 @@ def describe_packets(
     packets = [(route_packet(route, bench.types, edoras_app.SET), route.to_cfs) for route in routes]
     for bound in context.structs.all:
         key = bound.key
-        if key.msg_id >= UDP_KEY:  # a robot's datagram, an entry of F Prime: no space packet of cFE
+        if key.msg_id >= UDP_KEY:  # a robot's datagram, or an entry of F Prime: no space packet of cFE
             continue
         to_cfs = context.msg_ids.is_command(key.msg_id)
         if to_cfs and key.function_code is None:

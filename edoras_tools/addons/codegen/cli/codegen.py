@@ -13,14 +13,14 @@ from edoras_tools.cli.declare import grouped
 
 
 class FolderOptions(NamedTuple):
-    """Where the files go."""
+    """Target of the files."""
 
     output: Annotated[Path | None, Option("--output", "-o", help="Default: edoras_msgs, edoras_gen.")] = None
     force: Annotated[bool, Option("--force", help="Replace what an earlier run generated.")] = False
 
 
 class BoundOptions(NamedTuple):
-    """The largest sizes of a message."""
+    """Maximum sizes of a message."""
 
     bound: Annotated[
         list[str] | None,
@@ -35,7 +35,7 @@ class BoundOptions(NamedTuple):
 
 
 class CoreOptions(NamedTuple):
-    """How the functions of edoras_core behave."""
+    """Behaviour of the functions of edoras_core."""
 
     pool: Annotated[int, Option(min=1, help="Messages of one type that can be in use at the same time.")] = 4
     keep_values: Annotated[bool, Option("--keep-values", help="A get_ that fails changes nothing.")] = False

@@ -14,7 +14,7 @@ from edoras_tools.older import StrEnum
 
 
 class GroundForm(StrEnum):
-    """A language that describes packets."""
+    """Languages that describe packets."""
 
     XTCE = "xtce"
     COSMOS = "cosmos"

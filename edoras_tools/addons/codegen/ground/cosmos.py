@@ -2,11 +2,11 @@
 
 Rules:
 
-1. Items follow each other without a gap; no place is written but that of a remainder (rule 2).
-2. A packet is told by its packet type and its APID. One with a string that is followed by something is
-   described once for each remainder of the string's length by 8, which decides the padding behind it, and is
-   told by that remainder, too: its packets have names that end in 0 to 7.
-3. Behind a second string, or what varies otherwise, nothing has a place that COSMOS can be told: the packet
+1. Items follow each other without a gap; positions are written only for the remainder (rule 2).
+2. A packet is identified by its packet type and its APID. A packet in which items follow a string is
+   described eight times: for each remainder of the string's length divided by 8, which determines the
+   padding behind it. The remainder identifies these packets too; their names end in 0 to 7.
+3. Behind a second string, or another value of variable size, COSMOS cannot describe positions: the packet
    ends with the block of bytes that begins there.
 """
 
@@ -39,10 +39,10 @@ _RESERVED: Final = {
     "COSMOS_DATA_TAG",
     "COSMOS_EXTRA",
 }
-"""Names that COSMOS gives items of its own."""
+"""Names that COSMOS uses for its own items."""
 _NUMBERS: Final = {"uint", "int", "float"}
 _TELLING: Final = {"apid", "packet_type", "function_code"}
-"""The fields of the headers by which a command is told."""
+"""Header fields that identify a command."""
 
 
 def cosmos(
@@ -51,10 +51,10 @@ def cosmos(
     """Return the text of a target.
 
     Args:
-        name: of the target.
+        name: name of the target.
         telemetry: packets from cFS.
         commands: packets to cFS; each must be of fixed size.
-        headers: those of the cFE.
+        headers: headers of the cFE.
     """
     target = _plain(name)
     lines = [line for packet in telemetry for line in _telemetry(target, packet, headers)]
@@ -75,7 +75,7 @@ def _telemetry(target: str, packet: GroundPacket, headers: Headers) -> Iterator[
 
 
 class _Items:
-    """The items of one packet: no two have one name."""
+    """The items of one packet, with unique names."""
 
     def __init__(self) -> None:
         self._used = set(_RESERVED)
@@ -100,12 +100,12 @@ class _Items:
             yield self._line(PacketItem("rest", "bytes", 0, "all that follows"))
 
     def _string(self, string: StringItem, remainder: int | None) -> Iterator[str]:
-        """Yield the lines of a string: its length, and its characters, with the NUL at their end."""
+        """Yield the lines of a string: its length, and its characters, including the NUL at their end."""
         doc = "bytes of the string, a NUL at its end included"
         length = PacketItem(f"{string.name}.length", "uint", 8 * LENGTH_BYTES, doc)
         name, begin = self._name(length), self._bits
         yield self._line(length, name=name)
-        if remainder is not None:  # of its first byte, the last bits
+        if remainder is not None:  # the last bits of its first byte
             low = PacketItem(f"{length.name}_low", "uint", REMAINDERS.bit_length() - 1, "its low bits, again")
             place = f"{self._name(low)} {begin + 8 - low.bits} {low.bits}"
             yield f"  ID_ITEM {place} UINT {remainder} {_quoted(low.doc)}"
@@ -117,18 +117,18 @@ class _Items:
         return self._line(item) if told_by is None else self._line(item, "ID_ITEM", f" {told_by}")
 
     def constant(self, item: PacketItem, value: object, *, tells: bool = False) -> str:
-        """Return a parameter that always has one value, by which a command may be told."""
+        """Return a parameter with a constant value, which may identify a command."""
         if isinstance(value, bytes):
             return self._line(item, "PARAMETER", f" 0x{value.hex()}")
         return self._line(item, "ID_PARAMETER" if tells else "PARAMETER", f" {value} {value} {value}")
 
     def argument(self, item: PacketItem) -> str:
-        """Return a parameter that the operator chooses."""
+        """Return a parameter that the operator sets."""
         zero = "0.0" if item.encoding == "float" else "0"
         return self._line(item, "PARAMETER", f" MIN MAX {zero}" if item.encoding in _NUMBERS else ' ""')
 
     def _name(self, item: PacketItem) -> str:
-        """Return a name that COSMOS takes: no ``_`` at its end, nor two in a row, and no other's."""
+        """Return a name for COSMOS: no ``_`` at its end, no two in a row, and different from all others."""
         plain_name = name = _plain(item.name or "padding")
         number = 1
         while name in self._used:

@@ -1,12 +1,12 @@
-"""The packets of a mission as flat lists of items, which every description of them is made from.
+"""The packets of a mission as flat lists of items, from which every description is made.
 
 Rules:
 
 1. Items follow each other without a gap: padding is an item, too.
-2. An item behind a string has a place that depends on the string's length. CDR aligns what follows to at most
-   8 bytes, so eight lists of items are enough, one for each remainder of that length by 8.
-3. A list ends where a length cannot be described so: at a sequence, a wide string, or a third string. The
-   rest of such a packet is left out, and the packet says so.
+2. The position of an item behind a string depends on the string's length. CDR aligns items to at most 8
+   bytes, so eight lists are enough, one for each remainder of the length divided by 8.
+3. A list ends in front of a length that cannot be described like this: a sequence, a wide string, or a third
+   string. The rest of the packet is left out, and the packet has a note of it.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 
 Encoding = Literal["uint", "int", "float", "bytes", "text"]
 REMAINDERS: Final = 8
-"""The largest alignment of CDR, in bytes."""
+"""Largest alignment of CDR, bytes."""
 LENGTH_BYTES: Final = 4
-"""Of a string."""
+"""Size of a string's length, bytes."""
 _MOST_STRINGS: Final = 2
 _MOST_ELEMENTS: Final = 1024
 _CODES: Final[dict[str, Encoding]] = {"f": "float", "d": "float", **dict.fromkeys("bhiq", "int")}
-"""By ``struct`` code; others are unsigned."""
+"""Encodings by ``struct`` code; other codes are unsigned."""
 _KINDS: Final[dict[BasicKind, Encoding]] = {
     BasicKind.UINT: "uint",
     BasicKind.BOOL: "uint",
@@ -53,17 +53,17 @@ _KINDS: Final[dict[BasicKind, Encoding]] = {
 
 
 class PacketItem(msgspec.Struct, frozen=True):
-    """One value at a fixed place behind the items before it.
+    """One value, directly behind the items before it.
 
     Attributes:
-        name: dotted; empty for padding.
-        encoding: how its bytes are read; ``text`` ends at its first NUL.
-        bits: its width.
-        doc: one line.
-        little: whether its least significant byte comes first.
-        fixed: its bytes where a command always has the same; none where they are an argument.
-        enum: names of its values, if they have some.
-        member: of a struct, which has its unit, calibration and limits; None for none of them.
+        name: dotted name; empty for padding.
+        encoding: encoding of its bytes; ``text`` ends at its first NUL.
+        bits: width in bits.
+        doc: description, one line.
+        little: whether it is little-endian.
+        fixed: constant bytes in a command; empty if they are an argument.
+        enum: names of its values, if any.
+        member: struct member with unit, calibration and limits; None if it has none of them.
     """
 
     name: str
@@ -77,11 +77,11 @@ class PacketItem(msgspec.Struct, frozen=True):
 
 
 class StringItem(msgspec.Struct, frozen=True):
-    """A CDR string: its length as u32, then so many bytes, the last of which is NUL.
+    """A CDR string: its length as u32, then that number of bytes, the last of which is NUL.
 
     Attributes:
-        name: dotted.
-        after: the items behind it, by the remainder of its length divided by ``REMAINDERS``.
+        name: dotted name.
+        after: items behind it, by the remainder of its length divided by ``REMAINDERS``.
     """
 
     name: str
@@ -95,12 +95,12 @@ class GroundPacket(msgspec.Struct, frozen=True):
     """One packet.
 
     Attributes:
-        name: of letters, digits and ``_``; unique.
-        doc: what it is.
-        msg_id: as of MsgId version 1.
-        items: what follows the cFE header.
-        whole: whether the items reach to its end.
-        function_code: of a command.
+        name: unique name of letters, digits and ``_``.
+        doc: description.
+        msg_id: MsgId of version 1.
+        items: items behind the cFE header.
+        whole: whether the items cover the whole packet.
+        function_code: function code of a command.
     """
 
     name: str
@@ -112,7 +112,7 @@ class GroundPacket(msgspec.Struct, frozen=True):
 
     @property
     def apid(self) -> int:
-        """The APID that tells it apart."""
+        """APID of the packet."""
         return self.msg_id & ccsds.PRIMARY.by_name["apid"].mask
 
 
@@ -134,12 +134,12 @@ def header_items(layout: Layout) -> tuple[PacketItem, ...]:
 
 
 def telemetry_items(headers: Headers) -> tuple[PacketItem, ...]:
-    """Return the fields of cFE's headers of telemetry, which follow the primary header."""
+    """Return the fields of cFE's telemetry headers behind the primary header."""
     return (header_items(EXTENDED) if headers.extended else ()) + header_items(headers.telemetry)
 
 
 def command_header(packet: GroundPacket, headers: Headers) -> bytes:
-    """Return the cFE header of a command of fixed size, checksum 0."""
+    """Return the cFE header of a command of fixed size, with checksum 0."""
     size = sum(item.bits for item in packet.items if isinstance(item, PacketItem)) // 8
     code = packet.function_code
     whole = emit_command(
@@ -166,13 +166,13 @@ def route_packet(route: Route, types: TypeStore, function_code: int) -> GroundPa
 
 
 def _word(item: PacketItem, cdr_bytes: int) -> bytes:
-    """Return a word of an envelope: both lengths are the CDR's, what is spare is 0."""
+    """Return a word of an envelope: both lengths are the CDR's, spare words are 0."""
     value = 0 if "spare_" in item.name else cdr_bytes
     return value.to_bytes(item.bits // 8, "little" if item.little else "big")
 
 
 def _steps(plan: CdrPlan, prefix: str = "") -> Iterator[tuple[str, PlanStep]]:
-    """Yield the steps of a plan with the names' prefix, fixed arrays of messages step by step."""
+    """Yield the steps of a plan with prefixed names; fixed arrays of messages are unrolled."""
     for step in plan.steps:
         if isinstance(step, Repeat) and step.count is not None and step.count <= _MOST_ELEMENTS:
             for place in range(step.count):
@@ -182,7 +182,7 @@ def _steps(plan: CdrPlan, prefix: str = "") -> Iterator[tuple[str, PlanStep]]:
 
 
 def _cdr(steps: Sequence[tuple[str, PlanStep]], at: int, strings: int) -> tuple[Items, bool]:
-    """Return the items of steps from a place on, which is known up to a multiple of ``REMAINDERS``."""
+    """Return the items of steps from a position on, which is known modulo ``REMAINDERS``."""
     items: list[PacketItem | StringItem] = []
     for number, (prefix, step) in enumerate(steps):
         if isinstance(step, PrimitiveRun):
@@ -253,7 +253,7 @@ def _members(layout: StructLayout, struct: Struct, prefix: str, *, whole: bool) 
 
 
 def _units(members: Iterable[MessagePart]) -> Iterator[list[MessagePart]]:
-    """Yield each member alone, bit-fields that share bytes together."""
+    """Yield each member alone, but bit-fields that share bytes together."""
     unit: list[MessagePart] = []
     for part in members:
         if unit and not (part.member.bits and part.member.offset < _end(unit[-1].member)):
@@ -265,12 +265,12 @@ def _units(members: Iterable[MessagePart]) -> Iterator[list[MessagePart]]:
 
 
 def _end(member: Member) -> int:
-    """Return the byte behind a bit-field; the first of other members."""
+    """Return the byte behind a bit-field; for other members the first byte."""
     return member.offset + (member.bits and (member.bit + member.bits + 7) // 8)
 
 
 def _bit_fields(unit: Sequence[MessagePart], prefix: str, *, little: bool) -> PacketItem:
-    """Return the number that bit-fields are in: compilers let them lie across bytes."""
+    """Return the number that contains some bit-fields, because compilers let them cross bytes."""
     begin = unit[0].member.offset
     size = _end(unit[-1].member) - begin
     places = (

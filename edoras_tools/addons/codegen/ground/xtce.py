@@ -1,7 +1,8 @@
 """XTCE 1.2 (OMG formal/2018-10-04): telemetry containers, and commands of fixed size.
 
-A string's length is read as its low three bits and the rest, least significant byte first: the low bits
-choose the container of what follows, whose padding they decide. Strings of more than 255 bytes end a packet.
+The length of a string is read as its three low bits and the rest, least significant byte first. The low bits
+select the container of the following items, because they determine its padding. Strings of more than 255
+bytes end a packet.
 """
 
 from __future__ import annotations
@@ -46,10 +47,10 @@ def xtce(
     """Return the XML of a space system.
 
     Args:
-        name: of the space system.
+        name: name of the space system.
         telemetry: packets from cFS.
         commands: packets to cFS; each must be of fixed size.
-        headers: those of the cFE.
+        headers: headers of the cFE.
     """
     return _System(name, headers).document(telemetry, commands)
 
@@ -89,7 +90,7 @@ class _System:
         doc: str = "",
         abstract: bool = False,
     ) -> ET.Element:
-        """Append a container, and those of what follows its string; return its entries."""
+        """Append a container, and those of the items behind its string; return its entries."""
         container = ET.SubElement(self._containers, "SequenceContainer", {"name": name})
         if doc:
             container.set("shortDescription", doc)
@@ -107,7 +108,7 @@ class _System:
         return entries
 
     def _after(self, base: str, string: StringItem, prefix: str) -> None:
-        """Append a container for each remainder of a string's length: its characters, and what follows."""
+        """Append a container for each remainder of a string's length: its characters, and the items behind."""
         high, low, rest = (identifier(prefix + part.name) for part in _length_of(string))
         for remainder, items in enumerate(string.after):
             text = f"{prefix}{identifier(string.name)}"
@@ -238,7 +239,7 @@ def _ends(limits: Range | None) -> dict[str, str]:
 
 
 def _add_meaning(element: ET.Element, encoded: ET.Element, member: Member, *, is_argument: bool) -> None:
-    """Add the unit of a type, its calibration and its limits; an argument is sent as the number it is."""
+    """Add the unit, calibration and limits of a type; an argument is sent uncalibrated."""
     if member.unit and not (is_argument and member.polynomial):
         element.insert(0, ET.Element("UnitSet"))
         ET.SubElement(element[0], "Unit").text = member.unit
