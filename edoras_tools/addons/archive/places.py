@@ -86,7 +86,7 @@ def _under(root: str) -> Iterator[ListedFile]:
 
 
 def _is_file(system: Any, path: str) -> bool:
-    """Return whether a path is a file. On a web server a folder is one too, but its address ends with ``/``."""
+    """Return whether a path is a file. A web server's folder is one too, but its address ends with ``/``."""
     if _is_local(system):
         return Path(path).is_file()
     item = system.info(path)

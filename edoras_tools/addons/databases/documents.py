@@ -1,4 +1,4 @@
-"""XML as plain nodes that know their line: no document type, no entities but XML's own, no other file."""
+"""XML as plain nodes with their line: no document type, no entities except XML's own, no other file."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ if TYPE_CHECKING:
 _DEEPEST: Final = 64
 _MOST_NODES: Final = 1 << 18
 _LONGEST_TEXT: Final = 200
-"""Characters of an element that are kept: more than any unit or number has."""
+"""Maximum number of kept characters of an element's text: more than any unit or number has."""
 
 
 class SheetError(Exception):
-    """Something in a file that cannot be read; the file's other parts are."""
+    """Error: a part of a file cannot be read; the other parts are."""
 
 
 class Node(msgspec.Struct):
     """An element.
 
     Attributes:
-        tag: its name without a name space.
-        attributes: as written.
-        file: name of the file that it stands in.
-        line: of the file, from 1.
-        children: the elements in it.
-        text: the characters in it, its children's left out.
+        tag: name without a name space.
+        attributes: attributes as written.
+        file: name of its file.
+        line: line in the file, from 1.
+        children: child elements.
+        text: text, without that of its children.
     """
 
     tag: str
@@ -43,23 +43,23 @@ class Node(msgspec.Struct):
 
     @property
     def name(self) -> str:
-        """Its attribute ``name``; empty where it has none."""
+        """Attribute ``name``; empty if it has none."""
         return self.attributes.get("name", "")
 
     @property
     def doc(self) -> str:
-        """Its short description, on one line, without the marks of Doxygen."""
+        """Short description, on one line, without Doxygen's marks."""
         words = self.attributes.get("shortDescription", "").split()
         return " ".join(word for word in words if word not in {"*", "\\brief"})
 
     def inside(self, *path: str) -> Iterator[Node]:
-        """Yield the elements that tags lead to, one level each."""
+        """Yield the elements on a path of tags, one level each."""
         for item in self.children:
             if item.tag == path[0]:
                 yield from item.inside(*path[1:]) if path[1:] else (item,)
 
     def walk(self) -> Iterator[Node]:
-        """Yield the element and all in it."""
+        """Yield the element and all its descendants."""
         yield self
         for item in self.children:
             yield from item.walk()
@@ -68,7 +68,7 @@ class Node(msgspec.Struct):
         """Return an attribute.
 
         Raises:
-            SheetError: it is not there.
+            SheetError: the attribute is missing.
         """
         if key not in self.attributes:
             raise SheetError(f"{self.tag} {self.name}".rstrip() + f" has no {key}")
@@ -79,18 +79,19 @@ class Node(msgspec.Struct):
 
 
 class Notes(dict[str, Node]):
-    """What of some files is not read, and the first element that it is true of."""
+    """Notes on parts of the files that are not read, each with the first such element."""
 
     def add(self, node: Node, text: str) -> None:
         """Add a note, once."""
         self.setdefault(text, node)
 
     def unread(self, node: Node, read: Container[str], quiet: Container[str]) -> None:
-        """Note the elements that are not read, each kind once.
+        """Note the kinds of elements that are not read, each once.
 
         Args:
-            read: tags that are.
-            quiet: tags that say nothing of packets, or are noted where they stand; nor is what is in them.
+            read: tags that are read.
+            quiet: tags that are not about packets, or that have their own notes; their descendants are
+                skipped too.
         """
         if node.tag in quiet:
             return
@@ -101,7 +102,7 @@ class Notes(dict[str, Node]):
             self.unread(item, read, quiet)
 
     def lines(self) -> tuple[str, ...]:
-        """Return a line for each, with file and line."""
+        """Return one line for each note, with file and line."""
         return tuple(f"{node}: {text}" for text, node in self.items())
 
 
@@ -109,7 +110,8 @@ def parse_document(data: bytes, name: str) -> Node:
     """Return the root of a document.
 
     Raises:
-        ConfigError: it is not XML, declares a document type, or is too deep or too large to describe packets.
+        ConfigError: it is not XML, has a document type, or is too deep or too large for a description of
+        packets.
     """
     parser = expat.ParserCreate(namespace_separator=" ")
     root = Node("", {}, name, 0)
@@ -144,6 +146,6 @@ def parse_document(data: bytes, name: str) -> Node:
         parser.Parse(data, True)
     except expat.ExpatError as error:
         raise ConfigError(f"{name}:{error.lineno}: is not XML: {expat.ErrorString(error.code)}") from error
-    except (LookupError, ValueError) as error:  # an encoding that Python has not
+    except (LookupError, ValueError) as error:  # an encoding that Python does not have
         raise ConfigError(f"{name}: is not XML: {error}") from error
     return root.children[0]

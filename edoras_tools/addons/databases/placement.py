@@ -1,4 +1,4 @@
-"""Where the entries of one container lie, bit by bit, and the members that they become."""
+"""The positions of one container's entries, in bits, and the resulting members."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from edoras_tools.structs.messages import unique
 from edoras_tools.structs.shapes import BASIC, OPEN, Basic, BasicKind, ByteOrder, Member
 
 MOST_VALUE_BITS: Final = 1 << 27
-"""Bits of a value at the most."""
+"""Maximum size of a value, bits."""
 UNNAMED: Final = Member("", BASIC["byte"], 0)
 _WRAPPERS: Final = frozenset({"Value", "BaseType"})
 _NO_NAME: Final = re.compile(r"\W+", re.ASCII)
 
 
 def c_name(name: str) -> str:
-    """Return a name as in C: ``CFE_ES/HousekeepingTlm`` is ``CFE_ES_HousekeepingTlm``."""
+    """Return a name in C: ``CFE_ES/HousekeepingTlm`` becomes ``CFE_ES_HousekeepingTlm``."""
     plain = _NO_NAME.sub("_", name) or "unnamed"
     return plain if not plain[0].isdigit() else f"_{plain}"
 
 
 class DataType(msgspec.Struct, frozen=True):
-    """What a name of a type stands for.
+    """A resolved type.
 
     Attributes:
-        kind: a basic type, or the name of an enumeration or a struct.
-        bits: of one element; of a text all its characters.
-        dims: of an array; the last of a text its length.
+        kind: basic type, or name of an enumeration or a struct.
+        bits: size of one element; for a text, of all its characters.
+        dims: dimensions of an array; for a text the last one is its length.
         scalar: whether it is a number, a flag or an enumeration.
-        order: of the bytes of one; nothing where it has one byte.
-        alignment: in C, in bytes; of a scalar the bytes that hold it.
-        doubt: why its number cannot be read, which is then shown as bytes.
-        variable: whether its length varies, so that nothing behind it has a fixed place.
-        like: a member with its unit and limits.
+        order: byte order; None for a single byte.
+        alignment: alignment in C, bytes; for a scalar, the number of bytes that hold it.
+        doubt: reason why its number cannot be read, and is shown as bytes; empty if it can.
+        variable: whether its length varies, so that later entries have no fixed position.
+        like: member with its unit and limits.
     """
 
     kind: Basic | str
@@ -58,7 +58,7 @@ class DataType(msgspec.Struct, frozen=True):
 
     @property
     def whole_bits(self) -> int:
-        """All its bits."""
+        """Size of all elements, bits."""
         return self.bits * prod(self.dims[:-1] if self.text else self.dims)
 
 
@@ -66,11 +66,11 @@ def scalar(kind: BasicKind, bits: int, order: ByteOrder | None, like: Member, do
     """Return the type of a number or a flag of any width.
 
     Args:
-        kind: how its bytes are read.
-        bits: its width.
-        order: of its bytes.
-        like: a member with its unit and limits.
-        doubt: why it cannot be read as that.
+        kind: kind of bytes.
+        bits: width, bits.
+        order: byte order.
+        like: member with its unit and limits.
+        doubt: reason why it cannot be read as that kind.
     """
     octets = 1 << max(0, (-(-bits // 8) - 1).bit_length())
     if octets > 8:
@@ -82,13 +82,13 @@ def scalar(kind: BasicKind, bits: int, order: ByteOrder | None, like: Member, do
 
 
 class Placement:
-    """The members of one container, and the bit behind the last.
+    """The members of one container, and the present position.
 
     Attributes:
-        members: in their order.
-        alignment: of the whole in C, in bytes.
-        varies: whether nothing more has a fixed place.
-        wrapped: type of the only entry, where it has a name that says nothing, as ``Value``.
+        members: members in order.
+        alignment: alignment of the whole container in C, bytes.
+        varies: whether later entries have no fixed position.
+        wrapped: type of the only entry, if its name has no meaning, as ``Value``.
     """
 
     def __init__(self, order: ByteOrder, *, machine: bool) -> None:
@@ -103,15 +103,15 @@ class Placement:
         self.wrapped: DataType | None = None
 
     def pad(self, bits: int) -> None:
-        """Leave bits out."""
+        """Skip bits."""
         self._bit += bits
 
     def go_to(self, bit: int) -> None:
-        """Place what follows at a bit."""
+        """Set the position of the next entry, bits."""
         self._bit = bit
 
     def end(self) -> int:
-        """Return the bits of the whole."""
+        """Return the size of the whole container, bits."""
         if self._machine and not self.varies:
             self._align(self.alignment)
         if self._bit > MOST_VALUE_BITS:
@@ -122,7 +122,7 @@ class Placement:
         self._bit = -(-self._bit // (8 * alignment)) * 8 * alignment
 
     def open(self, name: str, item: DataType) -> str:
-        """Add a list to the end of the packet; return why its elements are not shown, or nothing."""
+        """Add a list at the end of the packet; return why its elements are not shown, empty if they are."""
         whole = item.bits == 8 * item.alignment if item.scalar else item.bits % 8 == 0
         if not whole or self._bit % 8 or item.doubt or item.variable:
             self.rest(BASIC["byte"], name)
@@ -133,13 +133,13 @@ class Placement:
         return ""
 
     def _own_order(self, item: DataType) -> ByteOrder | Literal[""]:
-        """Return the byte order of a number where it is not that of the whole."""
+        """Return the byte order of a number if it differs from the layout's; else an empty text."""
         return item.order if item.order and item.order != self._order else ""
 
     def rest(
         self, kind: Basic | str, name: str = "rest", dims: tuple[int, ...] = (), like: Member | None = None
     ) -> None:
-        """Add what reaches to the end of the packet."""
+        """Add an open array up to the end of the packet."""
         self._bit = -(-self._bit // 8) * 8
         own_name = unique(c_name(name), self._names)
         self.members.append(
@@ -148,7 +148,7 @@ class Placement:
         self.varies = True
 
     def place(self, name: str, item: DataType) -> str:
-        """Add a member behind the last; return why it cannot be shown as what it is, or nothing."""
+        """Add a member at the position; return why it is not shown as its type, empty if it is."""
         if self._machine and item.bits % 8 == 0:
             self._align(item.alignment)
             self.alignment = max(self.alignment, item.alignment)
@@ -170,7 +170,7 @@ class Placement:
         return why and f"{why}; it is shown as bytes"
 
     def _member(self, name: str, item: DataType, at: int, *, sound: bool) -> Member | None:
-        """Return a member at a bit: as what it is where it is ``sound``, else as bytes; None: as neither."""
+        """Return a member at a bit: of its type if it is ``sound``, else as bytes; None if both are impossible."""
         byte, bit = divmod(at, 8)
         order = self._own_order(item)
         member = replace(item.like, name=name, type=item.kind, offset=byte, dims=item.dims, order=order)
@@ -185,7 +185,7 @@ class Placement:
         return Member(name, BASIC["byte"], byte, (item.whole_bits // 8,), doc=doc)
 
     def _start(self, item: DataType, bit: int) -> int | None:
-        """Return where a bit-field starts, as ``Member.bit`` counts; None if it cannot be one."""
+        """Return the start of a bit-field, as in ``Member.bit``; None if it cannot be one."""
         if not item.scalar or (bit + item.bits + 7) // 8 > 8 or str(item.kind).startswith("float"):
             return None
         if not self._little or self._machine or item.bits % 8 == bit == 0:

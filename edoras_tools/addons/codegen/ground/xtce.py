@@ -108,7 +108,7 @@ class _System:
         return entries
 
     def _after(self, base: str, string: StringItem, prefix: str) -> None:
-        """Append a container for each remainder of a string's length: its characters, and the items behind."""
+        """Append a container for each remainder of a string's length: its characters, and later items."""
         high, low, rest = (identifier(prefix + part.name) for part in _length_of(string))
         for remainder, items in enumerate(string.after):
             text = f"{prefix}{identifier(string.name)}"

@@ -1,8 +1,8 @@
 """Design parameters: ``${PACKAGE/NAME}`` in an attribute, and arithmetic as cFE's sheets use it.
 
 An expression has numbers (decimal, or hexadecimal behind ``0x``), ``+ - * / ^`` and parentheses. A text that
-is no expression stands for itself. Values, lengths and depth are bounded: a few parameters that name each
-other many times cannot become a text that fills the memory.
+is no expression keeps its value. Values, lengths and depth are limited: a few parameters that contain each
+other many times cannot produce a text that fills the memory.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Parameters:
     """The design parameters of some sheets.
 
     Args:
-        defines: what is written for each, by package and name as in ``CFE_MISSION/SPACECRAFT_ID``.
+        defines: text of each parameter, by package and name as in ``CFE_MISSION/SPACECRAFT_ID``.
     """
 
     def __init__(self, defines: Mapping[str, str]) -> None:
@@ -37,10 +37,10 @@ class Parameters:
         self._open: list[str] = []
 
     def text(self, raw: str, package: str) -> str:
-        """Return an attribute with the values of its parameters in it.
+        """Return an attribute with its parameters replaced by their values.
 
         Args:
-            package: where it stands; a parameter without a package is one of this.
+            package: package of the attribute, and of parameters without a package.
 
         Raises:
             SheetError: a parameter is in none of the sheets, or contains itself; or the text is too long.
@@ -54,15 +54,15 @@ class Parameters:
         """Return the value of an expression.
 
         Raises:
-            SheetError: as for ``text``; or it is no expression, or out of range.
+            SheetError: see ``text``; or the text is no expression, or out of range.
         """
         return _Expression(self.text(raw, package)).value()
 
     def integer(self, raw: str, package: str) -> int:
-        """Return the value of an expression, which is an integer.
+        """Return the value of an integer expression.
 
         Raises:
-            SheetError: as for ``number``; or it is none.
+            SheetError: see ``number``; or the value is no integer.
         """
         value = self.number(raw, package)
         if value != int(value):
@@ -82,14 +82,14 @@ class Parameters:
             text = self.text(self._defines[key], key.rpartition("/")[0])
         finally:
             self._open.pop()
-        with suppress(SheetError):  # of a text, such as the name of a type
+        with suppress(SheetError):  # a text, such as the name of a type
             text = str(_Expression(text).value())
         self._values[key] = text
         return text
 
 
 class _Expression:
-    """Arithmetic, evaluated from left to right with one token of look-ahead."""
+    """Evaluator of arithmetic, from left to right with one token of look-ahead."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -110,7 +110,7 @@ class _Expression:
         return value
 
     def _next(self, among: str) -> str:
-        """Take the next token if it is one of these, and return it; else nothing."""
+        """Return the next token and advance if it is one of these; else return an empty text."""
         return self._tokens.pop() if self._tokens and self._tokens[-1] in among.split() else ""
 
     def _sum(self) -> Number:

@@ -1,9 +1,9 @@
 """Reads electronic data sheets: their packages become structs, the topics of their components packets.
 
-1. All files are read together: a package may stand in several, and what one names another may have.
-2. A container that is based on one of cFE's headers is a packet. Which one says the component that has an
-   interface with it, by its topic; of a command also the function code in a constraint of the container.
-3. What cannot be read is noted with file and line; all else is.
+1. All files are read together: a package may be in several files, and names may refer to other files.
+2. A container that is based on one of cFE's headers is a packet. The component that has an interface with it
+   gives its topic; a constraint of the container gives a command's function code.
+3. Anything that cannot be read is noted with file and line; all the rest is read.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _TOPICS: Final = {
         ("CFE_MISSION/GLOBAL_TLM_BASE_TOPICID", 0x0860),
     ),
 }
-"""Where the topics of each processor and of all begin, and the MsgIds of the first of them."""
+"""First topics of one processor and of all processors, with the MsgIds of the first ones."""
 _MOST_TOPICS: Final = 0x100
 _MACHINES: Final[dict[str, ByteOrder]] = {"-mlittle-endian": "little", "-mbig-endian": "big"}
 _DEFINE: Final = re.compile(r"-D\s*([\w/]+)=(.*)", re.ASCII)
@@ -49,11 +49,11 @@ _READ: Final = DATA_TYPES.union(
     ("ParameterMap",),
 )
 _QUIET: Final = frozenset({"LongDescription", "Metadata", "DeclaredInterfaceSet", "PresentWhen"})
-"""Elements that say nothing of packets, or are noted where they stand; what is in neither list is noted."""
+"""Elements that are not about packets, or have their own notes; all others not in ``_READ`` are noted."""
 
 
 def is_sheet(data: bytes) -> bool:
-    """Tell whether a file is a data sheet, or design parameters of some."""
+    """Return whether a file is a data sheet, or has design parameters of one."""
     return data[:4].lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") and bool(_ROOT.search(data[:_SEARCHED]))
 
 
@@ -61,12 +61,12 @@ def read_sheets(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) -
     """Make one layout of data sheets.
 
     Args:
-        files: content and name of each.
-        flags: as of a compiler: ``-DPACKAGE/NAME=VALUE``, a design parameter, before what sheets say;
-            ``-mlittle-endian`` or ``-mbig-endian``, for the C structs of such a machine.
+        files: contents and name of each file.
+        flags: flags as for a compiler: ``-DPACKAGE/NAME=VALUE``, a design parameter that overrides the
+            sheets; ``-mlittle-endian`` or ``-mbig-endian``, for the C structs of such a machine.
 
     Raises:
-        ConfigError: a file is not XML, a flag is none of these, or there is no data type in any file.
+        ConfigError: a file is not XML, a flag is not one of these, or no file has a data type.
     """
     machine: ByteOrder | None = None
     defines: dict[str, str] = {}
@@ -98,7 +98,7 @@ class _Sheets:
     """The packages of some sheets.
 
     Attributes:
-        little: whether the last layout has more little-endian numbers than big-endian ones.
+        little: whether the last layout has more little-endian than big-endian numbers.
     """
 
     def __init__(self, roots: Sequence[Node], defines: dict[str, str]) -> None:
@@ -132,7 +132,7 @@ class _Sheets:
         self._parameters = Parameters({**written, **defines})
 
     def layout(self, order: ByteOrder, *, machine: bool) -> StructLayout:
-        """Return all structs, with numbers of a byte order, and what lies in packets."""
+        """Return all structs, with numbers of one byte order, and their packets."""
         before = Notes(self._notes)
         types = Types(self._nodes, self._parameters, order, machine=machine, note=self._notes.add)
         names: dict[str, str] = {}
@@ -157,7 +157,7 @@ class _Sheets:
         return StructLayout(types.structs, types.enums, bindings, order, origin=self._file, notes=notes)
 
     def _packets(self, types: Types) -> Iterator[tuple[Key, str, Node]]:
-        """Yield which packets there are: the container in each, and the interface that says so."""
+        """Yield the packets: key, the container in the packet, and the interface that determines it."""
         derived: dict[str, list[str]] = {}
         kinds: dict[str, str] = {}
         for name, node in self._nodes.items():
@@ -191,7 +191,7 @@ class _Sheets:
                     self._notes.add(interface, f"{component.name}.{interface.name} of {package}: {error}")
 
     def _topics(self, types: Types, package: str, component: Node) -> Iterator[tuple[Node, int, str]]:
-        """Yield the interfaces of a component that have a topic: its number, and the type that goes there."""
+        """Yield the interfaces of a component with a topic: its number, and the type of its messages."""
         initial = {
             item.name: item.attributes.get("initialValue", "")
             for item in component.inside("Implementation", "VariableSet", "Variable")
@@ -223,7 +223,7 @@ class _Sheets:
         raise SheetError(f"topic {topic} is not one of {kind}")
 
     def _function_code(self, types: Types, name: str) -> int | None:
-        """Return the function code that the constraints of a container and of its bases say."""
+        """Return the function code from the constraints of a container and of its bases."""
         for base in types.bases(name):
             if base in PACKET_HEADERS:
                 break

@@ -1,7 +1,7 @@
-"""The data types of sheets as structs: where every entry of a container lies, packed as CCSDS 876.0 says.
+"""The data types of sheets as structs: the position of every entry of a container, packed as in CCSDS 876.0.
 
-Entries follow each other bit by bit, the most significant bit first. With a machine's byte order they lie as
-in the C structs of a cFS that is built without data sheets: each at a multiple of its size.
+Entries follow each other bit by bit, the most significant bit first. With a machine's byte order they are
+aligned as in the C structs of a cFS that is built without data sheets: each at a multiple of its size.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.databases.eds.parameters import Number, Parameters
 
 PACKET_HEADERS: Final = {"CFE_HDR/CommandHeader": "command", "CFE_HDR/TelemetryHeader": "telemetry"}
-"""The containers that are cFE's headers, on which every packet's is based: what such a packet is."""
+"""cFE's header containers, on which every packet's container is based, with the kind of packet."""
 DATA_TYPES: Final = frozenset(
     f"{kind}DataType"
     for kind in (
@@ -47,7 +47,7 @@ _KINDS: Final = {
     "unsigned": BasicKind.UINT,
     "twosComplement": BasicKind.INT,
 }
-"""How bytes are read, by the kind of a type, or by the encoding of an integer."""
+"""Kind of bytes by the kind of a type, or by the encoding of an integer."""
 _ENDS: Final = {
     "exclusiveMinExclusiveMax": (1, 1),
     "inclusiveMinExclusiveMax": (0, 1),
@@ -55,23 +55,23 @@ _ENDS: Final = {
     "greaterThan": (1, 0),
     "lessThan": (0, 1),
 }
-"""Which ends of a range are no part of it: the lower, the upper."""
+"""Which ends of a range are excluded: (lower, upper)."""
 
 
 class Types:
     """Makes structs of the data types of sheets, each once.
 
     Args:
-        nodes: the data types by package and name.
-        parameters: the design parameters.
-        order: that of the layout's numbers; others become bytes.
-        machine: whether numbers lie as in C structs of a machine with this order.
-        note: is told of what cannot be read, with its place.
+        nodes: data types by package and name.
+        parameters: design parameters.
+        order: byte order of the layout's numbers; others become bytes.
+        machine: whether numbers are aligned as in C structs of a machine with this byte order.
+        note: called with an element that cannot be read, and the reason.
 
     Attributes:
-        structs: the containers that were read, by their names in C.
-        enums: the enumerations.
-        orders: how many entries have numbers of each byte order.
+        structs: structs of the containers, by their names in C.
+        enums: enumerations.
+        orders: number of entries with numbers of each byte order.
     """
 
     def __init__(
@@ -96,15 +96,15 @@ class Types:
         self.orders: dict[ByteOrder, int] = {"little": 0, "big": 0}
 
     def full_name(self, raw: str, package: str) -> str:
-        """Return the package and name of a type that is named in a package."""
+        """Return the package and name of a type that a package refers to."""
         text = self._parameters.text(raw, package)
         return text if "/" in text else f"{package}/{text}"
 
     def bases(self, name: str) -> Iterator[str]:
-        """Yield a container, what it is based on, and so on up to cFE's header or the last.
+        """Yield a container, its base, and so on, up to cFE's header or the last one.
 
         Raises:
-            SheetError: it is based on itself.
+            SheetError: the container is based on itself.
         """
         passed: list[str] = []
         while name:
@@ -120,7 +120,7 @@ class Types:
         """Return a type by its package and name.
 
         Raises:
-            SheetError: it is in none of the sheets, contains itself, or cannot be read.
+            SheetError: the type is in none of the sheets, contains itself, or cannot be read.
         """
         result = self._types.get(name)
         if result is None:
@@ -178,7 +178,7 @@ class Types:
             yield len(labels.names) if labels else int((high or 0) - (low or 0)) + 1
 
     def _labels(self, node: Node, package: str) -> dict[int, str]:
-        """Return the labels of an enumeration by their values; one without a value follows the one before."""
+        """Return the labels of an enumeration by value; a label without a value gets the next one."""
         labels: dict[int, str] = {}
         used: set[str] = set()
         value = -1
@@ -197,7 +197,7 @@ class Types:
         words = encoding.attributes if encoding is not None else {}
         coded = self._parameters.text(words.get("encoding", "unsigned"), package)
         bits = self._count(encoding, "sizeInBits", package) if "sizeInBits" in words else kind == "Boolean"
-        if encoding is None and kind != "Boolean":  # as many bits as its values need
+        if encoding is None and kind != "Boolean":  # the number of bits that its values need
             least, most = (min(labels), max(labels)) if labels else (like.red or (0, None))
             bits = max(int(abs(least or 0)) * 2, int(abs(most or 0))).bit_length()
             coded = "twosComplement" if (least or 0) < 0 else "unsigned"
@@ -222,7 +222,7 @@ class Types:
         return replace(scalar_type, kind=called)
 
     def _doubt(self, kind: str, words: Mapping[str, str], bits: int, package: str) -> str:
-        """Return why a float cannot be read; nothing of one that can, and of other kinds."""
+        """Return the reason why a float cannot be read; empty if it can, and for other kinds."""
         precision = self._parameters.text(words.get("encodingAndPrecision", _SINGLE), package)
         sound = kind != "Float" or (precision.startswith("IEEE754") and bits in {32, 64})
         return "" if sound else f"encoding {precision} of {bits} bits"
@@ -234,7 +234,7 @@ class Types:
         return self._order if self._machine else "big" if text == "bigEndian" else "little"
 
     def _container(self, node: Node, name: str) -> DataType:
-        """Lay out a container: the entries of what it is based on, its own, and those of both at the end."""
+        """Lay out a container: the entries of its bases, its own, and the trailers of all."""
         entries: list[tuple[Node, str]] = []
         trailers: list[tuple[Node, str]] = []
         for base in self.bases(name):
@@ -257,7 +257,7 @@ class Types:
         return DataType(called, size, alignment=maker.alignment, variable=maker.varies)
 
     def _entry(self, maker: Placement, entry: Node, package: str, owner: str) -> None:
-        """Place an entry; if the places of what follows are unknown then, the rest of the packet is bytes."""
+        """Place an entry; if later entries then have no known position, the rest of the packet is bytes."""
         if maker.varies or entry.tag == "LongDescription":
             return
         try:
@@ -270,7 +270,7 @@ class Types:
                 self._note(entry, f"{owner}.{entry.name}: {why}")
 
     def _laid(self, maker: Placement, entry: Node, package: str, owner: str) -> str:
-        """Place an entry, and return why it cannot be shown as what it is; nothing if it can."""
+        """Place an entry; return the reason why it is not shown as its type, empty if it is."""
         if entry.tag == "PaddingEntry":
             maker.pad(self._count(entry, "sizeInBits", package))
             return ""
@@ -286,7 +286,7 @@ class Types:
         return maker.place(c_name(entry.name), data_type)
 
     def _entry_type(self, entry: Node, package: str, owner: str) -> DataType:
-        """Return the type of an entry, which may have an encoding, a unit and limits of its own."""
+        """Return the type of an entry, which may have its own encoding, unit and limits."""
         name = self.full_name(entry.required("type"), package)
         data_type = self.find(name)
         own = next((item for item in entry.children if item.tag.endswith("DataEncoding")), None)
@@ -296,7 +296,7 @@ class Types:
         return replace(data_type, like=self._like(entry, package, data_type))
 
     def _like(self, node: Node, package: str, base: DataType | None = None) -> Member:
-        """Return a member with the unit, the limits and the documentation of a node, over those of a type."""
+        """Return a member with the unit, limits and documentation of a node; these override a type's."""
         like = base.like if base else UNNAMED
         attributes = [node.attributes, *(item.attributes for item in node.inside("Semantics"))]
         unit = next((item["unit"] for item in attributes if item.get("unit")), like.unit)
@@ -304,7 +304,7 @@ class Types:
         terms: dict[int, float] = {}
         for item in node.inside("PolynomialCalibrator", "Term"):
             if node.tag == "LengthEntry":
-                break  # how bytes are counted, not what a value means
+                break  # it is about counting bytes, not about the meaning of the value
             exponent = self._parameters.integer(item.required("exponent"), package)
             if not 0 <= exponent <= _DEEPEST:
                 raise SheetError(f"exponent {exponent} of a calibration is not 0 to {_DEEPEST}")
@@ -341,7 +341,7 @@ class Types:
 
 
 def _all_of(ends: Range, bits: int, *, signed: bool) -> bool:
-    """Tell whether a range is all that so many bits can hold."""
+    """Return whether a range contains all values of a number of bits."""
     low = -(1 << (bits - 1)) if signed else 0
     least, most = ends
     return (least is None or least <= low) and (most is None or most >= low + (1 << bits) - 1)

@@ -1,1 +1,1 @@
-"""XTCE, as ground systems have it (OMG formal/2018-10-04)."""
+"""XTCE, as ground systems use it (OMG formal/2018-10-04)."""

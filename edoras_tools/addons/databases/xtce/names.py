@@ -1,4 +1,4 @@
-"""What stands in some space systems, by kind and path, and how one thing names another."""
+"""The declarations in some space systems, by kind and path, and references between them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 SYSTEM: Final = "SpaceSystem"
 _MOST_MEMBERS: Final = 8
-"""Declarations behind that of a parameter, of the members in each other."""
+"""Maximum depth of members in a reference to a parameter."""
 _SETS: Final = (
     (("TelemetryMetaData", "ParameterTypeSet"), "parameter type"),
     (("TelemetryMetaData", "ParameterSet"), "parameter"),
@@ -29,16 +29,16 @@ _SETS: Final = (
     (("CommandMetaData", "CommandContainerSet"), "container"),
     (("CommandMetaData", "MetaCommandSet"), "command"),
 )
-"""Where each kind of thing is declared."""
+"""Path and kind of each set of declarations."""
 
 
 class Declared(msgspec.Struct, frozen=True):
-    """Something that is declared.
+    """A declaration.
 
     Attributes:
-        kind: what it is, as ``parameter type``.
-        path: its name, behind those of the space systems that it is in.
-        node: its element.
+        kind: kind, as ``parameter type``.
+        path: name, behind the names of its space systems.
+        node: element.
     """
 
     kind: str
@@ -47,20 +47,20 @@ class Declared(msgspec.Struct, frozen=True):
 
     @property
     def system(self) -> str:
-        """The path of the space system that it is in."""
+        """Path of its space system."""
         return posixpath.dirname(self.path)
 
     def replaced(self, node: Node) -> Declared:
-        """Return it with another element."""
+        """Return the declaration with another element."""
         return replace(self, node=node)
 
 
 class Declarations:
-    """Everything that is declared in some space systems.
+    """All declarations in some space systems.
 
     Args:
-        roots: the elements of the outermost; others may stand in them.
-        notes: what is declared twice.
+        roots: elements of the outermost space systems; others may be inside.
+        notes: notes, to which duplicate declarations are added.
     """
 
     def __init__(self, roots: Sequence[Node], notes: Notes) -> None:
@@ -79,17 +79,18 @@ class Declarations:
                             self._short[kind, item.name].append(entry)
 
     def all(self, kind: str) -> Iterator[Declared]:
-        """Yield what is of a kind."""
+        """Yield the declarations of a kind."""
         return (item for (own, _), item in self._items.items() if own == kind)
 
     def find(self, kind: str, name: str, system: str) -> Declared:
-        """Return what a name means in a space system, or in one that it is in.
+        """Return the declaration that a name refers to in a space system, or in one of its parents.
 
-        Where several files are read, a system may be meant to be in another one, which only the ground
-        system's configuration says: then a last name that is there once is enough.
+        If several files are read, a system may belong into another one, which only the ground system's
+        configuration
+        says: then it is enough if the last part of the name is unique.
 
         Raises:
-            SheetError: nothing has the name.
+            SheetError: there is no declaration of that name.
         """
         name = name.strip()
         places = [""] if name.startswith("/") else [system, *_above(system)]
@@ -104,14 +105,14 @@ class Declarations:
         return alike[0]
 
     def type_of(self, role: str, node: Node, system: str) -> Declared:
-        """Return the type of a parameter or an argument, as ``role`` says."""
+        """Return the type of a parameter or an argument; ``role`` is the kind."""
         return self.find(f"{role} type", node.required(f"{role}TypeRef"), system)
 
     def find_member(self, name: str, system: str) -> tuple[Declared, str]:
-        """Return the parameter that a name means, and behind ``/`` the member of it; nothing: the whole.
+        """Return the parameter of a name, and the path of its member, ``/`` in front; empty for the whole.
 
         Raises:
-            SheetError: nothing has the name.
+            SheetError: there is no parameter of that name.
         """
         words = name.replace(".", "/").split("/") if not name.startswith(".") else name.split("/")
         for count in range(min(_MOST_MEMBERS, len(words))):

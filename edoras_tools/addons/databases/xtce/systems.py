@@ -1,10 +1,10 @@
-"""Reads XTCE: the containers and commands of space systems become structs, by APID and function code packets.
+"""Reads XTCE: containers and commands of space systems become structs; APID and function code give packets.
 
-1. All files are read together. The entries of a container follow those of its base; of a command, too.
-2. What conditions and assignments say of the first 16 bits is the MsgId. A container with a condition on
-   anything else holds only sometimes: its base is what is known of such packets.
-3. cFE's header is left out of a struct: it ends where the container begins whose condition names the APID.
-4. What cannot be read is noted with file and line; all else is.
+1. All files are read together. The entries of a container, or of a command, follow those of its base.
+2. Conditions and assignments on the first 16 bits give the MsgId. A container with a condition on anything
+   else applies only to some packets: its base describes all of them.
+3. cFE's header is not part of a struct: it ends where the container with the condition on the APID begins.
+4. Anything that cannot be read is noted with file and line; all the rest is read.
 """
 
 from __future__ import annotations
@@ -64,21 +64,21 @@ _QUIET: Final = frozenset(
 """,
     )
 )
-"""Elements that say nothing of how packets are built, or are noted where they stand."""
+"""Elements that are not about the structure of packets, or that have their own notes."""
 _BASES: Final = {
     "command": ("BaseMetaCommand", "metaCommandRef"),
     "container": ("BaseContainer", "containerRef"),
 }
 _ALIGNMENT: Final = re.compile(r"(?:.*_)?padding_\d+", re.ASCII)
-"""What 'edoras xtce' calls the bytes between values."""
+"""Names that 'edoras xtce' gives to padding."""
 _ELEMENT: Final = re.compile(r"(.*)_(\d+)_", re.ASCII)
-"""What it calls an element of an array."""
+"""Names that 'edoras xtce' gives to elements of an array."""
 _TELEMETRY_HEADERS: Final = (16, 12, 20)
-"""Bytes of cFE's headers; the usual one first."""
+"""Sizes of cFE's telemetry headers, bytes; the usual one first."""
 _FUNCTION_CODES: Final = {8: 49, 12: 49, 16: 81}
-"""The bit of the function code, by the bytes of a command's header: one of 16 has the extended header."""
+"""First bit of the function code, by the size of a command's header: 16 bytes have the extended header."""
 _ODD: Final = frozenset({"BooleanExpression", "CustomAlgorithm"})
-"""Conditions that are no comparison."""
+"""Conditions that are no comparisons."""
 _NOTHING: Final = DataType(BASIC["byte"], 8)
 _MOST_TAIL: Final = 1 << 16
 _HIGHEST: Final = 0x1FFF
@@ -88,12 +88,12 @@ _DEEPEST: Final = 64
 
 
 class _Slot(NamedTuple):
-    """An entry with a fixed place: its bit from the start of the packet, and its value where that is known.
+    """An entry with a fixed position: its bit from the start of the packet, and its constant value, if any.
 
     Attributes:
-        key: what conditions call it: the path of its parameter, or the name of its argument.
-        entry: its element.
-        fixed: bits that are always the same, which are no value of the message.
+        key: name in conditions: path of its parameter, or name of its argument.
+        entry: element.
+        fixed: constant bits that are no value of the message.
     """
 
     name: str
@@ -109,14 +109,14 @@ class _Slot(NamedTuple):
 
 
 class _Content(msgspec.Struct):
-    """What is known of a packet.
+    """The known structure of a packet.
 
     Attributes:
-        slots: its entries, in order.
-        own: the bit where the entries of the container begin whose condition names the APID.
-        stop: after which entry nothing has a fixed place, and why.
-        more: whether entries follow that one.
-        values: what conditions and assignments say, by the key of a slot, or of a member of it behind ``/``.
+        slots: entries in order.
+        own: first bit of the container with the condition on the APID.
+        stop: entry behind which nothing has a fixed position, and the reason.
+        more: whether further entries follow that one.
+        values: values from conditions and assignments, by the key of a slot, or of its member behind ``/``.
         odd: whether a condition is no equality.
     """
 
@@ -129,12 +129,12 @@ class _Content(msgspec.Struct):
 
     @property
     def end(self) -> int:
-        """The bit behind the last entry."""
+        """Bit behind the last entry."""
         return self.slots[-1].end if self.slots else 0
 
 
 def is_system(data: bytes) -> bool:
-    """Tell whether a file is a space system of XTCE."""
+    """Return whether a file is a space system of XTCE."""
     return data[:4].lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") and bool(_ROOT.search(data[:_SEARCHED]))
 
 
@@ -142,11 +142,11 @@ def read_systems(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) 
     """Make one layout of files of XTCE.
 
     Args:
-        files: content and name of each.
-        flags: none; they are of data sheets.
+        files: contents and name of each file.
+        flags: must be empty; flags are for data sheets.
 
     Raises:
-        ConfigError: a file is not XML, there is a flag, or there is no packet in any file.
+        ConfigError: a file is not XML, there is a flag, or no file has a packet.
     """
     if flags:
         raise ConfigError(f"--cflag: {flags[0]!r} says nothing of XTCE; leave it out")
@@ -179,7 +179,7 @@ class _Reader:
     """Makes the layout of some space systems, with numbers of one byte order.
 
     Attributes:
-        contents: what is known of each container and each command, by kind and path.
+        contents: known structure of each container and each command, by kind and path.
     """
 
     def __init__(self, names: Declarations, order: ByteOrder, notes: Notes) -> None:
@@ -188,7 +188,7 @@ class _Reader:
         self.contents = dict(self._contents())
 
     def orders(self, contents: Mapping[tuple[str, str], tuple[Declared, _Content]]) -> Counter[ByteOrder]:
-        """Count numbers by byte order: in packets, of cFE itself where there are no others, else in all."""
+        """Count numbers by byte order: in packets; else in cFE's own packets; else in all containers."""
         counts: tuple[Counter[ByteOrder], ...] = Counter(), Counter(), Counter()
         for item, content in contents.values():
             key, header = self._key(item, content)
@@ -202,7 +202,7 @@ class _Reader:
                 yield from (part.data_type.order for part in self._bits(slot) if part.data_type.order)
 
     def layout(self, origin: str) -> StructLayout:
-        """Return all structs, and what lies in packets.
+        """Return all structs, and their packets.
 
         Raises:
             ConfigError: there is no container and no command.
@@ -243,7 +243,7 @@ class _Reader:
         )
 
     def _contents(self) -> Iterator[tuple[tuple[str, str], tuple[Declared, _Content]]]:
-        """Yield what is known of each container and each command, by kind and path."""
+        """Yield the structure of each container and each command, by kind and path."""
         for kind in ("container", "command"):
             for item in self._names.all(kind):
                 try:
@@ -252,20 +252,20 @@ class _Reader:
                     self._notes.add(item.node, f"{item.path}: {error}")
 
     def _conditional(self, content: _Content) -> bool:
-        """Tell whether conditions are about more than the first 16 bits."""
+        """Return whether conditions are about more than the first 16 bits."""
         first = {part.key for slot in content.slots for part in self._bits(slot) if part.bit < 16}
         return content.odd or any(key not in first for key in content.values if key.startswith("/"))
 
     def _bits(self, slot: _Slot) -> Iterator[_Slot]:
-        """Yield the numbers in a slot as slots of their own."""
+        """Yield the numbers in a slot as separate slots."""
         for part in bits_of(self._types, slot.key, slot.data_type):
             yield slot._replace(key=part.name, bit=slot.bit + part.bit, data_type=part.data_type)
 
     def _content(self, item: Declared) -> _Content:
-        """Return what is known of the packets of a container or a command.
+        """Return the structure of the packets of a container or a command.
 
         Raises:
-            SheetError: it is based on itself, or on what is in none of the files.
+            SheetError: it is based on itself, or on a base that is in none of the files.
         """
         content = _Content()
         chain = [item]
@@ -287,13 +287,13 @@ class _Reader:
     def _base(self, item: Declared) -> Declared | None:
         tag, key = _BASES[item.kind]
         holder = next(item.node.inside(tag), None)
-        if holder is None and item.kind == "command":  # its container may have a base that is no command's
+        if holder is None and item.kind == "command":  # its container may have a base of no command
             for inner in item.node.inside("CommandContainer", "BaseContainer"):
                 return self._names.find("container", inner.required("containerRef"), item.system)
         return self._names.find(item.kind, holder.required(key), item.system) if holder is not None else None
 
     def _assign(self, item: Declared, chain: Sequence[Declared], content: _Content) -> None:
-        """Note the values that a command gives the arguments of its bases."""
+        """Store the values that a command assigns to the arguments of its bases."""
         for node in item.node.inside("BaseMetaCommand", "ArgumentAssignmentList", "ArgumentAssignment"):
             name, text = node.required("argumentName"), node.required("argumentValue")
             for other in chain:
@@ -303,7 +303,7 @@ class _Reader:
                         content.values[name] = self._value(kind, text, node)
 
     def _restrict(self, item: Declared, holder: Node, content: _Content) -> None:
-        """Note the values that a container's conditions ask for."""
+        """Store the values that a container's conditions require."""
         for base in holder.inside("BaseContainer", "RestrictionCriteria"):
             for node in base.walk():
                 equal = node.attributes.get("comparisonOperator", "==") == "=="
@@ -320,13 +320,13 @@ class _Reader:
                 content.values[declared.path + member] = self._value(kind, node.required("value"), node)
 
     def _value(self, kind: Declared, text: str, node: Node) -> int:
-        """Return the number that a text of a condition or an assignment means."""
+        """Return the number of a text in a condition or an assignment."""
         self._types.find(kind)
         labels = self._types.labels.get(kind.path, {})
         return labels[text] if text in labels else int(number(node, text))
 
     def _entries(self, item: Declared, holder: Node, content: _Content, depth: int = 0) -> None:
-        """Append the entries of a container, until one has no fixed place."""
+        """Append the entries of a container, until one has no fixed position."""
         for entry in (node for each in holder.inside("EntryList") for node in each.children):
             if content.stop is not None:
                 content.more = True
@@ -376,7 +376,7 @@ class _Reader:
             content.stop = entry, f"the length of {declared.node.name} is in the packet"
 
     def _look_up(self, role: str, name: str, item: Declared) -> Declared:
-        """Return the parameter or argument that an entry names."""
+        """Return the parameter or argument that an entry refers to."""
         if role == "parameter":
             return self._names.find(role, name, item.system)
         command: Declared | None = item
@@ -388,7 +388,7 @@ class _Reader:
         raise SheetError(f"argument {name} is in none of these files")
 
     def _location(self, entry: Node, end: int) -> int:
-        """Return the bit where an entry begins; ``end`` is where the one before it ends."""
+        """Return the first bit of an entry; ``end`` is the end of the previous one."""
         holder = next(entry.inside("LocationInContainerInBits"), None)
         if holder is None:
             return end
@@ -402,13 +402,13 @@ class _Reader:
         return bit
 
     def _key(self, item: Declared, content: _Content) -> tuple[Key | None, int]:
-        """Return which packets a container or a command is, and the bytes of their header.
+        """Return the packets of a container or a command, and the size of their header, bytes.
 
-        None where nothing says the APID, or such packets are not cFE's.
+        The packets are None if the APID is not given, or if they are not cFE's.
         """
         word, mask = self._constant(content, 0, 16)
         is_command = bool(item.kind == "command" or mask & word & 0x1000)
-        if not mask:  # no packet, but what lies in some
+        if not mask:  # no packet, but a part of some
             return None, 0
         if mask & 0x800 and not word & 0x800:
             return None, ccsds.PRIMARY.size
@@ -422,7 +422,7 @@ class _Reader:
         return (Key(word, code) if mask == 0x7F else None), header
 
     def _constant(self, content: _Content, bit: int, bits: int) -> tuple[int, int]:
-        """Return the value of some bits, and which of them are always the same."""
+        """Return the value of some bits, and a mask of those that are constant."""
         value = mask = 0
         for slot in content.slots:
             for part in self._bits(slot):
@@ -437,10 +437,10 @@ class _Reader:
         return value & ((1 << bits) - 1), mask & ((1 << bits) - 1)
 
     def _struct(self, item: Declared, content: _Content, header: int, *, parted: bool) -> str:
-        """Lay out what follows a header of so many bits; return the name of the struct.
+        """Lay out the entries behind a header of some bits; return the name of the struct.
 
         Args:
-            parted: whether some packets have more, which a condition says.
+            parted: whether some packets have further entries, by a condition.
         """
         maker, path, last = Placement(self._order, machine=False), item.path, content.slots[-1:]
         end = 0
@@ -483,7 +483,7 @@ def _plain(name: str) -> str:
 
 
 def _is_built_in(key: Key | None) -> bool:
-    """Tell whether packets hold a struct that this version has without any layout."""
+    """Return whether packets contain a struct that this package has without a layout."""
     return key is not None and (key.msg_id in PACKETS or key.msg_id in COMMANDED)
 
 
@@ -492,7 +492,7 @@ def _is_alignment(slot: _Slot) -> bool:
 
 
 def _joined(slots: Sequence[_Slot]) -> Iterator[_Slot]:
-    """Yield slots, elements of an array that 'edoras xtce' wrote one by one as one."""
+    """Yield slots; array elements that 'edoras xtce' wrote one by one are joined."""
     place = 0
     while place < len(slots):
         slot, count = slots[place], 1
@@ -513,13 +513,13 @@ def _joined(slots: Sequence[_Slot]) -> Iterator[_Slot]:
 
 
 def _command_header(content: _Content) -> int:
-    """Return the bytes of a command's header: where the entry with its checksum ends."""
+    """Return the size of a command's header, bytes: it ends with the entry of the checksum."""
     ends = [slot.end // 8 for slot in content.slots if slot.bit < 64 <= slot.end]
     return next((end for end in ends if end in _FUNCTION_CODES), min(_FUNCTION_CODES))
 
 
 def _telemetry_header(content: _Content) -> int:
-    """Return the bytes of a telemetry packet's header: where the container begins that names the APID."""
+    """Return the size of a telemetry header, bytes: the container with the APID begins behind it."""
     edges = {slot.end // 8 for slot in content.slots}
     own = (content.own or 0) // 8
     usual = (size for size in _TELEMETRY_HEADERS if size in edges)

@@ -1,4 +1,4 @@
-"""The types of parameters and arguments: what bytes each takes, and what its value means."""
+"""The types of parameters and arguments: their bytes, and the meaning of their values."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _ROLE: Final = re.compile(r"(Parameter|Argument)Type$")
 _OWN_PREFIX: Final = re.compile(r"(?:arg_)?u?int\d+(?:_[lb]e)?_(?=.)", re.ASCII)
-"""How 'edoras xtce' begins the name of an enumeration's type."""
+"""Start of the names that 'edoras xtce' gives to types of enumerations."""
 _ENCODINGS: Final = {
     "unsigned": BasicKind.UINT,
     "twosComplement": BasicKind.INT,
@@ -37,7 +37,7 @@ _ENCODINGS: Final = {
     "IEEE754_1985": BasicKind.FLOAT,
     "IEEE754": BasicKind.FLOAT,
 }
-"""How bytes are read, by the encoding of a number; also as XTCE 1.1 spelled it."""
+"""Kind of bytes by the encoding of a number; also as spelled in XTCE 1.1."""
 _TEXTS: Final = frozenset({"UTF-8", "US-ASCII", "ISO-8859-1", "Windows-1252"})
 _ORDERS: Final[dict[str, ByteOrder]] = {
     "mostSignificantByteFirst": "big",
@@ -45,7 +45,7 @@ _ORDERS: Final[dict[str, ByteOrder]] = {
 }
 _YELLOW: Final = ("WarningRange", "WatchRange")
 _RED: Final = ("CriticalRange", "DistressRange", "SevereRange")
-"""The alarms that are a limit; the first that is there."""
+"""Alarm ranges that count as a limit; the first existing one is used."""
 _NUMBER: Final = re.compile(r"(0[xX][0-9a-fA-F]+)|[-+]?(?:\d+|(?=\.\d))(\.?\d*(?:[eE][-+]?\d+)?)", re.ASCII)
 _DEEPEST: Final = 64
 _HIGHEST: Final = 1e300
@@ -56,9 +56,9 @@ class MemberPlace(msgspec.Struct, frozen=True):
     """A member of an aggregate.
 
     Attributes:
-        name: of it.
-        bit: where it begins in the aggregate.
-        data_type: of it.
+        name: name of the member.
+        bit: first bit in the aggregate.
+        data_type: type of the member.
     """
 
     name: str
@@ -67,14 +67,14 @@ class MemberPlace(msgspec.Struct, frozen=True):
 
 
 def number(node: Node, text: str) -> float:
-    """Return a number as XTCE writes it.
+    """Return a number from the notation of XTCE.
 
     Raises:
-        SheetError: it is none, or out of range.
+        SheetError: the text is no number, or out of range.
     """
     value: float = _HIGHEST
     match = _NUMBER.fullmatch(text.strip())
-    with suppress(ValueError):  # of an integer of thousands of digits
+    with suppress(ValueError):  # an integer of thousands of digits
         if match and match[1]:
             value = int(text, 16)
         elif match:
@@ -85,7 +85,7 @@ def number(node: Node, text: str) -> float:
 
 
 def fixed_value(node: Node, *path: str) -> int | None:
-    """Return the ``FixedValue`` that tags lead to; None where there is none, but a value from a packet."""
+    """Return the ``FixedValue`` on a path of tags; None if there is none, but a value from a packet."""
     item = next(node.inside(*path, "FixedValue"), None)
     if item is None:
         return None
@@ -99,15 +99,15 @@ class ValueTypes:
     """The types of some space systems, each made once.
 
     Args:
-        names: finds them.
-        order: of the bytes of all numbers; others are shown as bytes.
-        notes: what is not read.
+        names: declarations that it searches.
+        order: byte order of all numbers; others are shown as bytes.
+        notes: notes on parts that are not read.
 
     Attributes:
-        structs: of aggregates, by name.
-        enums: by name.
-        parts: of aggregates, by the name of the struct.
-        labels: values by their texts, as written, by the type.
+        structs: structs of aggregates, by name.
+        enums: enumerations, by name.
+        parts: members of aggregates, by the name of the struct.
+        labels: labels of values to their numbers, as written, by type.
     """
 
     def __init__(self, names: Declarations, order: ByteOrder, notes: Notes) -> None:
@@ -121,10 +121,10 @@ class ValueTypes:
         self.labels: dict[str, dict[str, int]] = {}
 
     def find(self, item: Declared) -> DataType:
-        """Return a type.
+        """Return the resolved type of a declaration.
 
         Raises:
-            SheetError: it contains itself, or cannot be read.
+            SheetError: the type contains itself, or cannot be read.
         """
         result = self._types.get(item.path)
         if result is None:
@@ -145,7 +145,7 @@ class ValueTypes:
         return result
 
     def _whole(self, item: Declared, depth: int = 0) -> Node:
-        """Return the element of a type with what it has of its ``baseType``."""
+        """Return the element of a type, extended by its ``baseType``."""
         name = item.node.attributes.get("baseType")
         if not name:
             return item.node
@@ -184,7 +184,7 @@ class ValueTypes:
         return self._number(item, kind, encoding)
 
     def dimensions(self, node: Node) -> tuple[int, ...] | None:
-        """Return the dimensions that an element has; None where a packet says one."""
+        """Return the dimensions of an element; None if a packet contains one of them."""
         sizes = []
         for item in node.inside("DimensionList", "Dimension"):
             first, last = (fixed_value(item, f"{end}Index") for end in ("Starting", "Ending"))
@@ -234,7 +234,7 @@ class ValueTypes:
         return replace(data_type, kind=name)
 
     def _labels(self, item: Declared, kind: str) -> dict[int, str]:
-        """Return the texts that a type has for values."""
+        """Return the labels of a type's values."""
         node = item.node
         if kind == "Boolean":
             texts = [node.attributes.get(key, "") for key in ("zeroStringValue", "oneStringValue")]
@@ -274,7 +274,7 @@ class ValueTypes:
         return DataType(name, bit)
 
     def _like(self, item: Declared, encoding: Node | None = None) -> Member:
-        """Return a member with the unit, the calibration and the limits of a type."""
+        """Return a member with the unit, calibration and limits of a type."""
         node = item.node
         units = [" ".join(unit.text.split()) for unit in node.inside("UnitSet", "Unit")]
         like = replace(UNNAMED, unit=" ".join(filter(None, units)), doc=node.doc)
@@ -305,7 +305,7 @@ class ValueTypes:
 
 
 def _range(node: Node) -> Range:
-    """Return the ends of a range; of an exclusive one of integers the next inside."""
+    """Return the ends of a range; an exclusive end of integers becomes the next one inside."""
     ends: list[float | None] = []
     for name, inwards in (("min", 1), ("max", -1)):
         end = None
@@ -319,10 +319,10 @@ def _range(node: Node) -> Range:
 
 
 def bits_of(types: ValueTypes, name: str, data_type: DataType) -> Iterator[MemberPlace]:
-    """Yield the numbers in a type, by their names, each with the bit where it begins.
+    """Yield the numbers in a type by name, each with its first bit.
 
     Args:
-        name: of the whole; those of an aggregate's members follow behind ``/``.
+        name: name of the whole; those of an aggregate's members follow behind ``/``.
     """
     parts = types.parts.get(str(data_type.kind))
     if parts is None:
