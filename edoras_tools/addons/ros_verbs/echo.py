@@ -1,6 +1,6 @@
 """Messages as ``ros2 topic echo`` prints them: YAML or CSV, long values cut.
 
-Numbers of type float32 have the digits that a double has of them, as rclpy prints them.
+A float32 number is printed with the digits of the equal double, as rclpy prints it.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ _ROSIDL_NAMES: Final = {
     "byte": "octet",
     "char": "uint8",
 }
-"""What ``--no-arr`` calls types of elements."""
+"""Names of element types in the output of ``--no-arr``."""
 
 
 class EchoFormat(msgspec.Struct, frozen=True):
-    """How messages are printed.
+    """Form of printed messages.
 
     Attributes:
-        field: only this part, as ``pose.position``; empty for all.
-        length: of arrays and strings at most; 0: whole.
-        no_arrays: name arrays, without their values.
-        no_strings: likewise for strings.
-        flow: YAML in one line.
-        csv: values alone, with commas.
+        field: path of the printed part, as ``pose.position``; empty for all.
+        length: maximum length of arrays and strings; 0: no maximum.
+        no_arrays: whether to replace arrays by their type.
+        no_strings: whether to replace strings by their type.
+        flow: whether YAML is on one line.
+        csv: whether to print only values, with commas.
     """
 
     field: str = ""
@@ -50,7 +50,7 @@ class EchoFormat(msgspec.Struct, frozen=True):
     csv: bool = False
 
     def text(self, types: TypeStore, type_name: str, cdr: bytes) -> str:
-        """Return a message, without what separates it from the next one.
+        """Return a message as text, without a separator.
 
         Raises:
             ConfigError: the type has no such field.
@@ -73,7 +73,7 @@ class EchoFormat(msgspec.Struct, frozen=True):
         return text if isinstance(prepared, dict | list) else text.removesuffix("...\n")
 
     def _prepared(self, types: TypeStore, kind: str, value: Any) -> Any:
-        """Return a value as YAML takes it, cut where it is long."""
+        """Return a value for YAML, cut if it is long."""
         if isinstance(value, dict):
             return {item.name: self._member(types, item, value[item.name]) for item in types.fields(kind)}
         if isinstance(value, str) and self.no_strings:

@@ -1,6 +1,6 @@
-"""Endpoints of a ROS 2 graph, their quality of service, and which of them do not match.
+"""Endpoints of a ROS 2 graph, their quality of service, and the mismatches between them.
 
-A subscription matches a publisher that offers at least what it asks for (DDS 1.4, 2.2.3).
+A subscription matches a publisher that offers at least the requested policies (DDS 1.4, 2.2.3).
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
 
     Heard = Callable[[bytes, int, int, int, str], None]
-    """Takes a message's CDR; when it was received and published, ns since 1970; its publisher's number of it;
-    and the ``gid`` of its publisher. What the middleware does not tell is 0, or empty."""
+    """Function of a message's CDR, its times of receiving and publishing (ns since 1970), its number from
+    the publisher,
+        and the publisher's ``gid``. A value that the middleware does not give is 0, or empty."""
 
 FOREVER_NS: Final = (1 << 63) - 1
 DEPTH: Final = 1000
@@ -31,7 +32,7 @@ _OFFERS: Final = {
     "Durability": ("VOLATILE", "TRANSIENT_LOCAL", "TRANSIENT", "PERSISTENT"),
     "Liveliness": ("AUTOMATIC", "MANUAL_BY_PARTICIPANT", "MANUAL_BY_TOPIC"),
 }
-"""By policy its values, each offering more than the one before."""
+"""Policy to its values, in ascending order of the offer."""
 _SPANS: Final = ("Deadline", "Liveliness lease duration")
 _HISTORY: Final = "History (Depth)"
 _ORDER: Final = ("Reliability", _HISTORY, "Durability", "Lifespan", "Deadline", "Liveliness", _SPANS[1])
@@ -47,14 +48,14 @@ class GraphEndpoint(NamedTuple):
     """A publisher or subscription.
 
     Attributes:
-        topic: fully qualified.
+        topic: fully qualified name.
         type: ROS name.
-        publishes: else it subscribes.
+        publishes: whether it is a publisher; else it is a subscription.
         gid: 16 bytes, as hexadecimal digits.
-        node: with its namespace; empty where nobody says it.
+        node: node with its namespace; empty if unknown.
         policies: quality of service, by the names that ``ros2 topic info -v`` prints; times in ns.
-        type_hash: empty where it is not known.
-        own: of the observer itself.
+        type_hash: type hash; empty if unknown.
+        own: whether it belongs to the observer itself.
     """
 
     topic: str
@@ -67,7 +68,7 @@ class GraphEndpoint(NamedTuple):
     own: bool
 
     def text(self) -> str:
-        """Return it as ``ros2 topic info -v`` does."""
+        """Return the endpoint in the form of ``ros2 topic info -v``."""
         namespace, _, name = self.node.rpartition("/")
         lines = {
             "Node name": name or "_NODE_NAME_UNKNOWN_",
@@ -82,7 +83,7 @@ class GraphEndpoint(NamedTuple):
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``observe --json``."""
+        """Return the endpoint in the shape of ``observe --json``."""
         policies = self.policies
         names = ("Reliability", "Durability", "Liveliness")
         base = {"node": self.node or None, "gid": self.gid, "type": self.type}
@@ -91,20 +92,20 @@ class GraphEndpoint(NamedTuple):
 
 
 class GraphObserver(Protocol):
-    """A node that looks at a graph: who is there, and what comes with each message."""
+    """A node that observes a graph: its endpoints, and the metadata of each message."""
 
     def described(self) -> list[dict[str, Any]]:
-        """Return the endpoints of all topics of ROS, its own among them: fields of ``GraphEndpoint``."""
+        """Return the endpoints of all ROS topics, including its own: fields of ``GraphEndpoint``."""
 
     def observe(self, topic: str, type_name: str, qos: Qos, heard: Heard) -> None:
-        """Call ``heard`` for each message of a topic, on a thread of the middleware's: it must not block.
+        """Call ``heard`` for each message of a topic, on a thread of the middleware: it must not block.
 
         Raises:
             ConfigError: the type is unknown, or the middleware refuses the topic.
         """
 
     def lost(self) -> Mapping[str, int]:
-        """Return how many messages the middleware counts as lost so far, by topic."""
+        """Return the number of messages that the middleware has counted as lost so far, by topic."""
 
     def close(self) -> None:
         """Leave the graph."""
@@ -113,7 +114,7 @@ class GraphObserver(Protocol):
 def open_observer(
     ros: str, types: TypeStore, node: str, domain: int, options: Mapping[str, str]
 ) -> GraphObserver:
-    """Join a graph to look at it.
+    """Join a graph to observe it.
 
     Raises:
         ConfigError: there is no observer for this middleware, its library is not installed, or it refuses.
@@ -137,14 +138,14 @@ def endpoints_of(observer: GraphObserver) -> list[GraphEndpoint]:
 
 
 def fitting_qos(publishers: Iterable[GraphEndpoint], depth: int = DEPTH) -> Qos:
-    """Return the most that a subscription may ask for and still match all publishers of a topic."""
+    """Return the strongest quality of service with which a subscription matches all publishers of a topic."""
     offers = [item.policies for item in publishers]
     reliable = all(item["Reliability"] == "RELIABLE" for item in offers)
     return Qos(reliable, all(item["Durability"] != "VOLATILE" for item in offers), depth)
 
 
 def mismatches(endpoints: Sequence[GraphEndpoint]) -> list[tuple[GraphEndpoint, GraphEndpoint, list[str]]]:
-    """Return the publishers and subscriptions of one topic that do not match, and by which policies."""
+    """Return the pairs of publishers and subscriptions of one topic that do not match, with the policies."""
     pairs = (
         (publisher, subscription, _refused(publisher.policies, subscription.policies))
         for publisher in endpoints
@@ -156,7 +157,7 @@ def mismatches(endpoints: Sequence[GraphEndpoint]) -> list[tuple[GraphEndpoint, 
 
 
 def _refused(offer: Mapping[str, Any], wish: Mapping[str, Any]) -> list[str]:
-    """Return the policies of which a subscription asks for more than a publisher offers."""
+    """Return the policies of which a subscription requests more than a publisher offers."""
 
     def less(name: str) -> bool:
         order = _OFFERS[name]
@@ -168,7 +169,7 @@ def _refused(offer: Mapping[str, Any], wish: Mapping[str, Any]) -> list[str]:
 
 
 def recorded_text(policies: Mapping[str, Any]) -> str:
-    """Return the quality of service of a publisher as rosbag2 writes it."""
+    """Return the quality of service of a publisher in rosbag2's notation."""
     history, _, depth = policies[_HISTORY].lower().partition(" (")
     values = {"history": history, "depth": int(depth.rstrip(")") or 0)}
     values |= {name.lower(): policies[name].lower() for name in _OFFERS}
@@ -179,7 +180,7 @@ def recorded_text(policies: Mapping[str, Any]) -> str:
 
 
 def recorded_policies(text: str) -> list[dict[str, str]]:
-    """Return the policies of the publishers of a topic, as rosbag2 writes them, by name or by number."""
+    """Return the policies of a topic's publishers from rosbag2's notation, by name or by number."""
 
     def read(item: Mapping[str, Any], name: str, *values: str) -> str:
         value = item.get(name, 1)
@@ -199,7 +200,7 @@ def recorded_policies(text: str) -> list[dict[str, str]]:
 
 
 def recorded_qos(text: str) -> Qos:
-    """Return the quality of service that the publishers of a topic had; see ``recorded_policies``."""
+    """Return the quality of service of a topic's publishers; see ``recorded_policies``."""
     offers = recorded_policies(text)
     kinds = [item[_HISTORY].partition(" (") for item in offers]
     depth = max([int(depth.rstrip(")")) for _, _, depth in kinds], default=0) or Qos().depth

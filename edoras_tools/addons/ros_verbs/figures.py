@@ -1,7 +1,8 @@
 """Rate, bandwidth and delay of a topic over its last messages, printed as ``ros2 topic`` prints them.
 
-Times between messages are those of receiving, or of the capture. A bandwidth is of the bytes behind the first
-message of the window, over the time from the first to the last; so none depends on when it is asked for.
+Times between messages are those of receiving, or of the capture. Bandwidth is the size of all messages of
+the window except the first, divided by the time from the first to the last. So no figure depends on the time
+of the query.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ if TYPE_CHECKING:
     Kind = Literal["hz", "bw", "delay"]
 
 USUAL_WINDOWS: Final = {"hz": 10_000, "bw": 100, "delay": 10_000}
-"""Messages, where no other number is asked for: as in ``ros2 topic``."""
+"""Default numbers of messages, as in ``ros2 topic``."""
 _UNITS: Final = ((1_000_000, "MB", 2), (1_000, "KB", 2), (1, "B", 0))
 _HEAD: Final = ("topic", "rate", "min_delta", "max_delta", "std_dev", "window")
 
 
 class TopicFigures:
-    """TopicFigures of one topic.
+    """The figures of one topic.
 
     Args:
-        kind: which figures.
-        topic: its name.
-        window: over so many messages; of rates, so many times between two.
+        kind: kind of figures.
+        topic: name of the topic.
+        window: number of messages; for rates, number of intervals.
     """
 
     def __init__(self, kind: Kind, topic: str, window: int) -> None:
@@ -44,10 +45,10 @@ class TopicFigures:
         self._times = self._values = np.zeros(0, np.int64)
 
     def add(self, block: MessageBlock, types: TypeStore) -> None:
-        """Take messages of the topic.
+        """Add messages of the topic.
 
         Raises:
-            ConfigError: their delay is asked for, and they have no header.
+            ConfigError: the delay is requested, and the messages have no header.
         """
         values = block.length
         if self.kind == "delay":
@@ -60,7 +61,7 @@ class TopicFigures:
         self._values = np.concatenate([self._values, values])[-self._window :]
 
     def as_json(self) -> dict[str, Any]:
-        """Return them in the shape of ``topic.schema.json``."""
+        """Return the figures in the shape of ``topic.schema.json``."""
         gaps = np.diff(self._times)
         row: dict[str, Any] = {"topic": self.topic, "messages": self._messages}
         if self.kind == "bw":
@@ -76,7 +77,7 @@ class TopicFigures:
         return row
 
     def text(self) -> str:
-        """Return what ``ros2 topic`` prints; empty while there is nothing to print."""
+        """Return the output of ``ros2 topic``; empty if there is none yet."""
         row = self.as_json()
         if len(self._values) < (1 if self.kind == "delay" else 2):
             return ""
@@ -97,14 +98,14 @@ class TopicFigures:
 
 
 def _spread(values: NDArray[Any], unit: str) -> dict[str, Any]:
-    """Return mean, least, most and standard deviation, None of nothing."""
+    """Return mean, minimum, maximum and standard deviation; None for no values."""
     names = (f"{name}_{unit}" for name in ("mean", "min", "max", "std_dev"))
     stats = (values.mean(), values.min(), values.max(), values.std()) if len(values) else (None,) * 4
     return {name: None if item is None else float(item) for name, item in zip(names, stats, strict=True)}
 
 
 def rate_table(figures: Sequence[TopicFigures]) -> str:
-    """Return the rates of several topics as ``ros2 topic hz`` prints them; empty while there are none."""
+    """Return the rates of several topics in the form of ``ros2 topic hz``; empty if there are none."""
     rows = []
     for item in figures:
         entry = item.as_json()

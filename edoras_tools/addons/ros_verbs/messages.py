@@ -1,4 +1,4 @@
-"""The ROS messages of any source, by topic: as a recording of it would hold them."""
+"""The ROS messages of any source, by topic, as a recording of it would contain them."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
 
 OWN_NAMES: Final = frozenset(item.name for item in OWN_TOPICS)
-"""Topics that say something of a capture, and are no topics of a graph."""
+"""Topics about a capture, which are no topics of a graph."""
 
 
 class MessageBlock(NamedTuple):
-    """Messages of one topic in columns, arrays one element a message.
+    """Messages of one topic in columns with one element for each message.
 
     Attributes:
-        topic: which.
+        topic: name of the topic.
         type: ROS name.
-        time_ns: i64, when each was received or captured, ns since 1970.
-        published_ns: i64, when it was published, as far as its source tells; else as ``time_ns``.
-        sequence: u32, its publisher's number, 0 where there is none.
-        data: u8, what ``offset`` points into.
-        offset: i64, first byte of each, encapsulation included.
-        length: i64, bytes of each.
+        time_ns: i64 (n,), time of receiving or capture, ns since 1970.
+        published_ns: i64 (n,), time of publishing, if the source has it; else as ``time_ns``.
+        sequence: u32 (n,), publisher's number of the message; 0 for none.
+        data: u8, buffer of the messages.
+        offset: i64 (n,), first byte, encapsulation included.
+        length: i64 (n,), size in bytes.
     """
 
     topic: str
@@ -59,7 +59,7 @@ class MessageBlock(NamedTuple):
         return self.data[start : start + int(self.length[index])].tobytes()
 
     def stamps(self, types: TypeStore) -> NDArray[np.int64] | None:
-        """Return the time in each message's header, ns since 1970; None where the type begins with none."""
+        """Return the time in each message's header, ns since 1970; None if the type begins with no header."""
         fields = types.fields(self.type) if types.has(self.type) else ()
         if not fields or fields[0].type != "std_msgs/msg/Header":
             return None
@@ -70,10 +70,10 @@ class MessageBlock(NamedTuple):
 
 
 class TopicReader:
-    """Takes what was read of a source, batch by batch, and gives the messages on its topics.
+    """Returns the messages of a source by topic, batch by batch.
 
     Attributes:
-        topics: those that the source is known to have so far, by their channel.
+        topics: topics of the source so far, by their channel.
     """
 
     def __init__(self, bench: Workbench) -> None:
@@ -109,10 +109,10 @@ class TopicReader:
             yield MessageBlock(topic.name, topic.type, time_ns, published, sequence, data, start, length)
 
     def check(self, topics: Sequence[str]) -> None:
-        """Check, at the end, that all of some topics were there.
+        """Check at the end that all of some topics had messages.
 
         Raises:
-            RouteError: one was not.
+            RouteError: a topic had none.
         """
         names = [item.name for item in self.topics.values()]
         for topic in topics:
@@ -129,11 +129,11 @@ class TopicReader:
 def read_topics(
     source: Source, bench: Workbench, topics: Sequence[str], where: str = "", duration_ns: int = 0
 ) -> Iterator[list[MessageBlock]]:
-    """Yield the messages of some topics as they come, a list for each batch; the source is closed.
+    """Yield the messages of some topics as they arrive, one list for each batch; the source is closed.
 
     Args:
-        where: only those that pass this filter.
-        duration_ns: of a live source; 0: to its end.
+        where: filter that messages must pass.
+        duration_ns: duration of reading a live source, ns; 0: to its end.
 
     Raises:
         RouteError: a topic is not in the source.
@@ -149,7 +149,8 @@ def topics_in(source: Source, bench: Workbench, duration_ns: int = 0) -> list[tu
     """Return the topics of a file or a link; the source is closed.
 
     Returns:
-        Each with its publishers' quality of service as rosbag2 writes it, and whether a message came.
+        Each topic with its publishers' quality of service in rosbag2's notation, and whether it had a
+        message.
     """
     reader, published = TopicReader(bench), set[str]()
     with reading(source, bench, limits=Limits(duration_ns=duration_ns)) as loop:

@@ -1,7 +1,7 @@
 """Plays a recording to a ROS 2 graph: its messages, with their quality of service, at their own times.
 
-The sending loop of ``replay`` keeps the times; the graph stands in for its network. ``/clock`` is among what
-is sent, so that the recording's time is as exact as its messages.
+The sending loop of ``replay`` keeps the times; the graph takes the place of its network. ``/clock`` is sent
+with the messages, so the recording's time is as exact as they are.
 """
 
 from __future__ import annotations
@@ -48,23 +48,23 @@ CLOCK: Final = "/clock"
 _CLOCK_TYPE: Final = "rosgraph_msgs/msg/Clock"
 _MOST_BYTES: Final = 4 << 30
 _LINGER_NS: Final = SECOND // 2
-"""Time for what reliable subscribers ask for again."""
+"""Time for the retransmissions that reliable subscribers request."""
 _STEADY_NS: Final = SECOND // 2
 _STEP_S: Final = 0.02
 
 
 class PlayRequest(NamedTuple):
-    """What of a recording is played, and how.
+    """The played part of a recording, and the settings of playing.
 
     Attributes:
-        topics: only these, shell patterns; none: all.
+        topics: shell patterns of topics; empty: all.
         rename: a topic of the recording to its name in the graph.
-        period: which time of it.
-        speed: factor.
-        clock_hz: how often the recording's time is published; 0: never.
-        passes: how often; 0: until it is stopped.
-        paused: begin paused.
-        delay_ns: how long at most to wait for subscriptions.
+        period: period of the recording.
+        speed: factor of the recorded speed.
+        clock_hz: rate of publishing the recording's time, Hz; 0: never.
+        passes: number of passes; 0: until it is stopped.
+        paused: whether to begin paused.
+        delay_ns: maximum time to wait for subscriptions, ns.
     """
 
     topics: Sequence[str] = ()
@@ -81,9 +81,9 @@ class PlayedTopic(NamedTuple):
     """A topic that is played.
 
     Attributes:
-        topic: its name in the graph.
+        topic: name in the graph.
         type: ROS name.
-        qos: of its publisher.
+        qos: quality of service of its publisher.
     """
 
     topic: str
@@ -92,12 +92,12 @@ class PlayedTopic(NamedTuple):
 
 
 class LoadedMessages(NamedTuple):
-    """What is played.
+    """The messages to play.
 
     Attributes:
-        out: the messages; their route is a place in ``topics``.
-        topics: in order of their first message.
-        notes: for the user, one line each.
+        out: messages; their route is an index into ``topics``.
+        topics: topics in order of their first message.
+        notes: notes for the user, one line each.
     """
 
     out: Outgoing
@@ -106,10 +106,10 @@ class LoadedMessages(NamedTuple):
 
 
 def load_messages(source: Source, bench: Workbench, request: PlayRequest) -> LoadedMessages:
-    """Read all that is to be played; the source is closed.
+    """Read all messages to play; the source is closed.
 
     Raises:
-        CaptureError: the source is damaged, or nothing of it can be played.
+        CaptureError: the source is damaged, or has no message to play.
     """
     reader, played, notes = TopicReader(bench), dict[str, int](), dict[str, None]()
     messages, columns, size = list[bytes](), list[Any](), 0
@@ -156,12 +156,12 @@ def load_messages(source: Source, bench: Workbench, request: PlayRequest) -> Loa
 
 def _is_chosen(topic: str, request: PlayRequest) -> bool:
     if topic in OWN_NAMES or topic.startswith("/edoras/") or (topic == CLOCK and request.clock_hz):
-        return False  # there must be one source of time
+        return False  # there must be only one source of time
     return not request.topics or any(fnmatchcase(topic, pattern) for pattern in request.topics)
 
 
 def _qos(topic: Topic, mission: Mission) -> Qos:
-    """Return the quality of service of a topic: as it was recorded, or as the mission has it."""
+    """Return the quality of service of a topic: the recorded one, or that of the mission."""
     if text := topic.metadata.get(QOS_METADATA):
         return recorded_qos(text)
     route = next((item for item in mission.routes if item.topic == topic.name), None)
@@ -175,7 +175,7 @@ class GraphWire:
     """A graph as the sending loop's network: a ``Wire`` that publishes, and receives nothing.
 
     Args:
-        publish: by route.
+        publish: function for each route.
         watched: descriptors that end a wait, e.g. of a keyboard.
     """
 
@@ -187,7 +187,7 @@ class GraphWire:
         self._publish, self._watched = publish, watched
 
     def epoch_ns(self) -> int:
-        """Return the offset from this time to ns since 1970."""
+        """Return the difference between ns since 1970 and this clock."""
         return time.time_ns() - time.monotonic_ns()
 
     def wait(self, until_ns: int) -> bool:
@@ -216,7 +216,7 @@ class GraphWire:
         return not payload
 
     def receive(self) -> list[Arrival]:
-        """Return nothing: it is not subscribed to anything."""
+        """Return nothing: there is no subscription."""
         return []
 
 
@@ -230,10 +230,10 @@ def play(
     keys: Keys | None = None,
     watcher: Watcher[SendReport] | None = None,
 ) -> SendReport:
-    """Publish what was loaded; the graph is closed.
+    """Publish the loaded messages; the graph is closed.
 
     Args:
-        name: of the graph.
+        name: name of the graph.
 
     Raises:
         ConfigError: the graph refuses a topic.
@@ -257,7 +257,7 @@ def play(
 
 
 def _await_subscriptions(graph: Graph, topics: Sequence[PlayedTopic], most_ns: int) -> None:
-    """Wait until subscriptions have found the publishers, and no further one has for a while."""
+    """Wait until subscriptions have matched the publishers, and no further ones come for some time."""
     now = began = since = time.monotonic_ns()
     before: list[int | None] = []
     while now - began < most_ns:

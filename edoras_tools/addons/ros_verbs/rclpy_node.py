@@ -1,4 +1,4 @@
-"""An observer's node of an installed ROS 2, through ``rclpy``: what it tells of each message and endpoint."""
+"""An observer's node of an installed ROS 2, through ``rclpy``: metadata of messages and endpoints."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 
 _NOBODY: Final = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
-"""What ROS 2 calls the node of an endpoint of which no node says that it is its own."""
+"""Names that ROS 2 gives to the node of an endpoint that no node has announced."""
 
 
 class RclpyObserver(RclpyGraph):
-    """An ``GraphObserver`` over one ``rclpy`` node."""
+    """A ``GraphObserver`` over one ``rclpy`` node."""
 
     def __init__(self, store: TypeStore, node: str, domain: int) -> None:
         super().__init__(store, node, domain)
@@ -64,7 +64,7 @@ class RclpyObserver(RclpyGraph):
             raise ConfigError(f"{topic}: refused by rclpy: {rclpy_line(error)}") from error
 
     def lost(self) -> Mapping[str, int]:
-        """See ``GraphObserver``: what rclpy's event ``message_lost`` counts."""
+        """See ``GraphObserver``: the counts of rclpy's event ``message_lost``."""
         return dict(self._lost)
 
     def _fields(self, topic: str, item: Any) -> dict[str, Any]:
@@ -92,14 +92,14 @@ class RclpyObserver(RclpyGraph):
 
 
 def _number(value: Any) -> int:
-    """Return a number, 0 where the middleware has none: it then is negative, or all ones."""
+    """Return a number; 0 if the middleware gives none, as a negative number or all ones."""
     return value if isinstance(value, int) and 0 < value < (1 << 64) - 1 else 0
 
 
 def rclpy_observer(
     store: TypeStore, node: str, *, domain: int = 0, options: Mapping[str, str] | None = None
 ) -> RclpyObserver:
-    """Join the graph as a node that looks at it.
+    """Join the graph as a node that observes it.
 
     Raises:
         ConfigError: an option is given, or ``rclpy`` refuses.

@@ -1,13 +1,13 @@
-"""A ROS 2 graph as a live source: its rows are messages, as those of a recording without datagrams.
+"""A ROS 2 graph as a live source: its rows are messages, like those of a recording without datagrams.
 
-Rules that it keeps:
+Rules:
 
-1. A topic is subscribed to with the most that all its publishers offer, so that none is left out, and no
-   publisher is held up by more than it offered.
-2. A publisher numbers its messages. What is missing between two numbers of one publisher was published and
-   not received here. Where the middleware does not say whose a message is, it is of the only publisher of its
-   topic; of several it is counted together, without numbers.
-3. Once a second a row of its own says what was counted of each endpoint, on ``/edoras/graph``.
+1. A topic is subscribed to with the strongest policies that all its publishers offer: no publisher is left
+   out, and none is delayed by more than it offered.
+2. A publisher numbers its messages. Numbers missing between two of its messages were published and not
+   received here. If the middleware does not give the publisher of a message, it is the topic's only
+   publisher; messages of several such publishers are counted together, without numbers.
+3. Once a second a separate row has the counts of each endpoint, on ``/edoras/graph``.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ if TYPE_CHECKING:
 GRAPH_TOPIC: Final = "/edoras/graph"
 _GRAPH_TYPE: Final = "edoras_msgs/msg/GraphEndpoints"
 NODE: Final = f"_edoras_{os.getpid()}"
-"""Hidden, as that of a tool of ros2cli."""
+"""Hidden name of the node, like that of a tool of ros2cli."""
 _DISCOVERY_S: Final = 1.5
-"""Discovery by multicast takes some tenths of a second."""
+"""Time for discovery by multicast, which takes some tenths of a second, s."""
 _STEP_S: Final = 0.05
 _GATHER_S: Final = 0.06
 _OWN_TOPICS: Final = ("/rosout", "/parameter_events")
-"""Of every node of ROS 2; they are observed where they are named."""
+"""Topics of every ROS 2 node; they are observed only if they are named."""
 
 _ENTRY: Final[Mapping[str, Any]] = {
     **dict.fromkeys(("node", "gid", "reliability", "durability"), ""),
@@ -65,18 +65,18 @@ _ENTRY: Final[Mapping[str, Any]] = {
     "observer": False,
     "incompatible": [],
 }
-"""Fields of ``edoras_msgs/msg/GraphEndpoint`` that say what an endpoint is, with their values for none."""
+"""Fields of ``edoras_msgs/msg/GraphEndpoint`` that describe an endpoint, with their default values."""
 _Row = tuple[int, bytes, int, int, int, str]
 
 
 class EndpointCount(msgspec.Struct):
-    """What came of one publisher.
+    """The messages received from one publisher.
 
     Attributes:
-        first: its number of the first message; 0 where it has none.
-        last: of the last.
-        missed: numbers between the two that did not come.
-        delay: from publishing to receiving, by the clocks of both hosts.
+        first: number of the first message; 0 for none.
+        last: number of the last message.
+        missed: missing numbers between the two.
+        delay: time from publishing to receiving, by the clocks of both hosts.
     """
 
     received: int = 0
@@ -86,7 +86,7 @@ class EndpointCount(msgspec.Struct):
     delay: Lateness = msgspec.field(default_factory=Lateness)
 
     def add(self, sequence: int, delay_ns: int | None) -> None:
-        """Take a message: its number, 0 for none, and how long it took."""
+        """Count a message: its number, 0 for none, and its delay."""
         self.received += 1
         if delay_ns is not None:
             self.delay.add(delay_ns)
@@ -95,7 +95,7 @@ class EndpointCount(msgspec.Struct):
             self.first, self.last = self.first or sequence, sequence
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``observe --json``; what is not numbered has no numbers."""
+        """Return the counts in the shape of ``observe --json``; without numbers if messages have none."""
         numbers = (self.first, self.last, self.missed) if self.first else (None, None, None)
         names = ("first_sequence", "last_sequence", "missed")
         delay = {"delay_us": self.delay.summary()}
@@ -106,18 +106,18 @@ class GraphSource(SourceDefaults):
     """Observes topics of a graph.
 
     Args:
-        topics: those that are observed, with their types.
-        qos: how, by topic.
-        name: of the graph.
+        topics: observed topics, with their types.
+        qos: quality of service by topic.
+        name: name of the graph.
 
     Attributes:
-        info: of kind ``topics``.
-        statistics: ``datagrams`` counts the messages.
-        counts: by topic and publisher's ``gid``; that is empty where it is not known.
-        endpoints: of the observed topics, as of the last second.
-        publishers: all that were there so far, by ``gid``.
-        lost: what the middleware counts as lost, by topic, where it counts.
-        topics: as given.
+        info: info of kind ``topics``.
+        statistics: statistics; ``datagrams`` counts the messages.
+        counts: counts by topic and publisher's ``gid``; an unknown ``gid`` is empty.
+        endpoints: endpoints of the observed topics in the last second.
+        publishers: all publishers so far, by ``gid``.
+        lost: lost messages by topic, as far as the middleware counts them.
+        topics: observed topics, with their types.
     """
 
     def __init__(
@@ -144,11 +144,11 @@ class GraphSource(SourceDefaults):
 
     @property
     def live(self) -> bool:
-        """It has no end of its own."""
+        """Always true: a graph has no end."""
         return True
 
     def stop(self) -> None:
-        """Let the batches end after what has arrived."""
+        """Let the batches end after the arrived messages."""
         self._stopping.set()
 
     def batches(self) -> Iterator[PacketBatch]:
@@ -183,7 +183,7 @@ class GraphSource(SourceDefaults):
         self.statistics.bytes += len(cdr)
 
     def _look(self) -> None:
-        """Ask who is there, and what the middleware counts as lost."""
+        """Read the endpoints, and the middleware's counts of lost messages."""
         self.endpoints = [item for item in endpoints_of(self._observer) if item.topic in self.topics]
         self.lost = self._observer.lost()
         publishers = [item for item in self.endpoints if item.publishes and not item.own]
@@ -192,7 +192,7 @@ class GraphSource(SourceDefaults):
         self._only = {item.topic: item.gid for item in publishers if topics.count(item.topic) == 1}
 
     def _report(self) -> _Row:
-        """Return the message that says what was counted of each endpoint."""
+        """Return the message with the counts of each endpoint."""
         now_ns = time.time_ns()
         seconds, rest = divmod(now_ns, SECOND)
         entries = [
@@ -259,14 +259,15 @@ class GraphSource(SourceDefaults):
 
 
 class GraphRequest(msgspec.Struct, frozen=True):
-    """Which graph, and what of it.
+    """A graph, and its observed topics.
 
     Attributes:
         ros: name of a middleware.
         domain: ROS 2 domain.
-        options: of the middleware.
-        topics: those to observe, waited for; none: all that are published within the time of discovery.
-        qos: makes the quality of service of a subscription from what the publishers offer.
+        options: options of the middleware.
+        topics: topics to observe, which are waited for; empty: all that are published within the time of
+            discovery.
+        qos: function from the publishers to the quality of service of a subscription.
         on_note: called with each note for the user.
     """
 
@@ -279,12 +280,12 @@ class GraphRequest(msgspec.Struct, frozen=True):
 
     @property
     def name(self) -> str:
-        """What users call it."""
+        """Name for users."""
         return f"{self.ros}, domain {self.domain}"
 
 
 def discovered(request: GraphRequest, observer: GraphObserver) -> list[GraphEndpoint]:
-    """Wait until the topics that are asked for are published, or for the time of discovery."""
+    """Return the endpoints once the requested topics are published, or after the time of discovery."""
     began, waited = time.monotonic(), False
     while True:
         endpoints = endpoints_of(observer)
@@ -343,7 +344,7 @@ def _topics(request: GraphRequest, publishers: Sequence[GraphEndpoint], types: T
 
 
 def _recorded(topic: str, type_name: str, offers: Sequence[GraphEndpoint], types: TypeStore) -> RecordedTopic:
-    """Return a topic as rosbag2 records it, with what its publishers offer."""
+    """Return a topic as rosbag2 records it, with its publishers' offers."""
     profiles = "".join(recorded_text(item.policies) for item in offers)
     metadata = {QOS_METADATA: profiles} if offers else {}
     schema = types.definition(type_name).encode()
@@ -351,7 +352,7 @@ def _recorded(topic: str, type_name: str, offers: Sequence[GraphEndpoint], types
 
 
 def topics_of_graph(request: GraphRequest, settings: Settings) -> list[dict[str, Any]]:
-    """Return the topics of a graph, each with its type, how many endpoints it has, and their descriptions.
+    """Return the topics of a graph, each with its type, the number of its endpoints, and their descriptions.
 
     Raises:
         ConfigError: the graph cannot be joined.

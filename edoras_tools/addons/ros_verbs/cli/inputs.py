@@ -1,4 +1,4 @@
-"""What the commands read: a graph, unless a file or live traffic is named."""
+"""The input of the commands: a graph, unless a file or live traffic is named."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Words(NamedTuple):
-    """What stands without an option: files, then topics."""
+    """Arguments without an option: files, then topics."""
 
     files: list[Path]
     topics: list[str]
@@ -38,7 +38,7 @@ class Words(NamedTuple):
         return cls([Path(word) for word in words if word not in topics], topics)
 
     def topic(self, command: str) -> str:
-        """Return the one topic.
+        """Return the single topic.
 
         Raises:
             ConfigError: there is none, or more than one.
@@ -49,7 +49,7 @@ class Words(NamedTuple):
 
 
 class QosOptions(NamedTuple):
-    """How a graph's topic is subscribed to; by default as its publishers offer."""
+    """Quality of service of the subscription; by default the publishers' offer."""
 
     reliability: Annotated[str | None, Option("--qos-reliability", help="reliable, best_effort.")] = None
     durability: Annotated[str | None, Option("--qos-durability", help="volatile, transient_local.")] = None
@@ -70,7 +70,7 @@ class QosOptions(NamedTuple):
 
 
 class SourceOptions(NamedTuple):
-    """Where messages come from, if no file is named."""
+    """The source of messages if no file is named."""
 
     interface: Annotated[
         str | None, Option("--interface", "-i", metavar="IFACE", help="A link: capture here.")
@@ -80,7 +80,7 @@ class SourceOptions(NamedTuple):
     graph: RosOptions = RosOptions()
 
     def request(self, topics: Sequence[str], qos: QosOptions = QosOptions()) -> GraphRequest:
-        """Return the graph that is meant."""
+        """Return the request for a graph."""
         from edoras_tools.addons.ros_verbs.source import GraphRequest
         from edoras_tools.middleware.opening import usual, usual_domain
 
@@ -89,10 +89,10 @@ class SourceOptions(NamedTuple):
         return GraphRequest(ros or usual(), domain, dict(more or ()), topics, qos.fitting, tell)
 
     def reads_graph(self, words: Words) -> bool:
-        """Return whether a graph is meant.
+        """Return whether the input is a graph.
 
         Raises:
-            ConfigError: a graph and another input are.
+            ConfigError: a graph and another input are named.
         """
         options.check_duration(self.duration, words.files)
         others = bool(words.files or self.interface or self.listen)
@@ -103,7 +103,7 @@ class SourceOptions(NamedTuple):
     def open(
         self, words: Words, decoding: options.DecodingOptions, qos: QosOptions = QosOptions()
     ) -> tuple[Source, Workbench]:
-        """Open the one input that is meant.
+        """Open the single input.
 
         Raises:
             ConfigError: more than one is named, or it cannot be opened.

@@ -71,7 +71,7 @@ def observe(
 
 
 def _lines(topic: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what people read: a topic with its endpoints."""
+    """Yield the lines of a topic and its endpoints, for people."""
     lost = "" if topic["lost"] is None else f": the middleware lost {topic['lost']:,}"
     yield f"{topic['topic']}  {topic['type']}{lost}"
     for item in topic["publishers"]:

@@ -26,7 +26,7 @@ _DELAY_NS = 5_000_000_000
 
 
 class PlayOptions(NamedTuple):
-    """What of a recording is played, and how."""
+    """The played part of a recording, and the settings of playing."""
 
     topic: Annotated[list[str] | None, Option(help="Only topics that match, e.g. '/robot_*'.")] = None
     remap: Annotated[list[Any] | None, Option(parser=pair, metavar="A:=B", help="Publish A as B.")] = None

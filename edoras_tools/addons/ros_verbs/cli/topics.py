@@ -1,4 +1,4 @@
-"""``edoras echo``, ``bw``, ``delay``, ``topic``, and ``hz`` of a graph: as ``ros2 topic`` has them."""
+"""``edoras echo``, ``bw``, ``delay``, ``topic``, and ``hz`` of a graph: like the verbs of ``ros2 topic``."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _EVERY_NS = 1_000_000_000
 
 
 class TextOptions(NamedTuple):
-    """How much of a message is printed, and how."""
+    """Form and length of a printed message."""
 
     field: Annotated[str | None, Option(help="Only this part, e.g. pose.position.")] = None
     csv: Annotated[bool, Option("--csv", help="Values alone, with commas.")] = False
@@ -51,7 +51,7 @@ class TextOptions(NamedTuple):
     ] = False
 
     def form(self) -> EchoFormat:
-        """Return these options in the form that prints."""
+        """Return these options as an ``EchoFormat``."""
         from edoras_tools.addons.ros_verbs.echo import USUAL_LENGTH, EchoFormat
 
         length = 0 if self.full_length else self.truncate_length or USUAL_LENGTH
@@ -95,7 +95,7 @@ def echo(
 
 
 def _message(block: MessageBlock, index: int, texts: TextOptions, form: EchoFormat, bench: Workbench) -> str:
-    """Return one message as text, with what separates it from the next one."""
+    """Return one message as text, with its separator from the next one."""
     cdr, before, end = block.cdr(index), "", "" if texts.csv else "---\n"
     if texts.message_info:
         info: dict[str, int | None] = {
@@ -123,7 +123,7 @@ def _measure(
     *,
     json: bool,
 ) -> None:
-    """Measure topics, print the figures once a second and at the end, or at the end as JSON."""
+    """Measure topics; print the figures once a second and at the end, or once at the end as JSON."""
     from edoras_tools.addons.ros_verbs.figures import USUAL_WINDOWS, TopicFigures, rate_table
     from edoras_tools.addons.ros_verbs.messages import read_topics
 
@@ -267,7 +267,7 @@ def _print_topics(words: Words, topics: Sequence[dict[str, Any]]) -> None:
 
 
 def _topics(words: Words, source: SourceOptions, decoding: options.DecodingOptions) -> list[dict[str, Any]]:
-    """Return the topics of what is meant, with what is known of publishers and subscriptions."""
+    """Return the topics of the input, with the known facts on publishers and subscriptions."""
     from edoras_tools.addons.ros_verbs.endpoints import policies_text, recorded_policies
     from edoras_tools.addons.ros_verbs.source import topics_of_graph
 
