@@ -1022,6 +1022,8 @@ def test_of_counts_that_nothing_explains_what_events_name_is_told():
     name = "season3/q07_uplink_dup_loss_reorder_ground"
     text = first_screen(truth.examined(ROOT / f"tests/captures/{name}.pcap.zst"))
     assert "at a place that the capture does not show: events name 0x1827 alone" in text
+
+
 def without(name, *ports):
     """Return the frames of a flight but for what went to some ports."""
     items = mutations.frames(FOLDER / f"{name}.pcap.zst")

@@ -170,7 +170,7 @@ class Placement:
         return why and f"{why}; it is shown as bytes"
 
     def _member(self, name: str, item: DataType, at: int, *, sound: bool) -> Member | None:
-        """Return a member at a bit: of its type if it is ``sound``, else as bytes; None if both are impossible."""
+        """Return a member at a bit: of its type if ``sound``, else as bytes; None if neither is possible."""
         byte, bit = divmod(at, 8)
         order = self._own_order(item)
         member = replace(item.like, name=name, type=item.kind, offset=byte, dims=item.dims, order=order)

@@ -1,4 +1,4 @@
-"""Commands of F Prime that are made up: the frames that its ground system makes of the same command."""
+"""Frames of F Prime commands, as its ground system makes them of the same command."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 
 _SPACECRAFT: Final = 0x44
 _CHANNEL: Final = 1
-"""F Prime's defaults."""
+"""Defaults of F Prime."""
 _COUNTS: Final = 1 << 14
 _CODES: Final = {"float32": "f", "float64": "d"} | {
     f"{kind}{8 << place}": letter
     for kind, letters in (("int", "bhiq"), ("uint", "BHIQ"))
     for place, letter in enumerate(letters)
 }
-"""Of ``struct``, by type."""
+"""Codes of ``struct`` by type."""
 
 
 class CommandWriter:
     """Makes the frames of commands, as F Prime's ground system does: CCSDS, the default since version 4.
 
     Args:
-        entries: of a dictionary.
+        entries: entries of a dictionary.
     """
 
     def __init__(self, entries: EntryTable) -> None:
@@ -46,10 +46,10 @@ class CommandWriter:
         """Return the packet of a command.
 
         Args:
-            values: all arguments, by name or in their order.
+            values: all arguments, by name or in order.
 
         Raises:
-            ConfigError: there is no such command, or an argument is not there or does not fit.
+            ConfigError: there is no such command, or an argument is missing or does not fit.
         """
         item = self._commands.get(name)
         if item is None:
@@ -61,7 +61,7 @@ class CommandWriter:
 
 
 def command_frame(packet: bytes, count: int) -> bytes:
-    """Return a Type-B TC frame with one space packet; its own count stays 0, as that of the ground system."""
+    """Return a Type-B TC frame with one space packet; its frame count is 0, as that of the ground system."""
     space = {"packet_type": 1, "sequence_flags": 3, "packet_sequence_count": count % _COUNTS}
     length = fprime.SPACE_PACKET.size + len(packet) - ccsds.LENGTH_BIAS
     data = fprime.SPACE_PACKET.emit({**space, "packet_data_length": length}) + packet
@@ -107,7 +107,7 @@ def _member(layout: StructLayout, member: Member, dims: Sequence[int], value: An
 
 
 def _number(kind: Any, enum: Enumeration | None, value: Any, where: str) -> bytes:
-    """Return the bytes of a value without parts; of an enumeration also by its name."""
+    """Return the bytes of a scalar value; an enumeration value may be a name."""
     if enum is not None:
         by_name = {name: number for number, name in enum.names.items()}
         if not isinstance(value, (str, int)) or (value not in by_name and value not in enum.names):

@@ -1,8 +1,9 @@
-"""The sequence counts of the space packets in F Prime's frames: what is missing, by APID.
+"""The sequence counts of the space packets in F Prime's frames: missing packets by APID.
 
-F Prime and its ground system count the space packets of each APID for themselves. They are followed as those
-of cFE are (:mod:`edoras_tools.sessions.sequence`); a sender is an endpoint. Packets of a frame that arrived
-with a wrong CRC are not taken: its receiver drops it, so they count as missing. Idle packets are left out.
+F Prime and its ground system count the space packets of each APID separately. The counts are followed like
+those of cFE (:mod:`edoras_tools.sessions.sequence`); a sender is an endpoint. Packets in a frame with a
+wrong CRC are
+ignored: the receiver drops it, so they count as missing. Idle packets are ignored too.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ class GroundStream(msgspec.Struct, eq=False):
     """The space packets of one APID from one endpoint.
 
     Attributes:
-        apid: theirs.
+        apid: APID.
         command: whether they go to F Prime, by their packet type bit.
-        source: address and port, as text.
-        destination: that of the first.
-        counts: what their counts say so far.
-        first_ns: time of the first.
-        last_ns: time of the last.
+        source: address and port of the sender, as text.
+        destination: address and port that the first one went to.
+        counts: sequence counts so far.
+        first_ns: time of the first, ns since 1970.
+        last_ns: time of the last, ns since 1970.
     """
 
     apid: int
@@ -47,16 +48,16 @@ class GroundStream(msgspec.Struct, eq=False):
 
     @property
     def name(self) -> str:
-        """How people call it: ``F Prime APID 2``."""
+        """Name for people: ``F Prime APID 2``."""
         return f"F Prime APID {self.apid}"
 
 
 class GroundCounts(LinkEvidence):
-    """Follows the counts of batches, in the order they were captured.
+    """Follows the sequence counts in batches, in order of the capture.
 
     Attributes:
-        streams: in order of their first packet.
-        datagrams: that held such packets.
+        streams: streams in order of their first packet.
+        datagrams: number of datagrams with such packets.
     """
 
     def __init__(self) -> None:
@@ -66,7 +67,7 @@ class GroundCounts(LinkEvidence):
         self._known: dict[int, GroundStream] = {}
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch; nothing in it can make this raise."""
+        """Add a batch; no contents can raise an error."""
         unsound = np.uint32(Finding.CHECKSUM_BAD | Finding.CAPTURE_CUT)
         rows = np.flatnonzero((columns.link == FPRIME) & (columns.findings & unsound == 0))
         if not len(rows):
@@ -94,7 +95,7 @@ class GroundCounts(LinkEvidence):
         return [item.counts for item in self.streams]
 
     def spans(self) -> list[tuple[int, int]]:
-        """Return from when to when each stream was captured."""
+        """Return the first and last time of each stream."""
         return [(item.first_ns, item.last_ns) for item in self.streams]
 
     def _begin(self, packet: Datagram, identification: int, index: int) -> GroundStream:
@@ -105,7 +106,7 @@ class GroundCounts(LinkEvidence):
 
 
 def _columns(start: NDArray[np.int64], end: NDArray[np.int64], word: NDArray[np.integer[Any]]) -> Columns:
-    """Return space packets as the follower takes them: the first word of each stands for a MsgId."""
+    """Return space packets in the follower's form: the first word of each takes the place of a MsgId."""
     none = np.zeros(len(start), np.int64)
     blank: dict[str, NDArray[Any]] = dict.fromkeys(Columns.__struct_fields__, none)
     unset = (word[:, 1] == 0) * np.uint32(Finding.SEQUENCE_UNSET)

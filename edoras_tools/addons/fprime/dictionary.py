@@ -1,8 +1,8 @@
 """Reads the dictionary of an F Prime topology (JSON, as ``fpp-to-dict`` writes it) as a layout of structs.
 
 Every command, channel, event and packet of channels becomes a struct, big-endian and without padding. A text
-is an array of characters, as long as it can be at the most; on the wire it is a length and as many characters
-as there are (:mod:`edoras_tools.addons.fprime.entry`).
+becomes an array of characters with its maximum length; on the wire it is a length and that number of
+characters (:mod:`edoras_tools.addons.fprime.entry`).
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ _WIDTHS: Final = {
     "FwTimeContextStoreType": "U8",
     "FwSizeStoreType": "U16",
 }
-"""What a project may configure, and what is read here: the default configuration since version 4."""
+"""Configurable widths, with the values that are read here: the default configuration since version 4."""
 _APIDS: Final = {
     "FW_PACKET_COMMAND": PacketType.COMMAND,
     "FW_PACKET_TELEM": PacketType.TELEMETRY,
@@ -71,7 +71,7 @@ _APIDS: Final = {
 }
 _NAME: Final = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*", re.ASCII)
 _LARGEST: Final = 1 << 16
-"""Bytes of a value at the most: a packet holds no more."""
+"""Maximum size of a value, bytes: that of a packet."""
 _HIGHEST: Final = (1 << 32) - 1
 TIME: Final = Struct(
     "FprimeTime",
@@ -88,7 +88,7 @@ _TIME_BASE: Final = Enumeration("FprimeTimeBase", BASIC["uint16"], fprime.TIME_B
 
 
 class _Type(msgspec.Struct, frozen=True):
-    """A type: a basic one, an enumeration or a struct, and the dimensions of an array of them."""
+    """A type: a basic type, an enumeration or a struct, with the dimensions of an array of them."""
 
     base: Basic | str
     size: int
@@ -105,21 +105,21 @@ class _Type(msgspec.Struct, frozen=True):
 
 
 class DictionaryEntries(tuple[Entry, ...]):
-    """The entries of a dictionary, as the core asks them; see ``structs.shapes.LayoutEntries``."""
+    """The entries of a dictionary in the core's interface; see ``structs.shapes.LayoutEntries``."""
 
     __slots__ = ()
 
     def bind(self, key: Key, layout: StructLayout, struct: Struct, type_name: str) -> BoundEntry:
-        """Return the struct of an entry as its messages are made."""
+        """Return the struct of an entry that makes its messages."""
         return BoundEntry(self[key.msg_id - ENTRY_KEY], key, layout, struct, type_name)
 
     def table(self, structs: Structs) -> EntryTable:
-        """Return the table of them, once bound."""
+        """Return the table of the bound entries."""
         return EntryTable([item for item in structs.all if isinstance(item, BoundEntry)], structs)
 
 
 def is_dictionary(data: bytes) -> bool:
-    """Tell whether the content of a file is a dictionary of F Prime."""
+    """Return whether a file's content is a dictionary of F Prime."""
     if _TYPES.encode() not in data or not data.lstrip().startswith(b"{"):
         return False
     try:
@@ -133,11 +133,11 @@ def read_dictionary(data: bytes, name: str) -> StructLayout:
     """Read a dictionary.
 
     Args:
-        data: the content of the file.
-        name: what messages call it.
+        data: content of the file.
+        name: name of the file in messages.
 
     Raises:
-        ConfigError: it holds mistakes: all of them, a line each.
+        ConfigError: it has mistakes: all of them, one line each.
     """
     reader = _DictionaryReader(plain_values(data, name), name)
     layout = reader.layout()
@@ -193,7 +193,7 @@ class _DictionaryReader(msgspec.Struct):
         )
 
     def _configuration(self) -> None:
-        """Refuse a project whose headers are not those that are read."""
+        """Refuse a project whose headers differ from those that are read."""
         for name, usual in _WIDTHS.items():
             where, item = self.definitions.get(name, ("", {}))
             for _ in range(len(self.definitions)):
@@ -216,7 +216,7 @@ class _DictionaryReader(msgspec.Struct):
     def _entry(
         self, where: str, item: Mapping[str, Any], kind: PacketType, id_name: str, values: list[Wanted | None]
     ) -> None:
-        """Note what packets of one id hold."""
+        """Store the contents of packets of one id."""
         name = self._text(where, item, "name")
         number = self._number(where, item, id_name, most=fprime.ENTRY_HEADERS[kind].slots[0].mask)
         severity = EventSeverity.of(item.get("severity")) if kind is PacketType.EVENT else None
@@ -245,7 +245,7 @@ class _DictionaryReader(msgspec.Struct):
         self.entries[kind, number] = entry, struct
 
     def _packet(self, where: str, item: Mapping[str, Any], channels: Mapping[str, Wanted | None]) -> None:
-        """Note a packet of channels, whose values have fixed places."""
+        """Store a packet of channels, whose values have fixed positions."""
         names = item.get("members")
         values: list[Wanted | None] = []
         for name in names if isinstance(names, list) else ():
@@ -271,7 +271,7 @@ class _DictionaryReader(msgspec.Struct):
         return None if kind is None else kind.member(name, self._doc(item))
 
     def _type(self, where: str, raw: Any, within: tuple[str, ...]) -> _Type | None:
-        """Return a type that is named where it is used; None after a mistake."""
+        """Return the type that is named where it is used; None after a mistake."""
         name = raw.get("name") if isinstance(raw, dict) else None
         if not isinstance(name, str):
             self._mistake(where, f"{_short(raw)} is not a type as {{'name': 'U32', ...}}")
@@ -369,7 +369,7 @@ class _DictionaryReader(msgspec.Struct):
         return _Type(plain, size)
 
     def _free(self, name: str) -> str:
-        """Return the name of a type without dots; another one where that is taken."""
+        """Return the name of a type without dots; a different one if it is already used."""
         plain = _plain(name)
         while plain in self.enums or plain in self.structs or plain in BASIC:
             plain += "_"

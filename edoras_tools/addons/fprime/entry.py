@@ -1,8 +1,8 @@
-"""What an F Prime dictionary says of one command, channel, event or packet, and its values as messages.
+"""One command, channel, event or packet of an F Prime dictionary, and its values as messages.
 
-On the wire a text is its length in two bytes and its characters, so what follows has no fixed place. It is
-copied to where the struct has it, each text at its most length, for many messages at once: a step for each
-text.
+On the wire a text is its length in two bytes and its characters, so later values have no fixed position. The
+values are copied to their positions in the struct, where each text has its maximum length: for many messages
+at once, in one step for each text.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ _WORDS: Final = {
     PacketType.PACKETIZED_TELEMETRY: "packet",
 }
 _FIELD: Final = re.compile(r"\{\{|\}\}|\{(\d{0,3}(?:\.\d{1,3})?[cdxoefgCDXOEFG]?)\}", re.ASCII)
-"""What FPP allows in a format: a field with its form, or a brace, which is written twice."""
+"""Fields in FPP's formats: a field with its form, or a brace, which is written twice."""
 _BRACES: Final = {"{{": "{", "}}": "}"}
 
 
 class EventSeverity(Enum):
-    """How severe an event is; the value is the level in ``rcl_interfaces/msg/Log``."""
+    """Severity of an event; the value is the level in ``rcl_interfaces/msg/Log``."""
 
     FATAL = 50
     WARNING_HI = 40
@@ -66,11 +66,11 @@ class Entry(msgspec.Struct, frozen=True, order=True):
     """One entry of a dictionary.
 
     Attributes:
-        kind: of the packets that it is in.
+        kind: type of its packets.
         id: opcode, channel ID, event ID, or ID of a packet of channels.
         name: qualified, as ``Ref.cmdDisp.OpCodeDispatched``.
-        severity: of an event.
-        format: the text of an event, with a field for each argument.
+        severity: severity of an event.
+        format: text of an event, with a field for each argument.
     """
 
     kind: PacketType
@@ -81,7 +81,7 @@ class Entry(msgspec.Struct, frozen=True, order=True):
 
     @property
     def word(self) -> str:
-        """What it is: command, channel, event or packet."""
+        """Kind of the entry: command, channel, event or packet."""
         return _WORDS[self.kind]
 
     @property
@@ -91,17 +91,17 @@ class Entry(msgspec.Struct, frozen=True, order=True):
 
     @property
     def padded(self) -> bool:
-        """Whether a text takes its most bytes on the wire, however long it is."""
+        """Whether a text takes its maximum length on the wire, whatever its length."""
         return self.kind is PacketType.PACKETIZED_TELEMETRY
 
     @property
     def topic(self) -> str:
-        """The topic of its messages."""
+        """Topic of its messages."""
         return f"/fprime/{self.word}s/{self.name.replace('.', '/')}"
 
     @property
     def id_text(self) -> str:
-        """The ID as on the wire, in hex."""
+        """ID on the wire, in hex."""
         bits = fprime.ENTRY_HEADERS[self.kind].slots[0].field.bits
         return f"0x{self.id:0{bits // 4}x}"
 
@@ -109,7 +109,7 @@ class Entry(msgspec.Struct, frozen=True, order=True):
         """Return the text of an event.
 
         Args:
-            words: the same as text, enumerations by name.
+            words: values as text, enumerations by name.
         """
         if not self.format:
             return " ".join(words)
@@ -129,14 +129,14 @@ class Entry(msgspec.Struct, frozen=True, order=True):
 
 
 class BoundEntry(Bound):
-    """An entry of a dictionary, and where its values lie; see :class:`Bound`.
+    """An entry of a dictionary, with the positions of its values; see :class:`Bound`.
 
     Args:
-        key: its place in the table of entries.
-        type: of its messages, in full.
+        key: index in the table of entries.
+        type: full name of the type of its messages.
 
     Attributes:
-        entry: as given.
+        entry: entry.
     """
 
     repeats = True
@@ -152,31 +152,31 @@ class BoundEntry(Bound):
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What is told of its topic: what it is, its ID and its name."""
+        """Return the metadata of its topic: its kind, ID and name."""
         return {"link": "fprime", "id": self.entry.id_text, self.entry.word: self.entry.name}
 
     def fits(self, length: NDArray[np.integer[Any]] | int) -> NDArray[np.bool_]:
-        """Tell which values are whole: their length was found with them, and is -1 of the others."""
+        """Return which values are complete: their measured length is not -1."""
         return np.asarray(length) >= 0
 
     def plan(self, length: int) -> StructPlan:
-        """Return the plan, which is the same for all."""
+        """Return the plan, which is the same for all lengths."""
         return super().plan(self.struct.size)
 
     @cached_property
     def texts(self) -> list[tuple[int, int]]:
-        """Where each text starts in the struct, and its most bytes; in order."""
+        """Start of each text in the struct, and its maximum size, bytes; in order."""
         return [(leaf.start, leaf.end - leaf.start) for leaf in self.plan(0).leaves if leaf.member.text]
 
     def measure(
         self, data: NDArray[np.uint8], start: NDArray[np.int64], end: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Return how many bytes the values take that start at each place; -1 where they do not fit.
+        """Return the size of the values at each position, i64 (n,); -1 if they do not fit.
 
         Args:
-            data: u8, contiguous.
+            data: u8, contiguous buffer.
             start: i64 (n,), the first byte.
-            end: i64 (n,), one past the last byte that may be theirs.
+            end: i64 (n,), one past the last available byte.
         """
         cursor, good, _ = self._walk(data, start, end)
         return np.where(good, cursor - start, -1)
@@ -188,7 +188,7 @@ class BoundEntry(Bound):
         length: NDArray[np.integer[Any]],
         heads: NDArray[np.void],
     ) -> Encoded:
-        """Return the messages of many; see :meth:`Bound.encode`."""
+        """Return the messages of many payloads; see :meth:`Bound.encode`."""
         if not self.texts:
             return super().encode(data, offset, length, heads)
         image = np.zeros((len(offset), self.struct.size), np.uint8)
@@ -205,13 +205,13 @@ class BoundEntry(Bound):
         return Encoded(*self.plan(0).encode(headed(image, heads)), 0)
 
     def message(self, payload: bytes) -> bytes:
-        """Return the message of one: CDR, encapsulation included."""
+        """Return the message of one payload: CDR, encapsulation included."""
         size = np.array([len(payload)])
         data = np.frombuffer(payload or b"\0", np.uint8)
         return self.encode(data, np.array([0]), size, np.zeros(1, HEAD)).data.tobytes()
 
     def wire_places(self, payload: bytes) -> list[tuple[int, int]]:
-        """Return where each value of ``plan.leaves`` is in the bytes: first byte, and one past the last."""
+        """Return the place of each value of ``plan.leaves`` in the bytes: first byte, and end."""
         data, size = np.frombuffer(payload or b"\0", np.uint8), np.array([len(payload)])
         _, _, places = self._walk(data, np.array([0]), size)
         texts = iter(zip(self.texts, places, strict=True))
@@ -228,15 +228,15 @@ class BoundEntry(Bound):
 
     @property
     def time_bytes(self) -> int:
-        """Bytes of the time in front of the values."""
+        """Size of the time in front of the values, bytes."""
         return TIME_BYTES if self.entry.timed else 0
 
     def is_time(self, path: str) -> bool:
-        """Tell whether a field of a message is of the time in front of its values."""
+        """Return whether a field of a message belongs to the time in front of its values."""
         return self.entry.timed and path.startswith("time.")
 
     def line(self, values: Mapping[str, Any]) -> str:
-        """Return a message in a line: its name, and the text of an event, else the values."""
+        """Return a message on one line: its name, and the text of an event, else the values."""
         return f"{self.name}: {self._words(values)}".removesuffix(": ")
 
     def _words(self, values: Mapping[str, Any]) -> str:
@@ -257,7 +257,7 @@ class BoundEntry(Bound):
         return self.entry.event_text(own, [self._word(member, value) for member, value in pairs])
 
     def _word(self, member: Member, value: Any) -> str:
-        """Return a value as text, enumerations by name alone."""
+        """Return a value as text; an enumeration by its name."""
         if isinstance(value, list):
             return "[" + ", ".join(self._word(member, item) for item in value) + "]"
         if isinstance(value, dict):
@@ -268,10 +268,10 @@ class BoundEntry(Bound):
     def _walk(
         self, data: NDArray[np.uint8], start: NDArray[np.int64], end: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sequence[tuple[NDArray[np.int64], NDArray[np.int64]]]]:
-        """Go from text to text.
+        """Walk from text to text.
 
         Returns:
-            where the values end; whether they end in time; where each text is, and its bytes.
+            End of the values; whether they end in time; position and size of each text.
         """
         cursor, good, at = start.copy(), np.ones(len(start), bool), 0
         places = []

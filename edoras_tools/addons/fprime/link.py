@@ -31,7 +31,7 @@ _VERDICTS: Final = {
 
 
 class GroundDataFraming(Framing):
-    """Frames that follow each other in a TCP stream, and what keeps it alive between them."""
+    """Frames that follow each other in a TCP stream, and the keep-alive texts between them."""
 
     head = fprime.STREAM_HEAD
     checked = True
@@ -42,14 +42,14 @@ class GroundDataFraming(Framing):
     def lengths(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
     ) -> NDArray[np.int64]:
-        """Return the bytes of the frame that starts at each position."""
+        """Return the size of the frame that starts at each position, bytes."""
         starts, size = fprime.frame_lengths(data, at, self.tm_bytes)
         return prefixed(starts, size, end - at, self.head, self.largest)
 
     def likely(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
     ) -> NDArray[np.bool_]:
-        """Ask for a frame that is whole, and whose check is right."""
+        """Return at which positions a complete frame with a correct check starts."""
         size = self.lengths(data, at, end)
         likely = (size > 0) & (at + size <= end)
         rows = np.flatnonzero(likely & (size != len(fprime.KEEP_ALIVE)))
@@ -59,9 +59,9 @@ class GroundDataFraming(Framing):
 
 
 class GroundDataLink(LinkProtocol):
-    """The link between F Prime and its ground system: frames of its own, or TC and TM frames of CCSDS.
+    """The link between F Prime and its ground system: its own frames, or TC and TM frames of CCSDS.
 
-    Where a mission says that transfer frames carry its space packets, these come one by one.
+    If a mission has space packets in transfer frames, these are taken out one by one.
     """
 
     code = 7
@@ -80,7 +80,7 @@ class GroundDataLink(LinkProtocol):
     several = True
 
     def send(self, site: Site, *, up: bool) -> LinkSending:
-        """Return how its frames go to the ground system, or to flight software."""
+        """Return the way in which its frames go to the ground system, or to flight software."""
         return self.part("sending:GroundDataSending")(self, self.framing, up=up)
 
     def recognise(self, facts: Seen) -> Any:
@@ -141,11 +141,11 @@ class GroundDataLink(LinkProtocol):
         return owner[row], start[members][first]
 
     def framing_of(self, carried: Link, form: Any) -> Framing | None:
-        """Return how TM frames are cut that carry its packets; its own frames stand beside them."""
+        """Return the framing of TM frames that carry its packets; its own frames are separate."""
         return GroundDataFraming(form.length) if carried is self and form.kind == "tm" else None
 
     def engine_values(self) -> Mapping[str, Any]:
-        """Return what ``engine/fprime.lua`` reads."""
+        """Return the values for ``engine/fprime.lua``."""
         return {
             "start_word": fprime.START_WORD,
             "keep_alive": fprime.KEEP_ALIVE.decode(),
@@ -155,13 +155,13 @@ class GroundDataLink(LinkProtocol):
         }
 
     def evidence(self, site: Site) -> LinkEvidence:
-        """Return what follows the counts of space packets."""
+        """Return a follower of the sequence counts of space packets."""
         return self.part("counts:GroundCounts")()
 
     follow = evidence
 
     def summary(self, decoded: Decoded) -> str:
-        """Return what the packets hold, by number where no dictionary names it."""
+        """Return the contents of the packets, by number if no dictionary names them."""
         texts: list[str] = []
         ids = [layout.name for layout in fprime.ENTRY_HEADERS.values()]
         for layer, after in pairwise((*decoded.layers, None)):
@@ -178,7 +178,7 @@ FPRIME: Final = GroundDataLink()
 
 
 def _packet(reading: Reading, packets: fprime.PacketPlaces, index: int) -> None:
-    """Read one packet of a frame: by name what it holds, where the reader has a dictionary."""
+    """Read one packet of a frame: its contents by name, if the reader has a dictionary."""
     _, space, start, end, kind, whole = (column[index].item() for column in packets)
     if 0 <= space <= start - fprime.SPACE_PACKET.size:
         reading.read(fprime.SPACE_PACKET, space)

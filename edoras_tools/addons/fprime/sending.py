@@ -1,4 +1,4 @@
-"""How frames of F Prime are sent again: to its ground system as flight software does, or the other way."""
+"""Sends frames of F Prime again: to its ground system like flight software, or the other way."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, Link, PacketBatch
 
 _PORT: Final = 50000
-"""Where the ground system listens, and the TCP server of flight software."""
+"""Port of the ground system, and of flight software's TCP server."""
 
 
 class GroundDataSending(LinkSending):
     """Frames as they were captured, over one TCP connection.
 
     Args:
-        link: as given.
-        framing: cuts what comes back.
-        up: commands and files to flight software; else channels, events and files to the ground system.
+        link: link.
+        framing: framing of the answers.
+        up: whether commands and files go to flight software; else channels, events and files to the ground
+            system.
     """
 
     port = _PORT
@@ -38,7 +39,7 @@ class GroundDataSending(LinkSending):
         self._bare = 0
 
     def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
-        """Tell which frames go this way: TC frames and commands up, all others down."""
+        """Return which frames go this way: TC frames and commands up, all others down; bool (n,)."""
         rows = np.flatnonzero(super().outgoing_rows(batch, columns))
         frames = fprime.read_ground_frames(batch.data, batch.offset[rows], batch.length[rows], checked=False)
         up = frames.shape == fprime.TC_SHAPE
@@ -52,7 +53,7 @@ class GroundDataSending(LinkSending):
         return going
 
     def compose(self, name: str, values: Any, count: int, context: Any) -> list[bytes]:
-        """Return the frames of a command, which an F Prime dictionary names."""
+        """Return the frames of a command from an F Prime dictionary."""
         if not self._up:
             raise ConfigError(f"commands go to flight software: --to {self.link.label}:up")
         entries = context.structs.dictionary

@@ -1,4 +1,4 @@
-"""Finds what packets of F Prime hold, by the entries of a dictionary."""
+"""Finds the contents of F Prime packets, by the entries of a dictionary."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ if TYPE_CHECKING:
     from edoras_tools.structs import Structs
 
 _ID_BYTES: Final = np.array([4, 4, 4, 0, 2])
-"""Of an ID, by packet type; 0 where a dictionary describes nothing."""
+"""Size of an ID by packet type, bytes; 0 for types without entries in a dictionary."""
 DESCRIBED: Final = frozenset(np.flatnonzero(_ID_BYTES).tolist())
-"""The packet types that a dictionary describes."""
+"""Packet types with entries in a dictionary."""
 _REPEATED: Final = (PacketType.TELEMETRY, PacketType.EVENT)
-"""PacketPlaces that may hold several, one after the other."""
+"""Packet types that may contain several entries, one after the other."""
 
 _KINDS: Final = {"float32": "float", "float64": "double"}
-"""What the engine of the Wireshark dissector calls types."""
+"""Names of types in the engine of the Wireshark dissector."""
 
 
 class EntryTable:
     """The entries of a dictionary by packet type and ID.
 
     Args:
-        bounds: by packet type, then ID; the key of each is its place.
-        structs: what they are among, for their types.
+        bounds: bound entries by packet type, then ID; the key of each is its index.
+        structs: all structs, for the types of the entries.
 
     Attributes:
-        bounds: as given.
-        unknown: key of an ID that the dictionary has not.
-        odd: key of bytes behind the last value that are not an ID.
+        bounds: bound entries by packet type, then ID.
+        unknown: key of an ID that the dictionary does not have.
+        odd: key of bytes behind the last value that are no ID.
     """
 
     def __init__(self, bounds: Sequence[BoundEntry], structs: Structs) -> None:
@@ -66,15 +66,15 @@ class EntryTable:
         return self[key].entry
 
     def whole(self, payloads: StructPayloads) -> StructPayloads:
-        """Return those of payloads that are entries and not cut."""
+        """Return the payloads that are entries and complete."""
         described = (payloads.key >= ENTRY_KEY) & (payloads.key < self.unknown)
         return payloads.take(described & (payloads.length >= 0))
 
     def in_packet(self, data: bytes, kind: int, at: int, end: int) -> StructPayloads:
-        """Return what one packet holds.
+        """Return the contents of one packet.
 
         Args:
-            at: the first byte behind it.
+            at: first byte behind the packet type.
             end: one past the packet.
         """
         row, space, start, stop, code = (
@@ -86,15 +86,15 @@ class EntryTable:
     def payloads(
         self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
     ) -> StructPayloads:
-        """Return all that datagrams hold; see ``structs.entries.LayoutEntryTable``."""
+        """Return all contents of datagrams; see ``structs.entries.LayoutEntryTable``."""
         return self.in_packets(data, fprime.read_ground_frames(data, offset, length, checked=False).packets)
 
     def in_packets(self, data: NDArray[np.uint8], packets: PacketPlaces) -> StructPayloads:
-        """Return all that packets hold, behind their IDs, in order; of each packet up to what is not known.
+        """Return all contents of packets, behind their IDs, in order; of each packet up to an unknown one.
 
         Args:
-            data: u8, contiguous.
-            packets: the packets; those whose header is cut hold nothing.
+            data: u8, contiguous buffer.
+            packets: packets; those with a cut header have no contents.
         """
         some = np.flatnonzero(packets.whole & np.isin(packets.kind, list(DESCRIBED)))
         row, cursor, end = packets.row[some], packets.start[some] + fprime.PACKET.size, packets.end[some]
@@ -124,7 +124,7 @@ class EntryTable:
         return every.take(np.lexsort((every.offset, every.row)))
 
     def read(self, reading: Reading, kind: int, at: int, end: int) -> bool:
-        """Read what one packet holds, its IDs and times too; see ``Reading.described``."""
+        """Read the contents of one packet, including IDs and times; see ``Reading.described``."""
         if kind not in DESCRIBED:
             return False
         header = fprime.ENTRY_HEADERS[PacketType(kind)]
@@ -165,7 +165,7 @@ class EntryTable:
     def logs(
         self, payloads: StructPayloads, data: NDArray[np.uint8]
     ) -> Iterator[tuple[int, int, dict[str, Any]]]:
-        """Yield row, place and log message of each event.
+        """Yield row, position and log message of each event.
 
         ``name`` is the component, ``function`` the event, ``msg`` its text, ``line`` 0, ``file`` empty; the
         time is left to the caller, because F Prime's clock may have any epoch.
@@ -186,7 +186,7 @@ class EntryTable:
                 yield row, at, {**head, "msg": text, "line": 0}
 
     def engine_values(self) -> dict[str, Any]:
-        """Return what ``engine/fprime.lua`` of the Wireshark dissector reads of the entries."""
+        """Return the values for ``engine/fprime.lua`` of the Wireshark dissector, from the entries."""
         entries: dict[int, dict[int, Any]] = {}
         structs: dict[str, Any] = {}
         enums: dict[str, Any] = {}
@@ -218,7 +218,7 @@ class EntryTable:
         kind: NDArray[np.int32],
         key: NDArray[np.int32],
     ) -> None:
-        """Write the key of each ID that is ``whole``."""
+        """Write the key of each ``whole`` ID."""
         window = gather(data, np.minimum(cursor, len(data)), 4)
         number = window.view(">u4")[:, 0].astype(np.int64)
         number >>= np.where(_ID_BYTES[kind] == 2, 16, 0)
@@ -234,7 +234,7 @@ class EntryTable:
         offset: NDArray[np.int64],
         end: NDArray[np.int64],
     ) -> NDArray[np.int64]:
-        """Return the bytes of each value; -1 where it does not fit."""
+        """Return the size of each value, bytes; -1 if it does not fit."""
         length = self._fixed[key - ENTRY_KEY]
         length[(length >= 0) & (offset + length > end)] = -1
         for value, members in by_value(np.where(self._fixed[key - ENTRY_KEY] < 0, key, -1)):
@@ -246,7 +246,7 @@ class EntryTable:
 def _members(
     layout: StructLayout, struct: Struct, structs: dict[str, Any], enums: dict[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return the values of a struct of a dictionary; note the structs and enumerations in it."""
+    """Return the values of a struct in a dictionary; store the structs and enumerations in it."""
     members = []
     for name, member, _ in parts(layout, struct, whole=False):
         inner, enum, basic = layout.structs.get(str(member.type)), layout.enumeration(member), None

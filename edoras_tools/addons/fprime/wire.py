@@ -1,8 +1,8 @@
-"""F Prime's ground link, big-endian: frames, the packets in them, and the headers of what packets hold.
+"""F Prime's ground link, big-endian: frames, the packets in them, and the headers of their contents.
 
-F Prime's own frame is a start word, a length, one packet, and a CRC-32 of all that is in front of it. The
-other frame, the default since version 4, is of CCSDS: a TC frame to F Prime, a TM frame from it, with a
-CRC-16 and with space packets, each of which holds one packet.
+F Prime's own frame is a start word, a length, one packet, and a CRC-32 of everything in front of it. The
+other frame, the default since version 4, is from CCSDS: a TC frame to F Prime, a TM frame from it, with a
+CRC-16 and with space packets, each of which contains one packet.
 
 A packet is a packet type, then a command, telemetry or an event. Widths are those of F Prime's default
 configuration since version 4.
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class PacketType(IntEnum):
-    """What a packet holds: ``ComCfg.Apid`` of the default configuration."""
+    """Contents of a packet: ``ComCfg.Apid`` of the default configuration."""
 
     COMMAND = 0
     TELEMETRY = 1
@@ -44,7 +44,7 @@ class PacketType(IntEnum):
 
 
 VALUES_LAYER: Final = "cfs"
-"""Name of the layer of values that a dictionary names."""
+"""Name of the layer of values from a dictionary."""
 START_WORD: Final = 0xDEADBEEF
 _NAMES: Final = {int(item): item.name.lower().replace("_", " ") for item in PacketType}
 TIME_BASES: Final = {0: "none", 1: "processor", 2: "workstation", 3: "spacecraft", 0xFFFF: "any"}
@@ -101,11 +101,11 @@ ENTRY_HEADERS: Final = {
         *_TIME,
     ),
 }
-"""What follows the packet type; values or arguments follow it, or the bytes of a file."""
+"""Header behind the packet type; values, arguments, or the bytes of a file follow it."""
 TIME_BYTES: Final = sum(field.bits for field in _TIME) // 8
 COMMAND_FRAME: Final = Layout("fprime_tc", headers.TC.title, *(slot.field for slot in headers.TC.slots))
 TELEMETRY_FRAME: Final = Layout("fprime_tm", headers.TM.title, *(slot.field for slot in headers.TM.slots))
-"""The headers of CCSDS, by names of this link's own."""
+"""Headers of CCSDS TC and TM frames, under this link's own names."""
 LINK_LAYOUTS: Final = (FRAME, COMMAND_FRAME, TELEMETRY_FRAME, SPACE_PACKET, PACKET, *ENTRY_HEADERS.values())
 
 
@@ -113,8 +113,8 @@ class FrameShape(msgspec.Struct, frozen=True):
     """A kind of frame.
 
     Attributes:
-        header: in front of its packets.
-        check: the field at its end, which tells whether it arrived as it was sent; None where there is none.
+        header: header in front of its packets.
+        check: checksum field at its end; None if there is none.
     """
 
     header: Layout
@@ -122,7 +122,7 @@ class FrameShape(msgspec.Struct, frozen=True):
 
     @property
     def check_bytes(self) -> int:
-        """Bytes of the check."""
+        """Size of the check, bytes."""
         return self.check.bits // 8 if self.check else 0
 
 
@@ -133,29 +133,29 @@ FRAME_SHAPES: Final = (
     FrameShape(COMMAND_FRAME, _CRC16),
     FrameShape(TELEMETRY_FRAME, _CRC16),
 )
-"""The kinds of frames, by the numbers in ``Frames.shape``; a space packet may come without one."""
+"""Kinds of frames, by the numbers in ``Frames.shape``; a space packet may come without a frame."""
 _OWN, SPACE_SHAPE, TC_SHAPE, _TM = range(4)
 _BODY: Final = np.array([FRAME.size, 0, COMMAND_FRAME.size, TELEMETRY_FRAME.size])
-"""Where in a frame its packets start."""
+"""Offset of the packets in a frame, bytes."""
 TM_FRAME_BYTES: Final = 1024
-"""Bytes of a TM frame in F Prime's default configuration (``ComCfg.TmFrameFixedSize``)."""
+"""Size of a TM frame in F Prime's default configuration (``ComCfg.TmFrameFixedSize``), bytes."""
 KEEP_ALIVE: Final = b"sitting well"
-"""What the ground system writes into a stream between frames, to keep its connection alive."""
+"""Text that the ground system writes into a stream between frames, to keep its connection alive."""
 STREAM_HEAD: Final = len(KEEP_ALIVE)
-"""Bytes that tell the length of any frame."""
+"""Number of bytes that determine the length of any frame."""
 _LEAST: Final = np.array([item.header.size + item.check_bytes for item in FRAME_SHAPES])
 
 
 class PacketPlaces(NamedTuple):
-    """The packets in some datagrams, in their order.
+    """The packets in some datagrams, in order.
 
     Attributes:
-        row: i64 (m,), the datagram.
-        space: i64 (m,), the space packet around it; -1 where there is none.
-        start: i64 (m,), the packet type in the data.
+        row: i64 (m,), index of the datagram.
+        space: i64 (m,), position of the space packet around it; -1 for none.
+        start: i64 (m,), position of the packet type.
         end: i64 (m,), one past the packet.
-        kind: i32 (m,), its ``PacketType``, or another number; -1 where it is cut.
-        whole: bool (m,), whether the header of what it holds is there, and its space packet is whole.
+        kind: i32 (m,), a ``PacketType``, or another number; -1 if it is cut.
+        whole: bool (m,), whether the header of its contents exists, and its space packet is complete.
     """
 
     row: NDArray[np.intp]
@@ -166,21 +166,22 @@ class PacketPlaces(NamedTuple):
     whole: NDArray[np.bool_]
 
     def take(self, mask: NDArray[Any]) -> PacketPlaces:
-        """Return some of them."""
+        """Return the packets that a mask or indices select."""
         return PacketPlaces(*(column[mask] for column in self))
 
 
 class Frames(msgspec.Struct, frozen=True):
-    """Many datagrams of one frame each; arrays have one element a datagram.
+    """Many datagrams of one frame each; arrays with one element for each datagram.
 
     Attributes:
-        shape: i64 (n,), which of ``FRAME_SHAPES``.
-        check: i64 (n,), where the check starts in the data.
-        cut: bool (n,), the frame needs more bytes than there are: neither check nor packets are read.
-        truncated: bool (n,), it is cut, or a packet in it is.
-        longer: bool (n,), bytes follow the frame.
-        corrupt: bool (n,), the check says that it is not as it was sent.
-        packets: those of whole frames.
+        shape: i64 (n,), index into ``FRAME_SHAPES``.
+        check: i64 (n,), position of the check.
+        cut: bool (n,), whether the frame needs more bytes than exist: then neither check nor packets are
+            read.
+        truncated: bool (n,), whether the frame, or a packet in it, is cut.
+        longer: bool (n,), whether bytes follow the frame.
+        corrupt: bool (n,), whether the check is wrong.
+        packets: packets of complete frames.
     """
 
     shape: NDArray[np.int64]
@@ -193,14 +194,14 @@ class Frames(msgspec.Struct, frozen=True):
 
 
 def frame_shapes_of(field: Callable[[Layout, str, int], Any], length: Any) -> tuple[Any, Any, Any, Any]:
-    """Tell which of ``FRAME_SHAPES`` a datagram may be, or each of many.
+    """Return which of ``FRAME_SHAPES`` a datagram may have, or each of many.
 
     Args:
-        field: returns a number of a header that starts at a byte; -1 where it is not there.
-        length: bytes of the datagram.
+        field: returns a number of a header that starts at a byte; -1 if it does not exist.
+        length: size of the datagram, bytes.
 
     Returns:
-        for each of ``FRAME_SHAPES`` whether a datagram may be of it; the first that holds is meant.
+        For each of ``FRAME_SHAPES`` whether a datagram may have it; the first true one applies.
     """
     own = field(FRAME, "start_word", 0) == START_WORD
     # The APID of a space packet is the packet type in it.
@@ -232,13 +233,13 @@ _TM_WITH_PACKETS: Final = {
 def read_ground_frames(
     data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], *, checked: bool = True
 ) -> Frames:
-    """Read many frames; nothing in them can make this raise.
+    """Read many frames; no contents can raise an error.
 
     Args:
-        data: u8, contiguous.
-        offset: i64 (n,), where each datagram begins.
-        length: (n,), its bytes that are there.
-        checked: whether checks are computed; if not, nothing is ``corrupt``.
+        data: u8, contiguous buffer.
+        offset: i64 (n,), first byte of each datagram.
+        length: (n,), number of bytes that exist.
+        checked: whether checks are computed; if not, no frame is ``corrupt``.
     """
     window = gather(data, offset, FRAME.size)
     length = length.astype(np.int64)
@@ -280,17 +281,17 @@ def read_ground_frames(
 def frame_lengths(
     data: NDArray[np.uint8], at: NDArray[np.int64], tm_bytes: int = TM_FRAME_BYTES
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Tell where in a stream frames start, and how long they are.
+    """Return where in a stream frames start, and their sizes.
 
-    A TM frame does not say its length; a TC frame must be as long as the one space packet in it.
+    A TM frame does not contain its length; a TC frame must be as long as its single space packet.
 
     Args:
-        data: u8, contiguous.
+        data: u8, contiguous buffer.
         at: i64 (n,), positions.
 
     Returns:
-        whether a frame may start, or a ``KEEP_ALIVE``; its bytes, which mean nothing before ``STREAM_HEAD``
-        bytes are there.
+        Whether a frame, or a ``KEEP_ALIVE``, may start there; its size in bytes, which is valid only if
+            ``STREAM_HEAD`` bytes exist.
     """
     window = gather(data, at, STREAM_HEAD)
 
@@ -337,7 +338,7 @@ def _packets(
     start: NDArray[np.int64],
     end: NDArray[np.int64],
 ) -> PacketPlaces:
-    """Read the types of packets, and tell whether the header behind is whole."""
+    """Read the types of packets, and whether the header behind each type is complete."""
     whole = end - start >= PACKET.size
     kind = np.full(len(row), -1, np.int32)
     kind[whole] = read_at(data, start[whole], ">u2")
