@@ -32,6 +32,8 @@ BRIDGE_PORT: Final = 2236
 """The port of the demos' flight bridge."""
 _WINDOW: Final = 64
 """Bytes that hold a header, and a subscription's $Id and count."""
+_BEGINNING: Final = 16
+"""Bytes that hold a header and what is looked at behind it, but for subscriptions: mostly all."""
 _IDENT: Final = np.frombuffer(sbn.IDENT.encode().ljust(sbn.IDENT_BYTES, b"\0"), np.uint64)
 _KNOWN_TYPES: Final = np.isin(np.arange(256), list(sbn.MsgType))
 _LISTING: Final = (sbn.MsgType.SUB, sbn.MsgType.UNSUB)
@@ -168,7 +170,7 @@ class _Columns:
     def __init__(self, batch: PacketBatch, rows: Places, site: Site) -> None:
         self.batch, self.rows, self.site = batch, rows, site
         self.length = batch.length[rows]
-        self.head = gather(batch.data, batch.offset[rows], _WINDOW)
+        self.head = gather(batch.data, batch.offset[rows], _BEGINNING)
         self.located = Located(len(rows))
         self.legacy = _legacy(self.head, self.length)
         self._read()
@@ -249,13 +251,13 @@ class _Columns:
 
     def _subscriptions(self, members: Places, payload: NDArray[np.int32]) -> None:
         """Check SUB and UNSUB: the $Id, and whether all entries are present."""
-        payload, legacy = payload[members], self.legacy[members]
+        batch, payload, legacy = self.batch, payload[members], self.legacy[members]
         whole = payload >= sbn.SUBSCRIPTIONS.size
         self.located.flag(Finding.TRUNCATED, ~whole, members)
         for old, at in ((False, sbn.HEADER.size), (True, sbn.LEGACY_HEADER.size)):
             pick = np.flatnonzero(whole & (legacy == old))
             rows = members[pick]
-            head = self.head.take(rows, axis=0)[:, at : at + sbn.SUBSCRIPTIONS.size]
+            head = gather(batch.data, batch.offset[self.rows[rows]] + at, sbn.SUBSCRIPTIONS.size)
             ident = head[:, : sbn.IDENT_BYTES].view(np.uint64)
             # Word for word: ``any`` over a short axis takes many times as long.
             other = np.zeros(len(rows), bool)
