@@ -48,9 +48,14 @@ _MOST_MADE = 8
 
 
 class ChunkPress:
-    """Makes chunks of messages."""
+    """Makes chunks of messages.
 
-    def __init__(self) -> None:
+    Args:
+        threads: how many compress the chunks of a buffer.
+    """
+
+    def __init__(self, threads: int = 1) -> None:
+        self._threads = threads
         self._compressor = zstandard.ZstdCompressor(level=LEVEL, write_checksum=True)
         self._buffer = _blank()
         self._index = MessageIndex()
@@ -110,7 +115,7 @@ class ChunkPress:
         segments = np.stack([edges[:-1], np.diff(edges)], axis=1).astype(np.uint64)
         np.empty(self.used + _ENOUGH, np.uint8)  # allocated and freed at once, see _ENOUGH
         packed = self._compressor.multi_compress_to_buffer(
-            zstandard.BufferWithSegments(raw, segments.tobytes())
+            zstandard.BufferWithSegments(raw, segments.tobytes()), threads=self._threads
         )
         each: list[Any] = [packed[place] for place in range(len(packed))]
         return [memoryview(item) for item in each]
