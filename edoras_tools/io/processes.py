@@ -370,12 +370,12 @@ class InOrder:
         The arrays of a result are valid until the next result is requested, or more values are added.
         """
         while self._results:
-            result, workers = self._results[0], self._workers
+            workers, patient = self._workers, most is None or len(self._results) <= most
+            if self._results[0] is None and patient and workers is not None and not workers.ready:
+                return
+            result = self._results.popleft()  # first: what fails must not be waited for again
             if result is None and workers is not None:
-                if not workers.ready and (most is None or len(self._results) <= most):
-                    return
                 result = (workers.take(),)
-            del self._results[0]
             assert result is not None
             yield result[0]
 

@@ -36,7 +36,7 @@ from edoras_tools.io.formats.mcap import writer
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.split import RecordingOptions
-from edoras_tools.io.processes import Workers, receive, send, writer_killed
+from edoras_tools.io.processes import InOrder, Workers, receive, send, writer_killed
 from edoras_tools.mission import Mission
 from edoras_tools.model import SourceStatistics
 from edoras_tools.pipelines.workbench import Settings
@@ -45,6 +45,10 @@ from edoras_tools.pipelines.workbench import Settings
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 GONE = writer_killed("a.mcap")
 KILLED = "the process that wrote it was killed; `edoras recover"
+
+
+def refuse(data):
+    raise MemoryError(data)
 
 
 def twice(data, slow=0.0):
@@ -350,6 +354,14 @@ def test_recordings_are_the_same(tmp_path, types, monkeypatch, capture, slot, la
     monkeypatch.setattr(module, "SLOT_BYTES", slot)
     alone = recorded(tmp_path / "a.mcap", types, name, jobs=1)
     assert recorded(tmp_path / "b.mcap", types, name, jobs=3) == alone
+
+
+def test_what_fails_is_not_waited_for_again(started):
+    tasks = InOrder(refuse, started(refuse))
+    tasks.add(1)
+    with pytest.raises(MemoryError):
+        list(tasks.results(0))
+    assert list(tasks.results(0)) == []
 
 
 @cache
