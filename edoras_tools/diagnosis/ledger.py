@@ -81,7 +81,7 @@ _BEFORE_CI: Final = frozenset({"network", "socket", "down", "restart", "ci_stopp
 _NOT_READ: Final = frozenset({"down", "network", PORT_CLOSED})
 _ON_BUS: Final = frozenset({*COUNTERS, "unknown"})
 _BEHIND_BUS: Final = frozenset(
-    {"stopped", "restart_failed", "away", "unsubscribed", "disabled", "route", DAMAGED}
+    {"stopped", "restart_failed", "away", "unsubscribed", "disabled", "route", "beside", DAMAGED}
 )
 _AT_PIPE: Final = frozenset({*COUNTERS, "stopped", "away", "route"})
 _BEHIND_PIPE: Final = frozenset({"after", "unknown", "fragments"})
@@ -127,6 +127,7 @@ CAUSES: Final[Mapping[str, LossCause]] = {
         "while Telemetry Output was not to send them", "Telemetry Output was not to send it"
     ),
     "route": LossCause("while their route on the bus was disabled", "its route on the bus was disabled"),
+    "beside": LossCause("to a second cFS, started beside the first", "a second cFS had CI's port"),
     PEER_RESTARTED: LossCause("sent to an SBN peer that restarted"),
     UNHEARD: LossCause("sent to a silent SBN peer"),
     "fragments": LossCause(

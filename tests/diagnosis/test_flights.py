@@ -796,8 +796,9 @@ def test_of_a_closed_port_whose_host_sends_few_errors_what_lies_between_two_is_l
 
 
 def test_a_cfs_that_is_started_beside_another_one_is_no_restart():
-    text = first_screen(examined("second_beside_the_first"))
-    assert "was started at 14.2 s beside another one, which ran until 18.2 s" in text
+    found = examined("second_beside_the_first")
+    assert "was started at 14.2 s beside another one, which ran until 18.2 s" in first_screen(found)
+    assert by_cause(found) == {"beside": 49}
 
 
 def test_an_error_that_a_network_doubles_is_about_one_datagram(tmp_path):

@@ -51,7 +51,7 @@ from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, dis
 from edoras_tools.wire.sbn import MsgType
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -405,6 +405,26 @@ class Outage(NamedTuple):
     restarted: bool = False
 
 
+_OVERLAP_NS: Final = 3 * SECOND
+"""A clock tells to a second or two when a cFS began."""
+
+
+def boots(case: Case) -> Iterator[tuple[int, int, int]]:
+    """Yield each instance that follows another one of its cFS: that one, it, and when it began beside it.
+
+    That is 0 where the one before had ended, or where its clock went on, which then tells no boot.
+    """
+    items, systems = case.instances.items, case.instances.systems
+    order = sorted(range(len(items)), key=lambda index: items[index].first_ns)
+    for at, index in enumerate(order):
+        later, own = items[index], [item for item in order[:at] if systems[item] == systems[index]]
+        for before in [item for item in own if items[item].last_ns < later.first_ns][-1:]:
+            earlier, boot_ns = items[before], later.boot_ns(case.profile)
+            went_on = later.first_ns - earlier.last_ns >= later.offset_ns - earlier.offset_ns
+            beside = max(case.start_ns, earlier.first_ns) < boot_ns < earlier.last_ns - _OVERLAP_NS
+            yield before, index, boot_ns if beside and not went_on else 0
+
+
 def outages(case: Case) -> list[Outage]:
     """Return all stops and restarts that events, or a command and silence, show; in order of time."""
     timeline, items = case.timeline, []
@@ -470,6 +490,7 @@ class Stops:
                         self._mark(fate, item)
                 self._mark_closed(fate)
                 self._mark_unsent(fate)
+                self._mark_beside(fate)
                 continue
             self._mark_unread(fate)
             own = [item for item in gone if item.app not in executive_services.SCHEDULERS]
@@ -642,6 +663,15 @@ class Stops:
             ):
                 inside = fate.open & (fate.stop < 0) & (times > max(item.start_ns, last_ns))
                 self.mark(fate, inside, "stopped", item.app, item.witness)
+
+    def _mark_beside(self, fate: Fate) -> None:
+        """Mark the messages that a second cFS got, of which none came out since it was started."""
+        times, last_ns = fate.stream.time_ns, fate.stream.time_ns[fate.arrived].max(initial=0)
+        for _, index, boot_ns in boots(self._case):
+            if boot_ns and fate.stream.link.only_to_cfs and self._case.goes_to(fate.stream, index):
+                inside = fate.open & (fate.stop < 0) & (times > max(boot_ns, last_ns))
+                text = f"started at {self._case.at(boot_ns)} beside another one: it has CI's port"
+                self.mark(fate, inside, "beside", self._case.label(index), text)
 
     def tell(self) -> None:
         """Turn the marked messages into losses, but not those that may be lost behind the application."""

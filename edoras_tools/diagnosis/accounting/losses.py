@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 IngestKind = Literal["network", "socket", "down", "restart", "ci_stopped", "port_closed"]
-AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled", "route"]
+AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled", "route", "beside"]
 LossKind = PipeKind | IngestKind | AppKind | Literal["after", "unknown", "fragments", "damaged"]
 """Causes of a loss.
 

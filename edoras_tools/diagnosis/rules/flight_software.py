@@ -9,6 +9,7 @@ from edoras_tools.cfs.event_services import SQUELCHED, EventType
 from edoras_tools.cfs.executive_services import COMMAND_MSG_ID as ES_COMMAND_MSG_ID
 from edoras_tools.cfs.executive_services import RESTART
 from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
+from edoras_tools.diagnosis.accounting.closed import boots
 from edoras_tools.diagnosis.accounting.losses import LEAD_NS, Loss
 from edoras_tools.diagnosis.advice import LET_RUN
 from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
@@ -31,10 +32,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
 
 
-_OVERLAP_NS: Final = 3 * SECOND
-"""A clock tells to a second or two when a cFS began."""
-
-
 def cfs_restart(case: Case) -> Iterator[Verdict]:
     """A cFS started anew while the capture ran: its clock, counts and counters began again.
 
@@ -47,20 +44,13 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
             (reset.start_ns, reset.end_ns),
             "its clock went on, as after a processor reset: counts begin lower, and come from another port",
         )
-    items, systems = case.instances.items, case.instances.systems
-    order = sorted(range(len(items)), key=lambda index: items[index].first_ns)
-    for at, index in enumerate(order):
-        later, own = items[index], [items[item] for item in order[:at] if systems[item] == systems[index]]
-        earlier = next((item for item in reversed(own) if item.last_ns < later.first_ns), None)
-        if earlier is None:
-            continue
-        span, boot_ns = (earlier.last_ns, later.first_ns), later.boot_ns(case.profile)
-        moved_ns = later.offset_ns - earlier.offset_ns
-        went_on = span[1] - span[0] >= moved_ns  # its clock, which so tells no boot
-        if went_on or not max(case.start_ns, earlier.first_ns) < boot_ns < earlier.last_ns - _OVERLAP_NS:
-            boot_ns = 0
+    items = case.instances.items
+    for before, index, boot_ns in boots(case):
+        earlier, later = items[before], items[index]
+        span = earlier.last_ns, later.first_ns
         if earlier.name or later.name or _down(case, *span):  # frames that were cut name nobody
-            how = f"mission time against the capture's moved by {moved_ns / SECOND:.1f} s"
+            moved = (later.offset_ns - earlier.offset_ns) / SECOND
+            how = f"mission time against the capture's moved by {moved:.1f} s"
             yield _restarted(case, case.label(index), span, how, boot_ns)
 
 
