@@ -1,4 +1,4 @@
-"""Messages with something in every field: the same seed, the same messages."""
+"""Makes messages with a value in every field; the same seed gives the same messages."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _MOST_ITEMS: Final = 4
 _MOST_CHARACTERS: Final = 12
 _LETTERS: Final = string.ascii_letters + string.digits + "_"
 _REACH: Final = 1000.0
-"""Floating-point values lie within this of 0: finite, and of a size that is usual for robots."""
+"""Largest absolute floating-point value: all are finite, and of a size that is usual for robots."""
 
 
 def arbitrary(types: TypeStore, type_name: str, dice: Random) -> dict[str, Any]:
-    """Return values for every field of a type, as ``TypeStore.encode`` takes them."""
+    """Return random values for every field of a type, in the form that ``TypeStore.encode`` takes."""
     return {field.name: _values(types, field, dice) for field in types.fields(type_name)}
 
 

@@ -1,4 +1,4 @@
-"""Which ROS types some messages of unknown type could be."""
+"""Finds the ROS types that messages of unknown type may have."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ if TYPE_CHECKING:
     from edoras_tools.ros.store import TypeStore
 
 PACKAGES: Final = ("geometry_msgs", "sensor_msgs", "std_msgs", "nav_msgs", "builtin_interfaces")
-"""Where types are looked for, besides those that are named."""
+"""Packages whose types are tried, besides the types that the caller names."""
 USUAL: Final = (
     "geometry_msgs/msg/Pose",
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/Twist",
     "sensor_msgs/msg/JointState",
 )
-"""What the EDORAS demos send: likelier than another type of the same shape."""
+"""Types that the EDORAS demos send: more likely than another type of the same shape."""
 
 
 def types_that_fit(types: TypeStore, samples: Collection[bytes], own: Collection[str] = ()) -> list[str]:
-    """Return the types that end at the last byte of all samples, or where a writer might leave bytes behind.
+    """Return the types whose last field ends every sample, or leaves at most their ``excess`` after it.
 
     Args:
-        samples: CDR, encapsulation included.
-        own: types to try besides those of ``PACKAGES``; they come first, then the usual ones.
+        types: the type store.
+        samples: CDR of the messages, encapsulation included.
+        own: types to try besides those of ``PACKAGES``; they come first in the result, then ``USUAL``.
     """
     return types_that_fit_each(types, [samples], own)[0]
 
@@ -39,7 +40,7 @@ def types_that_fit(types: TypeStore, samples: Collection[bytes], own: Collection
 def types_that_fit_each(
     types: TypeStore, groups: Sequence[Collection[bytes]], own: Collection[str] = ()
 ) -> list[list[str]]:
-    """Return for each of many groups of samples what ``types_that_fit`` does; none for an empty group."""
+    """Return the result of ``types_that_fit`` for each group of samples; no types for an empty group."""
     some = [group for group in groups if group]
     if not some:
         return [[] for _ in groups]
@@ -53,7 +54,7 @@ def types_that_fit_each(
         with suppress(EdorasError):
             size, most = types.fixed_size(name), types.most_trailing(name) - ROUNDING
             if size and not np.logical_and.reduceat((size <= length) & (length <= size + most), begins).any():
-                continue  # as most types: each group has a message of another size
+                continue  # the case of most types: each group has a message of another size
             behind = types.trailing(name, data, offset, length)
             ends = (behind >= 0) & (behind <= most)
             for place in np.flatnonzero(np.logical_and.reduceat(ends, begins)).tolist():

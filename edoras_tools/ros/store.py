@@ -22,23 +22,23 @@ if TYPE_CHECKING:
     from edoras_tools.ros.cdr.columns import MessageColumns
 
 USUAL_DISTRO: Final = "jazzy"
-"""The distribution where none is named: that of EDORAS's own images."""
+"""The distribution if none is named: that of EDORAS's own images."""
 
 
 class TypeStore:
-    """Knows message types, and reads and writes their CDR.
+    """Knows message types; reads and writes their CDR.
 
-    Fast to create: a distribution's messages are loaded when the first type is used. ``pkg/Name`` is accepted
-    for ``pkg/msg/Name``. Methods that take a type raise ``RouteError`` where it is not known, with
-    the nearest names, and ``ConfigError`` where its definition holds mistakes.
+    It is fast to create: a distribution's messages are loaded when the first type is used. ``pkg/Name`` is
+    accepted for ``pkg/msg/Name``. Methods that take a type raise ``RouteError``, with the nearest names, if
+    the type is not known, and ``ConfigError`` if its definition has mistakes.
 
     Args:
-        distro: ROS 2 distribution, as ``jazzy``; ``rolling`` and ``latest`` are the newest known.
+        distro: ROS 2 distribution, as ``jazzy``; ``rolling`` and ``latest`` are the newest one known.
         msg_paths: folders or files with more definitions, laid out ``PACKAGE/msg/NAME.msg`` or ``.idl``.
-        definitions: complete ``ros2msg`` texts by type, as an MCAP's schemas.
+        definitions: complete ``ros2msg`` texts by type, as the schemas of an MCAP.
 
     Attributes:
-        distro: as given.
+        distro: the distribution, as given.
 
     Raises:
         ConfigError: the distribution or a folder does not exist, or a folder holds no definition.
@@ -57,11 +57,11 @@ class TypeStore:
         self._plans: dict[str, tuple[str, CdrPlan]] = {}
 
     def has(self, type_name: str) -> bool:
-        """Tell whether a type is known and, with all that it uses, free of mistakes."""
+        """Return whether a type is known and, with all types that it uses, free of mistakes."""
         return self.check(type_name) is None
 
     def check(self, type_name: str) -> str | None:
-        """Return why a type cannot be used, in one sentence; None if it can."""
+        """Return the reason why a type cannot be used, in one sentence; None if it can."""
         try:
             self.plan(type_name)
         except (ConfigError, RouteError) as error:
@@ -69,7 +69,7 @@ class TypeStore:
         return None
 
     def nearest(self, type_name: str) -> list[str]:
-        """Return the most similar names that are known, best first, three at most."""
+        """Return the most similar known type names, best first, at most three."""
         package, _, last = type_name.rpartition("/")
         by_last: dict[str, list[str]] = {}
         for name in self.types():
@@ -81,34 +81,34 @@ class TypeStore:
         ][:3]
 
     def types(self) -> list[str]:
-        """Return the name of every type that can be found, sorted."""
+        """Return the names of all types that can be found, sorted."""
         return self._library.names()
 
     def definition(self, type_name: str) -> str:
-        """Return a type's ``ros2msg`` text, complete with the types that it uses, as in an MCAP schema."""
+        """Return a type's ``ros2msg`` text with the types that it uses, as in an MCAP schema."""
         return complete_text(self.definitions(type_name))
 
     def definitions(self, type_name: str) -> tuple[Definition, ...]:
-        """Return a type's definition, then that of every type that it uses, each once."""
+        """Return a type's definition, then the definitions of all types that it uses, each once."""
         self.plan(type_name)
         return with_used(full_name(type_name), self._definition)
 
     def fields(self, type_name: str) -> tuple[MessageField, ...]:
-        """Return a type's fields, in wire order; those of a type that it uses are asked for by its name."""
+        """Return a type's fields, in wire order; a field of another type stays one field of that type."""
         self.plan(type_name)
         return self._definition(full_name(type_name)).fields
 
     def decode(self, type_name: str, cdr: bytes) -> dict[str, Any]:
         """Return a message as plain values: dicts, lists, int, float, bool, str.
 
-        A sequence of ``uint8``, ``byte`` or ``char``, such as the data of an image, is ``bytes`` that
-        equal the list of their numbers.
+        A sequence of ``uint8``, ``byte`` or ``char``, such as the data of an image, is ``bytes`` that are
+        equal to the list of their numbers.
 
         Args:
-            cdr: encapsulation and body, either byte order.
+            cdr: encapsulation and body, in either byte order.
 
         Raises:
-            WireError: the message is not valid; says which field, where, and what it needs.
+            WireError: the message is not valid; the error names the field, its place and what it needs.
         """
         name, plan = self.plan(type_name)
         return reader.decode(name, plan, bytes(cdr))
@@ -116,7 +116,8 @@ class TypeStore:
     def spans(self, type_name: str, cdr: bytes) -> list[reader.ValueSpan]:
         """Return every leaf of a message as (dotted path, value, start, end).
 
-        Offsets count from the start of ``cdr``. An array of primitives is one leaf; its count belongs to it.
+        Offsets count from the start of ``cdr``. An array or a sequence of primitives is one leaf, count
+        included.
 
         Raises:
             WireError: as ``decode``.
@@ -129,18 +130,19 @@ class TypeStore:
         Missing fields take their defaults. Tuples and arrays are accepted as lists, bytes as lists of bytes.
 
         Raises:
-            FieldError: a value does not fit or a field does not exist; names the path and what it takes.
+            FieldError: a value does not fit or a field does not exist; the error names the path and what it
+                takes.
         """
         name, _ = self.plan(type_name)
         return self._writers[big_endian].encode(name, values)
 
     def fixed_size(self, type_name: str) -> int | None:
-        """Return the bytes of every message of a type, encapsulation included; None where they vary."""
+        """Return the bytes of every message of a type, encapsulation included; None if the size varies."""
         size = self.plan(type_name)[1].fixed_size
         return None if size is None else reader.ENCAPSULATION_BYTES + size
 
     def extent(self, type_name: str, cdr: bytes) -> int:
-        """Return the bytes of one message with its encapsulation, without what follows its last field.
+        """Return the bytes of one message with its encapsulation, without the bytes after its last field.
 
         Its values are not checked; ``decode`` does that.
 
@@ -154,7 +156,7 @@ class TypeStore:
     def valid(
         self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
     ) -> NDArray[np.bool_]:
-        """Tell which of many messages ``decode`` accepts.
+        """Return which of many messages ``decode`` accepts.
 
         Args:
             data: u8, the buffer that holds them.
@@ -166,28 +168,28 @@ class TypeStore:
     def trailing(
         self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
     ) -> NDArray[np.int32]:
-        """Return how many bytes follow the last field of many messages, -1 for those that are not valid.
+        """Return the bytes after the last field of each of many messages; -1 for messages that are not valid.
 
-        Arguments as ``valid``. How many of them are usual, ``most_trailing`` says.
+        Arguments as ``valid``. ``most_trailing`` returns the usual maximum.
         """
         from edoras_tools.ros.cdr import validity
 
         return validity.trailing(self.plan(type_name)[1], data, offset, length)
 
     def most_trailing(self, type_name: str) -> int:
-        """Return the most bytes that a writer of ROS 2 leaves behind the last field of a type."""
+        """Return the most bytes that a writer of ROS 2 leaves after the last field of a type."""
         return self.plan(type_name)[1].most_trailing
 
     def columns(
         self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
     ) -> MessageColumns:
-        """Return many messages as columns, one a field; arguments as ``valid``."""
+        """Return the fields of many messages as columns, one a field; arguments as ``valid``."""
         from edoras_tools.ros.cdr import columns
 
         return columns.columns(*self.plan(type_name), data, offset, length)
 
     def plan(self, type_name: str) -> tuple[str, CdrPlan]:
-        """Return a type's name in full, and what all of its readers are made from.
+        """Return a type's full name, and the plan from which all of its readers are made.
 
         Raises:
             ConfigError: a definition has a mistake.

@@ -1,7 +1,7 @@
 """RIHS01, the hash by which ROS 2 tells apart definitions of one type name (REP-2016).
 
-It is the SHA-256 of a JSON text that describes a message and all that it uses: names and types of the fields,
-without comments, constants and defaults. Distributions before Iron do not have it.
+It is the SHA-256 of a JSON text that describes a message and all types that it uses: names and types of the
+fields, without comments, constants and defaults. Distributions before Iron do not have it.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _TYPES: Final = {
     "string": 17,
     "wstring": 18,
 }
-"""``type_description_interfaces/msg/FieldType`` of single values."""
+"""Numbers of single values in ``type_description_interfaces/msg/FieldType``."""
 _BOUNDED_STRING: Final = 4
-"""Added to the number of a string that has a bound."""
+"""Number that is added to the type's number for a string with a bound."""
 _ARRAY: Final = 48
 _BOUNDED_SEQUENCE: Final = 96
 _SEQUENCE: Final = 144
-"""Added to the number of what an array or a sequence holds."""
+"""Numbers that are added to the element type's number for an array or a sequence."""
 
 
 def type_hash(types: TypeStore, type_name: str) -> str:

@@ -1,15 +1,15 @@
-"""Reading the CDR of many messages at once: a type's plan walked step by step, each a few numpy operations.
+"""Reads the CDR of many messages at once: walks a type's plan step by step, each a few numpy operations.
 
 The rules that this file keeps:
 
 1. A cursor is a position in each of many messages. The position is one number while all messages agree on
    it, which is the usual case (messages of one topic have one shape), and an array once they differ.
-2. Nothing is read before ``need`` has checked that its bytes are there. A message that ends too early, or has
-   an impossible count or string, is dropped from the cursor at that step; those that remain are valid so far.
+2. Bytes are read only after ``need`` has checked that they are there. A message that ends too early, or has
+   an impossible count or string, is dropped from the cursor at that step; the other rows are valid so far.
 3. So every operation works on valid rows only, and no index can leave the buffer.
-4. Alignment counts from the byte behind the encapsulation (``base``), never from the buffer's start.
-5. A loop over elements is as long as the longest message; once few are left (``FEW``) they are finished one
-   by one, so that one long message costs little.
+4. Alignment counts from the byte after the encapsulation (``base``), never from the buffer's start.
+5. A loop over elements is as long as the longest message; once at most ``FEW`` rows are left they are
+   finished one by one, so that one long message does not slow down the others.
 6. A walk reports the positions of values to its collector. It reads only counts, lengths and the byte that
    ends a string.
 """
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 
 _LITTLE: Final = 0x0100
 _BIG: Final = 0x0000
-"""The first two bytes of a message, 00 01 and 00 00, as they read little-endian."""
+"""Little-endian and big-endian: the first two bytes of a message, 00 01 and 00 00, read as ``<u2``."""
 
 
 FEW: Final = 16
-"""Rows so few that it is quicker to read them one by one."""
+"""Number of rows up to which reading one by one is faster."""
 MOST_SEEN: Final = 256
-"""The most deciding bytes of one row that are recorded."""
+"""Most ranges of deciding bytes that are recorded for one row."""
 
 
 class Bytes:
@@ -89,15 +89,16 @@ class Collector(Protocol):
 
 
 class Cursor:
-    """A position in each of many messages.
+    """A position in each of many messages, one row a message.
 
     Attributes:
-        rows: i64, which message of the batch each row is.
+        bytes: the buffer.
+        rows: i64, index of each row's message in the batch.
         base: i64, offset of each body in the buffer.
-        end: i64, bytes of each body.
-        swap: rows that are big-endian; None for no row.
-        position: from the start of the body; one number while all rows agree.
-        parent: the rows of the cursor that this one was taken from.
+        end: i64, size of each body in bytes.
+        swap: bool, rows that are big-endian; None for no row.
+        position: offset from the start of the body; one number while all rows agree, else i64.
+        parent: i64, index of each row in the cursor that this one was taken from.
         seen: if set, the walk of a single row records the bytes (first, one past last) that it depended on.
     """
 
@@ -141,7 +142,7 @@ class Cursor:
         return part
 
     def keep(self, good: NDArray[np.bool_], carried: Position = 0) -> Position:
-        """Drop the rows that are not good; return a carried column without them."""
+        """Drop the rows where ``good`` is False; return the column ``carried`` without them."""
         if good.all():
             return carried
         self.rows, self.base, self.end, self.parent = (
@@ -156,12 +157,12 @@ class Cursor:
         return carried if isinstance(carried, int) else carried[good]
 
     def need(self, size: Position, carried: Position = 0) -> Position:
-        """Drop the rows that have fewer bytes left; return a carried column without them."""
+        """Drop rows that have fewer than ``size`` bytes left; return the column ``carried`` without them."""
         end = self.position + size
         return carried if isinstance(end, int) and end <= self.room else self.keep(end <= self.end, carried)
 
     def body(self, row: int) -> tuple[int, bytes]:
-        """Return the byte order of one row, 0 for little-endian and 1 for big, and its body."""
+        """Return the byte order of one row (0 is little-endian, 1 is big-endian), and its body."""
         base = int(self.base[row])
         return int(self.swap is not None and self.swap[row]), self.bytes.data[
             base : base + self.end[row]
@@ -175,12 +176,12 @@ class Cursor:
                 self.keep(np.zeros(len(self), bool))
 
     def align(self, alignment: int) -> None:
-        """Move on to a multiple of the alignment."""
+        """Move the position up to the next multiple of ``alignment``."""
         if alignment > 1:
             self.position = (self.position + (alignment - 1)) & -alignment
 
     def count(self) -> Position:
-        """Read a u32 and move past it; the result is one number where all rows agree."""
+        """Read a u32 and move past it; return one number if all rows agree."""
         self.align(4)
         self.need(4)
         if not len(self):
@@ -197,7 +198,7 @@ class Cursor:
 def start_cursor(
     plan: CdrPlan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
 ) -> Cursor:
-    """Return a cursor at the start of every body that lies in the buffer, may be long enough, and is CDR."""
+    """Return a cursor over the messages that lie in the buffer, may be long enough, and are CDR."""
     offset, size = np.asarray(offset, np.int64), np.asarray(length, np.int64)
     inside = (offset >= 0) & (size >= ENCAPSULATION_BYTES + plan.least) & (offset <= len(data) - size)
     rows = np.flatnonzero(inside)
@@ -215,18 +216,18 @@ def start_cursor(
 
 
 def joined(prefix: str, name: str) -> str:
-    """Return a dotted name; the elements of a sequence of primitives or strings have none of their own."""
+    """Return a dotted name; elements of a sequence of primitives or strings have no name of their own."""
     return f"{prefix}.{name}" if prefix and name else prefix or name
 
 
 def walk_plan(plan: CdrPlan, cursor: Cursor, collector: Collector | None, prefix: str = "") -> None:
-    """Move a cursor past one plan, dropping the rows that do not fit it.
+    """Move a cursor past one plan; drop the rows that do not fit it.
 
     Args:
-        plan: what the bytes at the cursor are.
-        cursor: moved.
-        collector: receives the position of every value; what it has is right if no row was dropped.
-        prefix: in front of every name that the collector receives.
+        plan: layout of the bytes at the cursor.
+        cursor: cursor to move.
+        collector: receives the position of every value; its content is valid only if no row was dropped.
+        prefix: prefix of every name that the collector receives.
     """
     for step in plan.steps:
         if not len(cursor):
@@ -283,7 +284,7 @@ def _walk_repeat(step: Repeat, cursor: Cursor, collector: Collector | None, pref
 def _walk_elements(
     plan: CdrPlan, cursor: Cursor, collector: Collector | None, name: str, count: Position
 ) -> None:
-    """Walk elements whose sizes may differ, by element index: the loop is as long as the longest row."""
+    """Walk elements whose sizes may differ, one index at a time: the loop is as long as the longest row."""
     if isinstance(count, int):
         for _ in range(count):
             if not len(cursor):
@@ -315,7 +316,7 @@ def _walk_elements(
 
 
 def _finish_elements(plan: CdrPlan, cursor: Cursor, remaining: NDArray[np.int64]) -> None:
-    """Move few rows past their remaining elements one by one, so that one long row costs little."""
+    """Move a few rows past their remaining elements one by one, so that one long row costs little."""
     position = np.broadcast_to(cursor.position, len(cursor))
     ends = [
         skip(plan, *cursor.body(row), int(position[row]), int(remaining[row])) for row in range(len(cursor))

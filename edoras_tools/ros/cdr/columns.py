@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Piece = Callable[[], tuple[NDArray[np.int64], bulk.Position, NDArray[Any]]]
-    """Gathers a part of a column: different rows, how many values each has, and the values."""
+    """Reads a part of a column; returns i64, its rows; the number of values of each row; and the values."""
 
 
 class Ragged(msgspec.Struct, frozen=True, eq=False):
@@ -25,8 +25,8 @@ class Ragged(msgspec.Struct, frozen=True, eq=False):
     Sequences inside sequences are joined: a row holds all of its values in wire order.
 
     Attributes:
-        values: of all rows, one after the other.
-        offsets: i64, one more than rows; row ``i`` is ``values[offsets[i]:offsets[i + 1]]``.
+        values: values of all rows, one row after the other.
+        offsets: i64, one element more than rows; row ``i`` is ``values[offsets[i]:offsets[i + 1]]``.
     """
 
     values: NDArray[Any]
@@ -50,11 +50,11 @@ class MessageColumns(msgspec.Struct, frozen=True, eq=False):
 
     Attributes:
         type: ROS type name.
-        valid: rows whose CDR ``TypeStore.decode`` accepts.
-        fields: dotted name to column, in wire order. A field of one value is an array of its own type
+        valid: bool, rows whose CDR ``TypeStore.decode`` accepts.
+        fields: columns by dotted name, in wire order. A field of one value is an array of its own type
             (``object`` for strings); a fixed array of primitives has shape (rows, elements); every other
-            array or sequence, and all that lies inside one, is ``Ragged``. Rows that are not valid hold
-            zeros, empty strings and no elements.
+            array or sequence, and every field inside one, is ``Ragged``. Rows that are not valid hold zeros,
+            empty strings and no elements.
     """
 
     type: str
@@ -69,13 +69,14 @@ class TopicBlock(msgspec.Struct, frozen=True):
     """Messages of one topic, one row each.
 
     Attributes:
-        topic: with its leading slash.
+        topic: topic name with its leading slash.
         time_ns: i64, capture or recording time, ns since 1970.
-        message: the fields.
-        publish_ns: i64, publish time in the packet; None if the input has none.
+        message: columns of the fields.
+        publish_ns: i64, publish time in the packet, ns since 1970; None if the input has none.
         sequence: packet sequence counts; None if there are none.
-        present: the rows that have a field, by field; a field that is not listed is in all rows.
-        recording: names of the recordings that they are from; empty: of none of them; None of one input.
+        present: bool by field, rows that have this field; a field that is not listed is in all rows.
+        recording: name of each row's recording, empty for a row of no recording; None if the input is one
+            file.
     """
 
     topic: str
@@ -93,13 +94,14 @@ class TopicBlock(msgspec.Struct, frozen=True):
 def columns(
     name: str, plan: CdrPlan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
 ) -> MessageColumns:
-    """Return many messages as columns.
+    """Return the fields of many messages as columns.
 
     Args:
-        name: their type.
+        name: message type.
+        plan: plan of the type.
         data: u8, the buffer.
-        offset: i64, first byte of each message, encapsulation included; any value.
-        length: i32, bytes of each message; any value.
+        offset: i64, first byte of each message, encapsulation included; any value is safe.
+        length: i32, bytes of each message; any value is safe.
     """
     data = np.ascontiguousarray(data)
     rows, fields = np.arange(len(offset)), _Fields(plan, len(offset))
@@ -120,7 +122,7 @@ def _walked(
     rows: NDArray[np.int64],
     fields: _Fields,
 ) -> bool:
-    """Collect the positions of values; return whether all messages are valid."""
+    """Collect the positions of all values; return whether all messages are valid."""
     cursor = bulk.start_cursor(plan, data, offset, length)
     if len(cursor) < len(rows):
         return False
@@ -130,7 +132,7 @@ def _walked(
 
 
 class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
-    """Columns by name; collects the positions of their values, and reads them on demand."""
+    """Columns by name; collects the positions of their values, and reads the values on demand."""
 
     def __init__(self, plan: CdrPlan, rows: int) -> None:
         self._rows = rows
@@ -188,7 +190,7 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
         self._pieces[name].append(piece)
 
     def _declare(self, plan: CdrPlan, prefix: str, *, ragged: bool) -> None:
-        """Name every column, so that those without a value in this batch exist too."""
+        """Declare every column, so that columns without a value in this batch exist too."""
         for step in plan.steps:
             if isinstance(step, Repeat):
                 self._declare(step.plan, bulk.joined(prefix, step.name), ragged=True)

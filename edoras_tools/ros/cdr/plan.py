@@ -1,18 +1,18 @@
 """A message type as a list of CDR steps, shared by every reader and writer of this package.
 
-CDR aligns each primitive to its own size, counted from the byte after the encapsulation, and knows nothing of
-nesting (OMG CDR, formal/02-06-51, 15.3). So a type is a flat list of steps: a ``PrimitiveRun``, whose
-layout is fixed once its start is aligned, a ``Text``, or a ``Repeat`` of another plan. A run ends before the
-first primitive that is wider than its first one: only there can alignment depend on what came before.
+CDR aligns each primitive to its own size, counted from the byte after the encapsulation; nesting has no
+effect (OMG CDR, formal/02-06-51, 15.3). So a type is a flat list of steps: a ``PrimitiveRun``, whose layout
+is fixed once its start is aligned, a ``Text``, or a ``Repeat`` of another plan. A run ends before the first
+primitive that is wider than its first one: only there can alignment depend on earlier values.
 
 Bytes may follow the last field. Every receiver of ROS 2 ignores them, but too many of them mean another type.
-These are usual:
+The usual numbers:
 
 1. Zero to ``ROUNDING``: a writer rounds the message up to 4 or 8 bytes.
-2. ``rmw_serialize`` of Fast DDS and Zenoh gives the size that it had estimated, not that which it wrote. The
-   estimate (rosidl_typesupport_fastrtps) aligns the elements of an empty sequence, counts one unit more than
-   a ``wstring`` has, and 16 bytes for each ``bool`` of a sequence in C++. ``CdrPlan.excess`` is the most that
-   this comes to.
+2. ``rmw_serialize`` of Fast DDS and Zenoh returns the size that it estimated, not the size that it wrote. The
+   estimate (rosidl_typesupport_fastrtps) aligns the elements of an empty sequence, counts one unit too many
+   for a ``wstring``, and counts 16 bytes for each ``bool`` of a sequence in C++. ``CdrPlan.excess`` is the
+   largest difference.
 """
 
 from __future__ import annotations
@@ -30,29 +30,29 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 MOST_STEPS: Final = 16_384
-"""The most primitives and steps of one type; no sensible definition has more."""
+"""Most primitives and steps of one type; no sensible definition has more."""
 _MOST_BYTES: Final = 1 << 24
-"""Largest smallest message of a type."""
+"""Most bytes that the shortest message of a type may have."""
 _MOST_DEPTH: Final = 64
 ROUNDING: Final = 7
-"""Most bytes that rounding leaves behind the last field."""
+"""Most bytes that rounding adds after the last field."""
 UNLIMITED: Final = 1 << 31
-"""More bytes than any message has."""
+"""A number of bytes larger than any message."""
 WIDE_UNIT: Final = 4
-"""Bytes of a ``wstring``'s UTF-16 unit: its CDR is that of ``wchar_t`` in every middleware of ROS 2."""
+"""Bytes of one UTF-16 unit of a ``wstring``: all middleware of ROS 2 sends it as ``wchar_t``."""
 _MANY_FIELDS: Final = 60
-"""Fields above which ``dict(zip())`` builds a dict of flat values faster than a dict display does."""
+"""Number of fields above which ``dict(zip())`` builds a dict of flat values faster than a dict display."""
 _CPP_BOOL: Final = 16
 _MOST_COUNTED: Final = 256
-"""Elements above which the excess of a sequence counts as unlimited."""
+"""Number of elements above which the excess of a sequence counts as unlimited."""
 
 
 class Leaf(msgspec.Struct, frozen=True):
     """A primitive, or a fixed array of one, inside a run.
 
     Attributes:
-        name: dotted path from the plan's root; empty for the element of a sequence of primitives.
-        code: ``struct`` code.
+        name: dotted path from the plan's root; empty for an element of a sequence of primitives.
+        code: code of the type in ``struct``.
         size: bytes of one primitive.
         count: elements of a fixed array; None for a single value.
         offset: bytes from the start of the run.
@@ -74,9 +74,10 @@ class PrimitiveRun(msgspec.Struct, frozen=True):
     """Primitives at fixed offsets from a start aligned to ``alignment``.
 
     Attributes:
-        alignment: size of the first primitive; none is wider.
+        alignment: size of the first primitive in bytes; no other one is wider.
         size: bytes from the start to the end of the last primitive.
-        structs: reader and writer of all values, little-endian and big-endian.
+        leaves: the primitives, in wire order.
+        structs: structs that read all values, little-endian and big-endian.
     """
 
     alignment: int
@@ -90,8 +91,9 @@ class Text(msgspec.Struct, frozen=True):
 
     Attributes:
         name: dotted path from the plan's root.
-        bound: most characters, as the type says; 0 for any.
-        width: 1 for UTF-8 with a NUL at the end that the length counts; ``WIDE_UNIT`` for UTF-16, no NUL.
+        bound: most characters that the type allows; 0 for no limit.
+        width: 1 for UTF-8 with a NUL at the end, included in the length; ``WIDE_UNIT`` for UTF-16 without
+            NUL.
     """
 
     name: str
@@ -100,12 +102,13 @@ class Text(msgspec.Struct, frozen=True):
 
 
 class Repeat(msgspec.Struct, frozen=True):
-    """One plan several times: an array whose length is fixed, or a sequence that starts with a count as u32.
+    """A repeated plan: an array of fixed length, or a sequence that starts with its count as u32.
 
     Attributes:
         name: dotted path from the plan's root.
-        count: elements of an array; None for a sequence.
-        bound: most elements of a sequence; 0 for any.
+        count: number of elements of an array; None for a sequence.
+        bound: most elements of a sequence; 0 for no limit.
+        plan: plan of one element.
     """
 
     name: str
@@ -122,7 +125,8 @@ class CdrPlan(msgspec.Struct, frozen=True, dict=True):
 
     Attributes:
         steps: in wire order.
-        value: Python expression of the nested value; ``v`` holds the flat values of the steps, in wire order.
+        value: Python expression of the nested value, in which ``v`` is the list of flat values, in wire
+            order.
     """
 
     steps: tuple[PlanStep, ...]
@@ -130,7 +134,7 @@ class CdrPlan(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def build(self) -> Callable[[Sequence[Any]], Any]:
-        """Makes the nested value from the flat values; as an expression three times as fast as by calls."""
+        """Function from flat values to the nested value; one expression is three times as fast as calls."""
         return eval(f"lambda v: {self.value}")  # noqa: S307  names are quoted
 
     @cached_property
@@ -143,14 +147,14 @@ class CdrPlan(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def uniform(self) -> PrimitiveRun | None:
-        """The only run, where elements of this plan follow each other without gaps; else None."""
+        """The plan's only run, if its elements follow each other without gaps; else None."""
         step = self.steps[0]
         alone = len(self.steps) == 1 and isinstance(step, PrimitiveRun) and step.size % step.alignment == 0
         return step if alone and isinstance(step, PrimitiveRun) else None
 
     @cached_property
     def lists(self) -> bool:
-        """Whether it has arrays or sequences."""
+        """Whether the type has arrays or sequences."""
         runs = [step for step in self.steps if isinstance(step, PrimitiveRun)]
         return any(isinstance(step, Repeat) for step in self.steps) or any(
             leaf.count is not None for run in runs for leaf in run.leaves
@@ -158,7 +162,7 @@ class CdrPlan(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def single(self) -> bool:
-        """Whether it is one value, a primitive or a string, and no message."""
+        """Whether the plan is one value, a primitive or a string, not a message."""
         step = self.steps[0]
         leaves = step.leaves if isinstance(step, PrimitiveRun) else ()
         return len(self.steps) == 1 and (
@@ -167,23 +171,23 @@ class CdrPlan(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def element(self) -> Leaf | None:
-        """The only primitive of a sequence of primitives; else None."""
+        """The primitive, if this is the plan of an element of a sequence of primitives; else None."""
         run = self.uniform
         return run.leaves[0] if run and len(run.leaves) == 1 and not run.leaves[0].name else None
 
     @cached_property
     def excess(self) -> int:
-        """Most bytes by which ``rmw_serialize`` overestimates a message; ``UNLIMITED`` where no number is."""
+        """Most bytes by which ``rmw_serialize`` overestimates a message; ``UNLIMITED`` if it has no limit."""
         return _excess(self, 0)
 
     @cached_property
     def most_trailing(self) -> int:
-        """Most bytes that writers of ROS 2 leave behind the last field."""
+        """Most bytes that writers of ROS 2 leave after the last field."""
         return ROUNDING + self.excess
 
     @cached_property
     def fixed_size(self) -> int | None:
-        """Bytes of the body where all messages have the same size; else None."""
+        """Bytes of the body if all messages have the same size; else None."""
         return _end(self, 0)
 
 
@@ -192,7 +196,7 @@ def _least(step: Repeat) -> int:
 
 
 def _end(plan: CdrPlan, position: int) -> int | None:
-    """Return where a body of fixed size that starts at a position ends."""
+    """Return the end of a body of fixed size that starts at a position; None if its size varies."""
     for step in plan.steps:
         if isinstance(step, PrimitiveRun):
             position = _aligned(position, step.alignment) + step.size
@@ -208,7 +212,7 @@ def _end(plan: CdrPlan, position: int) -> int | None:
 
 
 def _excess(plan: CdrPlan, ahead: int) -> int:
-    """Return how far the estimate may be ahead behind a plan, if it is so far ahead in front of it."""
+    """Return the most bytes that the estimate is ahead after a plan, if it was ``ahead`` bytes before."""
     for step in plan.steps:
         if isinstance(step, PrimitiveRun):
             ahead = _aligned(ahead, step.alignment)
@@ -240,7 +244,7 @@ def _aligned(position: int, alignment: int) -> int:
 
 
 class Compiler:
-    """Turns definitions into plans and remembers the plans.
+    """Compiles definitions to plans and keeps the plans.
 
     Args:
         find: returns the definition of a type; raises if there is none.
@@ -292,7 +296,7 @@ class Compiler:
         return steps.append(Repeat(name, count, bound, element.finish(value)))
 
     def _one(self, field: MessageField, name: str, owner: str, steps: _Steps) -> str:
-        """Append one value of a field's type, whatever the field's shape; return its expression."""
+        """Append one value of a field's type, without the field's shape; return its expression."""
         if code := PRIMITIVES.get(field.type):
             return steps.primitive(name, code, None)
         if field.type in STRINGS:
@@ -303,7 +307,7 @@ class Compiler:
 
 
 class _Steps:
-    """Collects steps, and joins primitives into runs; what is added returns the expression of its value."""
+    """Collects steps, and joins primitives into runs; methods that add return the value's expression."""
 
     def __init__(self, owner: str) -> None:
         self._owner = owner

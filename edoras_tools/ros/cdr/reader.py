@@ -1,8 +1,8 @@
 """Reads one message from CDR: fast if it is valid, and with details of the mistake if it is not.
 
-A message is valid when its representation is CDR, every field lies inside it, every string ends in NUL (or is
-of length 0, as some writers send an empty one) and no bound is exceeded. Invalid UTF-8 is replaced, and any
-non-zero ``bool`` is true. Bytes behind the last field are not looked at, as by every receiver of ROS 2.
+A message is valid if its representation is CDR, every field lies inside the message, every string ends in NUL
+(or has length 0, as some writers send an empty one) and no bound is exceeded. Invalid UTF-8 is replaced, and
+any non-zero ``bool`` is true. Bytes after the last field are ignored, as by every receiver of ROS 2.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _COUNTS: Final = struct.Struct("<I"), struct.Struct(">I")
 
 
 class Octets(bytes):
-    """The elements of a sequence of octets, as the data of an image; equal to the list of its numbers."""
+    """The elements of a sequence of octets, as the data of an image; equal to the list of their numbers."""
 
     __slots__ = ()
 
@@ -32,12 +32,12 @@ class Octets(bytes):
 
 
 class ValueSpan(NamedTuple):
-    """A value of a message and where it is.
+    """A value of a message and its place.
 
     Attributes:
-        path: dotted, with indexes, as ``poses[0].position.x``.
+        path: dotted path with indexes, as ``poses[0].position.x``.
         value: number, bool, str or a list of numbers.
-        start: first byte, counted from the encapsulation's first; a string's is its length.
+        start: first byte, counted from the encapsulation's first byte; a string starts with its length.
         end: one past the last byte.
     """
 
@@ -48,7 +48,7 @@ class ValueSpan(NamedTuple):
 
 
 class _Misfit(struct.error):
-    """The fast reader stopped, as where bytes are missing; ``value_spans`` says where and why."""
+    """The fast reader stopped, for example at missing bytes; ``value_spans`` reports place and reason."""
 
 
 def decode(name: str, plan: CdrPlan, cdr: bytes) -> Any:
@@ -64,7 +64,7 @@ def decode(name: str, plan: CdrPlan, cdr: bytes) -> Any:
     except struct.error:
         end = -1
     if end < 0:
-        value_spans(name, plan, cdr)  # raises with the position
+        value_spans(name, plan, cdr)  # raises the error with its position
     return plan.build(values)
 
 
@@ -73,7 +73,7 @@ def value_spans(name: str, plan: CdrPlan, cdr: bytes) -> list[ValueSpan]:
 
     Raises:
         TruncatedError: a field needs more bytes than there are; offsets count from the start of ``cdr``.
-        FieldError: a string without NUL, or more elements than the type allows.
+        FieldError: a string has no NUL, or a field has more elements than the type allows.
         WireError: the representation is not CDR.
     """
     order = encapsulation_order(name, cdr)
@@ -83,13 +83,14 @@ def value_spans(name: str, plan: CdrPlan, cdr: bytes) -> list[ValueSpan]:
 
 
 def skip(plan: CdrPlan, order: int, body: bytes, position: int, times: int) -> int | None:
-    """Return the end of some elements that start at a position; None where they do not fit.
+    """Return the end of elements that start at a position; None if they do not fit.
 
     Args:
+        plan: plan of an element.
         order: 0 for little-endian, 1 for big-endian.
-        body: without the encapsulation.
-        position: from the start of the body.
-        times: how many elements.
+        body: the message without the encapsulation.
+        position: start, from the start of the body.
+        times: number of elements.
     """
     try:
         for _ in range(times):
@@ -100,7 +101,7 @@ def skip(plan: CdrPlan, order: int, body: bytes, position: int, times: int) -> i
 
 
 def bytes_left(plan: CdrPlan, order: int, body: bytes) -> int:
-    """Return how many bytes follow the last field, -1 where the body is not valid; arguments as ``skip``."""
+    """Return the bytes after the last field; -1 if the body is not valid; arguments as in ``skip``."""
     end = skip(plan, order, body, 0, 1)
     return -1 if end is None else len(body) - end
 
@@ -122,7 +123,7 @@ def encapsulation_order(name: str, cdr: bytes) -> int:
 
 
 def _read(plan: CdrPlan, order: int, body: bytes, position: int, values: list[Any]) -> int:
-    """Append the flat values of a plan; return where it ends."""
+    """Append the flat values of a plan; return its end."""
     for step in plan.steps:
         if isinstance(step, PrimitiveRun):
             position = (position + step.alignment - 1) & -step.alignment
@@ -147,7 +148,7 @@ def _read_texts(step: Text, order: int, body: bytes, position: int, times: int, 
             values.append(string_value(step, order, body[start:position]))
         elif length and body[position - 1]:
             raise _Misfit
-        else:  # without characters there is no NUL either
+        else:  # an empty string may have no NUL
             values.append(body[start : position - 1].decode("utf-8", "replace"))
     return position
 
@@ -193,12 +194,12 @@ def _numbers(leaf: Leaf, order: int, data: bytes) -> list[Any]:
 
 
 def _over(step: Text, length: int) -> bool:
-    """Tell whether a string is longer than its bound; the length of a narrow one counts the NUL."""
+    """Return whether a string is longer than its bound; the length of a UTF-8 string counts the NUL."""
     return 0 < step.bound < length - (step.width == 1)
 
 
 def string_value(step: Text, order: int, data: bytes) -> str:
-    """Return a string from its characters, NUL included."""
+    """Return a string from its bytes, NUL included."""
     if step.width == 1:
         return data[:-1].decode("utf-8", "replace")
     units = struct.unpack(f"{'<>'[order]}{len(data) // WIDE_UNIT}I", data)
@@ -215,7 +216,7 @@ class _Walk:
         self._spans = spans
 
     def plan(self, plan: CdrPlan, path: str, position: int) -> int:
-        """Append the spans of one plan; return where it ends."""
+        """Append the spans of one plan; return its end."""
         for step in plan.steps:
             if isinstance(step, PrimitiveRun):
                 position = self._run(step, path, position)

@@ -1,8 +1,8 @@
-"""Finds the end of each of many messages: most by comparison with one already read, the rest one by one.
+"""Finds the end of each of many messages: mostly by comparison with one that was read, else one by one.
 
-Few bytes decide whether a message is valid and where its last field ends: counts, string lengths, and the NUL
-of each string. Messages of the same length and byte order with the same values there have the same result, as
-most of a topic do.
+A few bytes decide whether a message is valid and where its last field ends: counts, string lengths, and the
+NUL of each string. Messages with the same length, byte order and values of these bytes have the same result;
+most messages of a topic do.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _COUNTS: Final = struct.Struct("<I"), struct.Struct(">I")
 
 
 def extent(name: str, plan: CdrPlan, cdr: bytes) -> int:
-    """Return the bytes of a message with its encapsulation, without what follows the last field.
+    """Return the bytes of a message with its encapsulation, without the bytes after the last field.
 
     Raises:
         WireError: the message ends before its last field does, or is not CDR.
@@ -41,10 +41,10 @@ def extent(name: str, plan: CdrPlan, cdr: bytes) -> int:
 
 
 def _end(plan: CdrPlan, count: struct.Struct, body: memoryview, position: int) -> int:
-    """Return where a plan that starts at a position ends, which may lie behind the body.
+    """Return the end of a plan that starts at a position; the end may be outside the body.
 
     Raises:
-        struct.error: a count or a length lies behind the body.
+        struct.error: a count or a length is outside the body.
     """
     for step in plan.steps:
         if isinstance(step, PrimitiveRun):
@@ -62,17 +62,17 @@ def _end(plan: CdrPlan, count: struct.Struct, body: memoryview, position: int) -
         else:
             for _ in range(times):
                 position = _end(step.plan, count, body, position)
-                if position > len(body):  # a wrong count does not make this loop long
+                if position > len(body):  # so that a wrong count does not make this loop long
                     return position
     return position
 
 
 _CHUNK_ROWS: Final = 4096
-"""Rows compared together: few enough that the arrays stay in the processor's cache."""
+"""Rows compared in one step: a number so small that the arrays stay in the processor's cache."""
 _MOST_PATTERNS: Final = 4
-"""Patterns to try before the remaining messages of a batch are read one by one."""
+"""Number of patterns to try before the remaining messages of a batch are read one by one."""
 _GAP: Final = 48
-"""Deciding bytes that are at most this far apart are compared together."""
+"""Most bytes between deciding bytes that are compared together."""
 _SHORT: Final = 8
 _INVALID: Final = -1
 _MOST: Final = 2048
@@ -85,8 +85,8 @@ class _Window(NamedTuple):
     Attributes:
         first: offset of the first byte from the start of the body.
         size: bytes, a multiple of 8.
-        want: u64 (CHUNK, size / 8), what is there.
-        mask: u64 (CHUNK, size / 8), which bits of it decide.
+        want: u64 (``_CHUNK_ROWS``, size / 8), the expected bytes.
+        mask: u64 (``_CHUNK_ROWS``, size / 8), the bits that decide.
     """
 
     first: int
@@ -96,7 +96,7 @@ class _Window(NamedTuple):
 
 
 class _Pattern:
-    """The deciding bytes of a cursor's first row, and how many bytes it has left; -1 if it is not valid."""
+    """The deciding bytes of a cursor's first row, and the bytes after its last field; -1: not valid."""
 
     def __init__(self, plan: CdrPlan, cursor: Cursor) -> None:
         row = cursor.take(np.zeros(1, np.int64))
@@ -111,7 +111,7 @@ class _Pattern:
         self._windows = [_window(body, first, end, row.seen) for first, end in joined] if self._usable else []
 
     def matches(self, cursor: Cursor) -> NDArray[np.bool_]:
-        """Tell which rows certainly have the same result."""
+        """Return which rows certainly have the same result."""
         alike: NDArray[np.bool_] = cursor.end == self._end
         alike &= (cursor.swap if cursor.swap is not None else False) == bool(self._swap)
         alike &= self._usable
@@ -134,12 +134,13 @@ class _Pattern:
 def trailing(
     plan: CdrPlan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
 ) -> NDArray[np.int32]:
-    """Return how many bytes follow each message's last field; -1 for those that ``reader.decode`` refuses.
+    """Return the bytes after each message's last field; -1 for messages that ``reader.decode`` refuses.
 
     Args:
+        plan: plan of their type.
         data: u8, the buffer.
-        offset: i64, first byte of each message, encapsulation included; any value.
-        length: i32, bytes of each message; any value.
+        offset: i64, first byte of each message, encapsulation included; any value is safe.
+        length: i32, bytes of each message; any value is safe.
     """
     data = np.ascontiguousarray(data)
     result = np.full(len(offset), _INVALID, np.int32)
@@ -164,7 +165,7 @@ def trailing(
 
 
 def _finish(plan: CdrPlan, cursor: Cursor) -> NDArray[np.int64]:
-    """Walk a cursor to the end, dropping the rows that are not valid; return what the others have left."""
+    """Walk a cursor to the end; drop the rows that are not valid; return the bytes left of the others."""
     if len(cursor) <= FEW and cursor.seen is None:
         rows = range(len(cursor))
         rest = np.fromiter((bytes_left(plan, *cursor.body(row)) for row in rows), np.int64, len(cursor))
@@ -176,7 +177,7 @@ def _finish(plan: CdrPlan, cursor: Cursor) -> NDArray[np.int64]:
 
 
 def _joined(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return ascending ranges with those joined that lie close together."""
+    """Return ascending ranges, with those joined that lie close together."""
     joined: list[tuple[int, int]] = []
     for first, end in ranges:
         if joined and first - joined[-1][1] <= _GAP:
@@ -197,7 +198,7 @@ def _window(body: NDArray[np.uint8], first: int, end: int, ranges: list[tuple[in
 
 
 def _rows(data: NDArray[np.uint8]) -> NDArray[np.uint64]:
-    """Return bytes as u64, once for each row of a chunk; numpy is slow to repeat short rows by itself."""
+    """Return bytes as u64, repeated for each row of a chunk; numpy is slow to broadcast short rows itself."""
     words = data.view("<u8")
     return (
         np.tile(words, (_CHUNK_ROWS, 1))

@@ -17,7 +17,7 @@ _ZEROS: Final = tuple(bytes(count) for count in range(8))
 
 
 class _Misfit(Exception):  # noqa: N818  it never leaves this file
-    """A value does not fit; each level that the exception passes puts its name before the path."""
+    """A value does not fit; each level that the exception passes puts its name in front of the path."""
 
     def __init__(self, why: str) -> None:
         super().__init__(why)
@@ -26,10 +26,11 @@ class _Misfit(Exception):  # noqa: N818  it never leaves this file
 
 
 class Writer:
-    """Writes the bodies of messages in one byte order.
+    """Writes messages in one byte order.
 
     Args:
-        find: returns the definition of a type; raises where there is none.
+        find: returns the definition of a type; raises if there is none.
+        big_endian: whether the byte order is big-endian.
     """
 
     def __init__(self, find: Callable[[str], Definition], *, big_endian: bool) -> None:
@@ -42,7 +43,8 @@ class Writer:
         """Return a message, encapsulation included.
 
         Raises:
-            FieldError: a value does not fit its field; the message names the field's path and what it takes.
+            FieldError: a value does not fit its field; the error names the field's path and the values it
+                takes.
         """
         body = bytearray()
         try:
@@ -107,7 +109,7 @@ class Writer:
                 try:
                     packed = values if is_bytes else struct.pack(f"{order}{len(values)}{code}", *values)
                 except (struct.error, OverflowError):
-                    pass  # one of them is out of range: written one by one, to name it
+                    pass  # a value is out of range: writing one by one names it
                 else:
                     body += _ZEROS[-len(body) & (size - 1)] + packed
                     return
@@ -121,7 +123,7 @@ class Writer:
         return write_all
 
     def _one(self, field: MessageField) -> Callable[[bytearray, Any], None]:
-        """Return what writes one value of a field's type, whatever the field's shape."""
+        """Return the function that writes one value of a field's type, without the field's shape."""
         if field.type in PRIMITIVES:
             return self._primitive(field.type)
         if field.type in STRINGS:

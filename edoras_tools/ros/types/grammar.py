@@ -40,7 +40,7 @@ _MOST: Final = 2**32 - 1
 
 
 class Section(NamedTuple):
-    """One definition of a joined text: its type in full, its text, and the line where that starts."""
+    """One definition of a joined text: full type name, text, and line number where the text starts."""
 
     name: str
     text: str
@@ -48,7 +48,7 @@ class Section(NamedTuple):
 
 
 def sections(name: str, text: str) -> Iterator[Section]:
-    """Split a complete ``ros2msg`` text at its ``===`` lines, the message itself first."""
+    """Yield the definitions of a complete ``ros2msg`` text, split at its ``===`` lines, the message first."""
     text = text.replace("\r\n", "\n")
     start, line = 0, 1
     for match in _SECTION.finditer(text):
@@ -58,14 +58,14 @@ def sections(name: str, text: str) -> Iterator[Section]:
     yield Section(full_name(name), text[start:], line)
 
 
-@lru_cache(2048)  # stores share what a distribution says
+@lru_cache(2048)  # several stores read the same definitions of a distribution
 def parse_definition(name: str, text: str, file: str, first_line: int = 1) -> Definition:
     """Read one message definition.
 
     Args:
-        name: its type in full.
+        name: full type name.
         text: the ``.msg`` text.
-        file: its name in error messages.
+        file: name of the file in error messages.
         first_line: number of the text's first line in ``file``.
 
     Raises:

@@ -1,6 +1,6 @@
 """Finds definitions: in folders, an MCAP's schemas, this package, a distribution or a sourced ROS 2.
 
-Definitions are read on demand; only the names in the folders that the user gave are listed at once.
+Definitions are read on demand; only the folders that the user gave are listed at once.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 
 _INCLUDE: Final = re.compile(r"^[ \t]*#.*", re.MULTILINE)
-"""A line for the preprocessor: what it includes is found by name."""
+"""A line for the preprocessor; included types are found by their names instead."""
 _IDL_PARTS: Final = re.compile(r"^=+\n(?:IDL: .*\n)?", re.MULTILINE)
-"""Between the definitions of a schema."""
+"""Separator between the definitions of a schema."""
 OWN: Final = Path(__file__).parent / "definitions"
 """The definitions of this package's own messages, ``PACKAGE/msg/NAME.msg``."""
 
@@ -36,7 +36,7 @@ class Library:
 
     Args:
         distro: ROS 2 distribution whose standard messages are known.
-        msg_paths: folders (searched to the bottom) or files, laid out ``PACKAGE/msg/NAME.msg`` or ``.idl``.
+        msg_paths: folders (searched recursively) or files, laid out ``PACKAGE/msg/NAME.msg`` or ``.idl``.
         schemas: complete ``ros2msg`` texts by type, as an MCAP holds them.
 
     Raises:
@@ -56,10 +56,10 @@ class Library:
         self._found: dict[str, Definition] = {}
 
     def find(self, name: str) -> Definition | None:
-        """Return the definition of a type, or None where it is not found.
+        """Return the definition of a type; None if it is not found.
 
         Raises:
-            ConfigError: the definition was found and holds mistakes.
+            ConfigError: the definition was found and has mistakes.
         """
         if name not in self._found and TYPE_NAME.fullmatch(name):
             by = self._from_files, self._from_schemas, self._from_package, self._from_distro, self._sourced
@@ -68,7 +68,7 @@ class Library:
         return self._found.get(name)
 
     def names(self) -> list[str]:
-        """Return the name of every type that any place has, sorted."""
+        """Return the names of all types in all places, sorted."""
         folders = [OWN, *_sourced_folders()]
         listed = {_type_of(file) for folder in folders for file in folder.glob("*/msg/*.msg")}
         return sorted(listed | self._files.keys() | self._sections.keys() | self._standard.keys())
@@ -99,17 +99,17 @@ class Library:
 
 
 def _read_if_there(name: str, folder: Path) -> Definition | None:
-    """Read a type's definition from a folder of packages; None where it is not there."""
+    """Read a type's definition from a folder of packages; None if the folder does not have it."""
     file = folder / f"{name}.msg"
     try:
         exists = file.is_file()
-    except OSError:  # longer than any file name may be
+    except OSError:  # the name is longer than a file name may be
         return None
     return _read(name, file) if exists else None
 
 
 def _distro(distro: str) -> str:
-    """Return the distribution that a name stands for."""
+    """Return the distribution of a name, which may be ``latest`` or ``rolling``."""
     names = distros()
     if distro in {"latest", "rolling"}:
         return names[-1]
@@ -121,7 +121,7 @@ def _distro(distro: str) -> str:
 
 
 def _index(paths: Iterable[str | os.PathLike[str]]) -> dict[str, Path]:
-    """List the definitions below some folders by type name; the first of a name wins."""
+    """Return the definition files of folders by type name; the first file of a name wins."""
     index: dict[str, Path] = {}
     mistakes = []
     for folder in map(Path, paths):
@@ -193,10 +193,10 @@ def _idl_types(text: str, place: str) -> Typesdict:
 
 
 def text_of_idl(name: str, text: str) -> str:
-    """Return a type's ``ros2idl`` schema, complete with the types that it uses, as a ``ros2msg`` text.
+    """Return the ``ros2msg`` text of a type's ``ros2idl`` schema, complete with the types that it uses.
 
     Raises:
-        ConfigError: it is not the IDL that ROS 2 writes.
+        ConfigError: the text is not the IDL that ROS 2 writes.
     """
     by_name: dict[str, Definition] = {}
     for part in _IDL_PARTS.split(text):
@@ -210,7 +210,7 @@ def text_of_idl(name: str, text: str) -> str:
 
 
 def _idl_line(error: Exception) -> int:
-    """Return the line that rosbags' parser stopped at: its message holds the text, then the position."""
+    """Return the line where rosbags' parser stopped: its message holds the text, then the position."""
     parts = str(error).split("\n")
     try:
         return str(literal_eval(parts[1])).count("\n", 0, int(parts[2])) + 1

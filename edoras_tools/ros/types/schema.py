@@ -30,7 +30,7 @@ PRIMITIVES: Final = {
 """``struct`` codes of the fixed-size ROS types; ROS 2's ``byte`` and ``char`` are both unsigned."""
 STRINGS: Final = frozenset({"string", "wstring"})
 PLACEHOLDER: Final = "structure_needs_at_least_one_member"
-"""The name of the one byte of an empty message on the wire; definitions and values do not have it."""
+"""Name of the one byte that an empty message has on the wire; definitions and values do not have it."""
 SEPARATOR: Final = "=" * 80
 """The line between the definitions of a complete ``ros2msg`` text."""
 
@@ -38,7 +38,7 @@ TYPE_NAME: Final = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.AS
 
 
 class Shape(Enum):
-    """How many values a field holds."""
+    """The number of values in a field: one, fixed, or counted."""
 
     SCALAR = "scalar"
     ARRAY = "array"
@@ -49,12 +49,12 @@ class MessageField(msgspec.Struct, frozen=True):
     """One field of a message.
 
     Attributes:
-        name: as written.
-        type: a name of ``PRIMITIVES`` or ``STRINGS``, or a message type in full.
-        string_bound: most characters of a string; 0 for any.
-        shape: one value, a fixed number, or a counted sequence.
-        size: elements of an array, or most elements of a sequence, 0 for any.
-        default: value where none is given; None for zero.
+        name: name as written.
+        type: a name of ``PRIMITIVES`` or ``STRINGS``, or the full name of a message type.
+        string_bound: most characters of a string; 0 for no limit.
+        shape: one value, a fixed number of values, or a counted sequence.
+        size: elements of an array, or most elements of a sequence, 0 for no limit.
+        default: value if none is given; None for zero.
     """
 
     name: str
@@ -85,9 +85,9 @@ class Definition(msgspec.Struct, frozen=True):
     """One message definition.
 
     Attributes:
-        name: type name in full, as ``geometry_msgs/msg/Twist``.
-        fields: in wire order; none for an empty message.
-        constants: in the order of the file.
+        name: full type name, as ``geometry_msgs/msg/Twist``.
+        fields: fields in wire order; none for an empty message.
+        constants: constants in the order of the file.
     """
 
     name: str
@@ -105,18 +105,18 @@ class Definition(msgspec.Struct, frozen=True):
 
 
 def full_name(name: str) -> str:
-    """Return ``pkg/msg/Name`` for ``pkg/Name``; any other name as it is."""
+    """Return ``pkg/msg/Name`` for ``pkg/Name``; any other name unchanged."""
     package, slash, rest = name.partition("/")
     return f"{package}/msg/{rest}" if slash and "/" not in rest else name
 
 
 def short_name(name: str) -> str:
-    """Return ``pkg/Name`` for ``pkg/msg/Name``, as definitions refer to it; any other name as it is."""
+    """Return ``pkg/Name`` for ``pkg/msg/Name``, as definitions refer to it; any other name unchanged."""
     return name.replace("/msg/", "/")
 
 
 def with_used(name: str, find: Callable[[str], Definition]) -> tuple[Definition, ...]:
-    """Return a type's definition, then that of every type that it uses, each once."""
+    """Return a type's definition, then the definitions of all types that it uses, each once."""
     by_name: dict[str, Definition] = {}
 
     def collect(name: str) -> None:
@@ -131,17 +131,17 @@ def with_used(name: str, find: Callable[[str], Definition]) -> tuple[Definition,
 
 
 def complete_text(definitions: Iterable[Definition]) -> str:
-    """Return a definition and those it uses as one ``ros2msg`` text, in the form of an MCAP schema.
+    """Return a definition and those that it uses as one ``ros2msg`` text, in the form of an MCAP schema.
 
     Args:
-        definitions: the message itself, then every type that it uses, once each.
+        definitions: the message itself, then every type that it uses, each once.
     """
     head, *rest = definitions
     return head.text + "".join(f"{SEPARATOR}\nMSG: {short_name(item.name)}\n{item.text}" for item in rest)
 
 
 def _literal(value: Any) -> str:
-    """Return a constant or default as ``.msg`` text; empty for what the format has no spelling for."""
+    """Return a constant or default as ``.msg`` text; empty if the format cannot express it."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

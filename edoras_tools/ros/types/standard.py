@@ -1,7 +1,7 @@
 """The standard messages of every ROS 2 distribution, as rosbags knows them.
 
-They are kept as text: rosbags builds a class for each, which takes longer than any other step of a command's
-start. ``python tests/ros/types/test_standard.py`` writes the text again from the installed rosbags.
+They are kept as text: rosbags builds a class for each of them, which takes longer than any other step of a
+command's start. ``python tests/ros/types/test_standard.py`` writes the text again from the installed rosbags.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from rosbags.interfaces.typing import FieldDesc, Typesdict
 
 FILE: Final = Path(__file__).parent / "definitions" / "standard.json"
-"""``distros``, oldest first, and ``types``: name -> {distribution: ``ros2msg`` text}. A text holds until a
-newer distribution has another; null ends it."""
+"""File with ``distros``, oldest first, and ``types``: name -> {distribution: ``ros2msg`` text}. A text
+applies until a newer distribution has another one; null ends it."""
 _STANDARD_DEFAULTS: Final = {
     ("geometry_msgs/msg/Quaternion", "w"): (1.0, ""),
     ("sensor_msgs/msg/NavSatStatus", "status"): (-2, "STATUS_UNKNOWN"),
 }
-"""rosbags keeps no defaults; of the standard packages' only these differ from zero, each where the definition
-has a constant, if one is named."""
+"""Defaults that are not zero, since rosbags keeps none, for the standard packages: (type, field) to (value,
+constant). Each applies only if the definition has the constant, if one is named."""
 
 
 def distros() -> list[str]:
@@ -54,7 +54,7 @@ def _table() -> dict[str, Any]:
 
 
 def converted(name: str, types: Typesdict) -> Definition:
-    """Return a definition as rosbags holds it as one of ours."""
+    """Return a definition that rosbags holds as one of ours."""
     constants, fields = types[name]
     constants_named = {"", *(item for item, _, _ in constants)}
     defaults = {
@@ -70,7 +70,7 @@ def converted(name: str, types: Typesdict) -> Definition:
 
 
 def _field(name: str, description: FieldDesc, defaults: dict[str, Any]) -> MessageField:
-    """Turn rosbags' description of a field into ours: nested pairs of a node kind and its arguments."""
+    """Convert rosbags' description of a field, nested pairs of a node kind and its arguments, to ours."""
     from rosbags.interfaces import Nodetype
 
     kind: Any
