@@ -1,9 +1,9 @@
 """Reads EDORAS bridge YAML into a frozen mission: which topic, type, MsgId and link belong together.
 
-``scalars`` holds rcl's rules for numbers and words, ``parameters`` reads a ROS 2 parameter file into dotted
-names, ``bridges`` makes a link and its routes from one node, ``handling`` reads the keys that only
-edoras-tools knows, ``framing`` those of transfer frames, ``loading`` joins several files. Every mistake of
-every file is reported at once, each with its file, line and key.
+``scalars`` holds rcl's rules for numbers and words. ``parameters`` reads a ROS 2 parameter file into dotted
+names. ``bridges`` makes a link and its routes from one node, with the keys that only edoras-tools knows.
+``loading`` joins several files, and reads the groups for transfer frames, spacecraft and cFS. Every mistake
+of every file is reported at once, each with its file, line and key.
 """
 
 from typing import TYPE_CHECKING

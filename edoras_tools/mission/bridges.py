@@ -1,8 +1,8 @@
 """Makes a link and its routes from one node's parameters, with the checks that the bridges make.
 
-edoras-tools adds keys to a bridge's file, rates and quality of service: below a topic's own key, or below
-``edoras`` for all topics. The public bridges declare every parameter of the file and look theirs up by name,
-so they ignore these.
+edoras-tools adds keys to a bridge's file, rates and quality of service: below the key of one topic, or below
+``edoras`` for all topics. The public bridges ignore these keys: they declare every parameter of the file and
+look up only their own by name.
 """
 
 from __future__ import annotations
@@ -45,20 +45,22 @@ if TYPE_CHECKING:
 
 
 HANDLING_GROUP: Final = "edoras"
-"""The group of the keys for all topics of a bridge, and for the bridge itself."""
+"""Group of the keys for all topics of a bridge, and for the bridge itself."""
 TOPIC_KEYS: Final = ("max_rate", "keep", "to_limit")
 BRIDGE_KEYS: Final = ("max_rate", "keep", "max_rate_total", "max_size")
 _QOS: Final = ("reliability", "durability", "depth")
 _MOST: Final = 1 << 20
 _TO_MOST: Final = 0xFF
-"""Telemetry Output keeps a limit in eight bits."""
+"""Highest limit of Telemetry Output, which stores it in eight bits."""
 
 
 def read_handling(fields: Fields, group: str, defaults: Handling) -> Handling:
     """Read the handling of topics from a group; mistakes go to the report.
 
     Args:
-        group: a topic's key, or ``HANDLING_GROUP``.
+        fields: parameters of the node.
+        group: key of a topic, or ``HANDLING_GROUP``.
+        defaults: handling for keys that the group does not have.
     """
     keep: Any = fields.word(f"{group}.keep", ("latest", "first"))
     reliability = fields.word(f"{group}.qos.reliability", ("reliable", "best_effort"))
@@ -82,7 +84,7 @@ def warn_of_unknown(fields: Fields, group: str, keys: Sequence[str]) -> None:
             fields.warn(f"{group}.{name}", f"ignored; {suggestion(name, keys)}read are {words}")
 
 
-# An address, or the limits of an integer.
+# Kind of each parameter: an address (None), or the limits of an integer.
 _ADDRESS: Final = None
 _PORT: Final = (1, 0xFFFF)
 _ID: Final = (0, 0xFFFFFFFF)
@@ -115,21 +117,21 @@ _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 _OTHER_SPELLING = re.compile(r"([a-z][a-z0-9_]*)(?:/|::|\.)(?:msg(?:/|::|\.))?([A-Z][A-Za-z0-9]*)")
 _TOPIC = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _LONGEST_TOPIC: Final = 247
-"""Characters of a topic, as rmw has it."""
+"""Most characters of a topic, as rmw limits it."""
 
 
 def node_of(name: str) -> tuple[str, str]:
-    """Return namespace and name of a node; a wildcard is none, as without ``__ns`` or ``__node``."""
+    """Return namespace and name of a node, each empty for a wildcard, as without ``__ns`` or ``__node``."""
     namespace, _, last = name.rpartition("/")
     return "" if "*" in namespace else namespace, "" if "*" in last else last
 
 
 def full_topic(text: str, node: str) -> str:
-    """Return a topic of a node fully qualified, as rcl expands it; empty where that is none.
+    """Return a node's topic, fully qualified as rcl expands it; empty if the result is no valid topic.
 
     Args:
-        text: as in the code or a file: ``cmd_vel``, ``/cmd_vel``, ``~/cmd_vel``, ``{node}/cmd_vel``.
-        node: fully qualified; a wildcard where it is not known.
+        text: topic as in the code or a file: ``cmd_vel``, ``/cmd_vel``, ``~/cmd_vel``, ``{node}/cmd_vel``.
+        node: fully qualified name of the node; a wildcard if it is not known.
     """
     namespace, name = node_of(node)
     if not name and (text.startswith("~") or "{node}" in text):
@@ -143,7 +145,7 @@ def full_topic(text: str, node: str) -> str:
 
 
 def find_bridges(nodes: list[NodeParameters]) -> list[NodeParameters]:
-    """Return the nodes that are bridges; other nodes may be in the same file, even with ``communication``."""
+    """Return the nodes that are bridges; a file may hold other nodes too, even with ``communication``."""
 
     def having(*names: str) -> list[NodeParameters]:
         return [node for node in nodes if not {*names}.isdisjoint(node.lines)]
@@ -152,12 +154,12 @@ def find_bridges(nodes: list[NodeParameters]) -> list[NodeParameters]:
 
 
 def is_transfer(node: NodeParameters) -> bool:
-    """Tell whether a node is EDORAS's ``data_transfer``, whose file has ``communication`` too."""
+    """Return whether a node is EDORAS's ``data_transfer``, whose file has ``communication`` too."""
     return not {"cfdp", "write_data", "read_data", "store_data"}.isdisjoint(node.lines)
 
 
 def read_transfer(node: NodeParameters, report: Mistakes) -> TransferLink | None:
-    """Return the CFDP entities of a node of ``data_transfer``; None without them, or with a mistake."""
+    """Return the CFDP entities of a ``data_transfer`` node; None if it has none, or a mistake."""
     fields = Fields(node, report)
     if "cfdp" not in node.groups or (fields.has(_PDU_MSG_IDS) and not fields.has("cfdp.port")):
         return None
@@ -166,9 +168,9 @@ def read_transfer(node: NodeParameters, report: Mistakes) -> TransferLink | None
 
 
 def read_stored(node: NodeParameters, check_type: CheckType | None) -> Iterator[StoredTopic]:
-    """Yield the topics of a node of ``data_transfer``, those that it writes first.
+    """Yield the topics of a ``data_transfer`` node, first those that it writes.
 
-    What has no topic, no file or no known type is left out: ``data_transfer`` judges its own file.
+    Entries without topic, file or known type are left out: ``data_transfer`` checks its own file.
     """
     for group in ("write_data", "read_data"):
         listed = node.values.get(group)
@@ -182,7 +184,7 @@ def read_stored(node: NodeParameters, check_type: CheckType | None) -> Iterator[
 
 
 def read_pdu_msg_ids(node: NodeParameters, report: Mistakes) -> tuple[int, ...]:
-    """Return the MsgIds of packets that hold a CFDP PDU each: our own key."""
+    """Return the MsgIds of packets that hold one CFDP PDU each; the key is our own."""
     return Fields(node, report).msg_ids(_PDU_MSG_IDS)
 
 
@@ -193,11 +195,14 @@ def read_bridge(
     check_type: CheckType | None,
     msg_ids: MsgIds = VERSION_1,
 ) -> tuple[Bridge | None, list[Route]]:
-    """Return the valid part of a bridge, without routes that another bridge has; mistakes go to ``report``.
+    """Return the valid part of a bridge, and its routes that no other bridge has; mistakes go to ``report``.
 
     Args:
-        claims: the owner of each MsgId on each link, over all bridges; this call adds to it.
-        check_type: tells what is wrong with a ROS type, None where nothing is.
+        node: parameters of the bridge.
+        report: report of its file.
+        claims: owner of each MsgId on each link, over all bridges; this call adds to it.
+        check_type: returns what is wrong with a ROS type, None if nothing is.
+        msg_ids: version of the MsgIds.
     """
     fields = Fields(node, report)
     flight, link = _communication(fields)
@@ -217,7 +222,7 @@ def read_bridge(
 
 
 def _communication(fields: Fields) -> tuple[bool, GroundLink | FlightLink | None]:
-    """Return whether it is a flight bridge, and its link."""
+    """Return whether the node is a flight bridge, and its link; None if a parameter of the link is wrong."""
     group, node = "communication", fields.node
     present = node.children(group)
     flight_keys, ground_keys = len(_FLIGHT.keys() & present), len(_GROUND.keys() & present)
@@ -280,7 +285,7 @@ class _Routes:
             return
         type_name, topic, msg_id = self._type(key), self._topic(key), self._msg_id(key)
         envelope = self._envelope(key)
-        # The rate of a bridge protects its cFS: messages from cFS are not limited by it.
+        # The rate of a bridge protects its cFS, so it does not limit messages from cFS.
         defaults = self.defaults if direction == "command" else replace(self.defaults, max_rate=None)
         handling = read_handling(fields, key, defaults)
         warn_of_unknown(fields, key, _ROUTE_KEYS)
@@ -377,7 +382,7 @@ class _Routes:
             return None
 
     def _claim(self, route: Route) -> bool:
-        """Claim the MsgId; False if another topic has it, or another bridge has the same route."""
+        """Claim the MsgId; return False if another topic has it, or another bridge has the same route."""
         node, other = self.claims.setdefault((route.link, route.msg_id), (self.fields.node, route))
         if other is route:
             return True

@@ -1,4 +1,4 @@
-"""Typed access to one node's parameters: a value of the right kind, or None and a mistake in the report."""
+"""Typed access to one node's parameters: returns a value of the right kind, or None and reports a mistake."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def suggestion(word: str, choices: Iterable[str]) -> str:
-    """Return ``did you mean ...? `` for the nearest choice, or nothing."""
+    """Return ``did you mean ...? `` with the nearest choice, or an empty text."""
     near = did_you_mean(word, choices, 1)
     return f"{near} " if near else ""
 
@@ -40,7 +40,7 @@ class Fields(msgspec.Struct, frozen=True):
         self.report.warn(self.node.line_of(name), name, text)
 
     def has(self, name: str) -> bool:
-        """Tell whether the file has the parameter, valid or not."""
+        """Return whether the file has the parameter, valid or not."""
         return name in self.node.values or name in self.node.groups
 
     def text(self, name: str, allowed: str) -> str | None:
@@ -76,7 +76,7 @@ class Fields(msgspec.Struct, frozen=True):
         return value
 
     def flag(self, name: str) -> bool | None:
-        """Return a boolean; None where it is absent or wrong."""
+        """Return a boolean; None if it is absent or wrong."""
         allowed = "true or false is needed"
         scalar = self._scalar(name, allowed)
         if scalar is None:
@@ -87,7 +87,7 @@ class Fields(msgspec.Struct, frozen=True):
         return None
 
     def rate(self, name: str) -> float | None:
-        """Return a rate in Hz, an integer or a float above 0; None where it is absent or wrong."""
+        """Return a rate in Hz, an integer or a float above 0; None if it is absent or wrong."""
         if not self.has(name):
             return None
         allowed = "a rate in messages a second is needed, as 30 or 0.5"
@@ -101,7 +101,7 @@ class Fields(msgspec.Struct, frozen=True):
         return float(value)
 
     def word(self, name: str, choices: Sequence[str]) -> str | None:
-        """Return one of the given words; None where it is absent or wrong."""
+        """Return one of the given words; None if it is absent or wrong."""
         if not self.has(name):
             return None
         allowed = f"{either(choices)} is needed"
@@ -112,7 +112,7 @@ class Fields(msgspec.Struct, frozen=True):
         return None
 
     def count(self, name: str, highest: int) -> int | None:
-        """Return an integer from 1 to a limit; None where it is absent or wrong."""
+        """Return an integer from 1 to ``highest``; None if it is absent or wrong."""
         return self.integer(name, 1, highest) if self.has(name) else None
 
     def address(self, name: str) -> str | None:
@@ -128,7 +128,7 @@ class Fields(msgspec.Struct, frozen=True):
             return None
 
     def msg_ids(self, name: str) -> tuple[int, ...]:
-        """Return a list of MsgIds; empty where it is absent or wrong."""
+        """Return a list of MsgIds; empty if it is absent or wrong."""
         allowed = "a list of MsgIds from 0x1 to 0x1FFF is needed, as [0x18C8, 0x8C2]"
         value = self.node.values.get(name)
         if isinstance(value, tuple) and all(
@@ -140,7 +140,7 @@ class Fields(msgspec.Struct, frozen=True):
         return ()
 
     def keys(self, name: str) -> list[ScalarNode]:
-        """Return a list of strings, each with its line."""
+        """Return a list of strings, each with its line; empty if it is absent or wrong."""
         allowed = "a list of keys is needed, as ['cmd_twist']"
         value = self.node.values.get(name)
         if isinstance(value, ScalarNode):
@@ -166,7 +166,7 @@ class Fields(msgspec.Struct, frozen=True):
         return None
 
     def _absent(self, name: str, allowed: str) -> None:
-        """Report a parameter with no value, unless the reader of the file has done so."""
+        """Report a parameter without a value, unless the reader of the file has reported it."""
         if name in self.node.groups:
             self.mistake(name, f"a mapping; {allowed}")
         elif name not in self.node.values:

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 _PARAMETERS: Final = b"ros__parameters"
 ROS_ARGS: Final = "ros_args"
-"""Name of the file of a mission that holds the words of ``--ros-args``, as a shell reads them."""
+"""Name of a mission's file that holds the words of ``--ros-args``, in shell syntax."""
 
 
 def load(
@@ -57,11 +57,12 @@ def load(
     """Read EDORAS bridge files, ground and flight alike, into one mission.
 
     Args:
-        paths: one file or several; none give an empty mission. A folder stands for all YAML files in
-            it; those that are no parameter files of ROS 2, or have no bridge, are left out with a warning.
-        check_type: asked for every ROS type; returns None where it is known, else what is wrong, as
+        paths: one file or several; without a file the mission is empty. A folder means all YAML files in it;
+            files that are no parameter files of ROS 2, or have no bridge, are left out with a warning.
+        check_type: called with every ROS type; returns None if it is known, else the mistake, as
             ``unknown type a/msg/B; did you mean a/msg/C?``.
-        ros_args: what follows ``--ros-args`` where the bridges are started: they hold for every file.
+        msg_ids: version of the MsgIds.
+        ros_args: words after ``--ros-args`` when the bridges are started; they apply to every file.
 
     Raises:
         ConfigError: all mistakes of all files at once.
@@ -80,7 +81,7 @@ def load(
 def loads(
     files: Mapping[str, bytes], *, check_type: CheckType | None = None, msg_ids: MsgIds = VERSION_1
 ) -> Mission:
-    """Read bridge files that are in memory, by name, as ``Mission.files`` and the attachments of a recording.
+    """Read bridge files from memory, by name, as in ``Mission.files`` or the attachments of a recording.
 
     Raises:
         ConfigError: all mistakes of all files at once.
@@ -91,7 +92,7 @@ def loads(
 
 
 def _files(path: str | os.PathLike[str]) -> list[tuple[str, bytes | str]] | None:
-    """Return the YAML files of a folder; None for a file."""
+    """Return name and content of the YAML files in a folder; None for a file."""
     try:
         if not Path(path).is_dir():
             return None
@@ -104,7 +105,7 @@ def _files(path: str | os.PathLike[str]) -> list[tuple[str, bytes | str]] | None
 
 
 def read_file(path: str | os.PathLike[str]) -> bytes | str:
-    """Return a file's bytes, or why there are none."""
+    """Return a file's bytes, or as text the reason why it cannot be read."""
     try:
         with Path(path).open("rb") as file:
             return file.read(LARGEST_FILE + 1)
@@ -136,11 +137,11 @@ def _mission(
 
 
 class _Loading:
-    """What the files of a mission hold, as they are read; mistakes wait until all are.
+    """The content of a mission's files, collected while they are read; ``mission`` reports all mistakes.
 
     Attributes:
         files: bytes of each file, by name.
-        arguments: what its bridges are started with; None for nothing.
+        arguments: arguments that its bridges are started with; None if there are none.
     """
 
     def __init__(self, check_type: CheckType | None, msg_ids: MsgIds) -> None:
@@ -160,11 +161,13 @@ class _Loading:
         self._spacecraft: dict[str, str] = {}
 
     def add(self, name: str, content: bytes | str, *, of_folder: bool) -> None:
-        """Read a file.
+        """Read one file.
 
         Args:
-            content: a string says why there is none.
-            of_folder: the file was not named itself: one without a bridge is only warned of.
+            name: name of the file.
+            content: its bytes; a text is the reason why there are none.
+            of_folder: whether the file was found in a folder: then a file without a bridge only gets a
+                warning.
         """
         report = Mistakes(name)
         self._reports.append(report)
@@ -188,7 +191,7 @@ class _Loading:
                     self._links.append(bridge.link)
 
     def _add_others(self, nodes: Sequence[NodeParameters], report: Mistakes) -> bool:
-        """Read what is not of bridges; return whether there is any."""
+        """Read the nodes that are no bridges; return whether there are any."""
         for node in nodes:
             if is_transfer(node):
                 self._add_transfer(node, report)
@@ -204,7 +207,7 @@ class _Loading:
         return any(is_transfer(node) or not groups.isdisjoint(node.groups) for node in nodes)
 
     def mission(self) -> Mission:
-        """Return the mission.
+        """Return the mission of all files.
 
         Raises:
             ConfigError: all mistakes of all files.
@@ -240,7 +243,7 @@ class _Loading:
 
 
 def _in_order(messages: Iterable[list[tuple[int, str]]]) -> list[str]:
-    """Return the messages of each file, sorted by line, each once: a wildcard may apply to several nodes."""
+    """Return the messages of each file by line, each once: a wildcard may apply to several nodes."""
     return list(dict.fromkeys(text for lines in messages for _, text in sorted(lines, key=itemgetter(0))))
 
 
@@ -252,7 +255,7 @@ def _text(content: bytes | str, report: Mistakes) -> str | None:
 
 
 def _free_name(name: str, used: Mapping[str, bytes]) -> str:
-    """Return the name, numbered where two files of different folders share it."""
+    """Return a file's name, with a number if a file of another folder has the same name."""
     path, number, free = PurePath(name or "mission.yaml"), 2, name or "mission.yaml"
     while free in used:
         free, number = f"{path.stem}_{number}{path.suffix}", number + 1
@@ -261,7 +264,7 @@ def _free_name(name: str, used: Mapping[str, bytes]) -> str:
 
 FRAMES_GROUP: Final = "frames"
 _LARGEST: Final = {"tm": 2048, "aos": 65507}
-"""Bytes of a frame; 131.0-B limits those of TM, a datagram those of AOS."""
+"""Most bytes of a frame; 131.0-B limits those of TM, a datagram limits those of AOS."""
 _USUAL_LINK: Final = {"tm": "to", "aos": "to", "tc": "ci"}
 _KEYS: Final = ("port", "kind", "link", "fecf", "transport")
 _OWN_KEYS: Final = {
@@ -275,7 +278,9 @@ def read_framed_ports(node: NodeParameters, report: Mistakes, owners: dict[int, 
     """Yield the ports of one node's ``frames`` that have no mistake; mistakes go to ``report``.
 
     Args:
-        owners: the name of each port, over all files; this call adds to it.
+        node: parameters of the node.
+        report: report of its file.
+        owners: name of each port, over all files; this call adds to it.
     """
     fields = Fields(node, report)
     names = sorted(
@@ -330,7 +335,7 @@ def _framed_port(fields: Fields, name: str) -> FramedPort | None:
 
 
 SPACECRAFT_GROUP: Final = "spacecraft"
-"""The group with a name for each spacecraft, and its address."""
+"""Group that maps the name of each spacecraft to its IP address."""
 _CRAFT_NAME: Final = re.compile("[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -338,7 +343,9 @@ def read_spacecraft(node: NodeParameters, report: Mistakes, owners: dict[str, st
     """Read the spacecraft of a node; mistakes go to ``report``.
 
     Args:
-        owners: the name of each address, over all files; this call adds to it.
+        node: parameters of the node.
+        report: report of its file.
+        owners: name of each address, over all files; this call adds to it.
     """
     fields = Fields(node, report)
     for name in node.children(SPACECRAFT_GROUP):
@@ -357,19 +364,21 @@ def read_spacecraft(node: NodeParameters, report: Mistakes, owners: dict[str, st
 
 
 CFS_GROUP: Final = "cfs"
-"""The group of these keys."""
+"""Group of the keys that describe the flight software."""
 _CFS_LIMITS: Final = "to_limits"
 _CFS_PORTS: Final = "ports"
 _CFS_TIME: Final = "time"
 _CFS_HEADERS: Final = {"extended_header": None, "telemetry_header": (12, 16), "msg_id_version": (1, 2)}
-"""How packets are built, as ``decode.Options`` has it: a flag, or the numbers that are allowed."""
+"""Keys of the packet format, as in ``decode.Options``: None for a flag, else the allowed numbers."""
 
 
 def read_flight_software(node: NodeParameters, report: Mistakes, msg_ids: MsgIds) -> FlightSoftware:
-    """Read the group of a node; mistakes go to ``report``.
+    """Read the ``cfs`` group of a node; mistakes go to ``report``.
 
     Args:
-        msg_ids: how the MsgIds of the file are built.
+        node: parameters of the node.
+        report: report of its file.
+        msg_ids: version of the MsgIds in the file.
     """
     fields, whole = Fields(node, report), constant_names()
     names = (*whole, _CFS_LIMITS, _CFS_PORTS, _CFS_TIME, *_CFS_HEADERS)

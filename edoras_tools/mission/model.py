@@ -20,15 +20,16 @@ if TYPE_CHECKING:
 
 
 class Handling(msgspec.Struct, frozen=True):
-    """How ``edoras bridge`` treats a topic; the public bridges ignore it. None: not in the file.
+    """How ``edoras bridge`` treats a topic; the public bridges ignore it. None: the key is not in the file.
 
     Attributes:
-        max_rate: messages a second at the most.
-        keep: above the rate, ``latest`` sends the newest message when its time comes; ``first`` drops it.
-        reliable: quality of service: lost samples are sent again.
-        transient_local: quality of service: late subscribers get the last samples.
+        max_rate: most messages a second, Hz.
+        keep: above the rate, ``latest`` keeps the newest message until the next send time; ``first`` drops
+            it.
+        reliable: quality of service: whether lost samples are sent again.
+        transient_local: quality of service: whether late subscribers get the last samples.
         depth: quality of service: samples kept.
-        to_limit: have Telemetry Output send it, with this many waiting at the most.
+        to_limit: most messages of this topic that may wait at Telemetry Output, which is told to send it.
     """
 
     max_rate: float | None = None
@@ -43,16 +44,16 @@ class Route(msgspec.Struct, frozen=True):
     """One ROS topic and the MsgId that carries it.
 
     Attributes:
-        topic: with a leading slash.
+        topic: topic name with a leading slash.
         type: ROS type name, ``package/msg/Name``.
         msg_id: cFE MsgId, 1 to 0x1FFF.
-        link: the one that carries messages of this kind of bridge in this direction.
-        direction: named from the bridge's side, as in the file.
-        key: the name that the file gives the mapping.
-        file: the file, as it was named when loaded.
-        line: where the mapping starts, from 1.
-        envelope: ``auto`` or the name of a ``wire.envelope.EnvelopeFormat``; None where not given.
-        handling: for ``edoras bridge``, with the defaults of its bridge filled in.
+        link: link that carries messages of this kind of bridge in this direction.
+        direction: direction from the bridge's side, as in the file.
+        key: name of the mapping in the file.
+        file: name under which the file was loaded.
+        line: line where the mapping starts, from 1.
+        envelope: ``auto`` or the name of a ``wire.envelope.EnvelopeFormat``; None if the file has none.
+        handling: handling by ``edoras bridge``, with the defaults of its bridge filled in.
     """
 
     topic: str
@@ -68,7 +69,7 @@ class Route(msgspec.Struct, frozen=True):
 
     @property
     def to_cfs(self) -> bool:
-        """Whether the message travels towards cFS: a bridge's commands do, its telemetry comes from there."""
+        """Whether the message travels towards cFS: a bridge's commands do, its telemetry comes from cFS."""
         return self.direction == "command"
 
 
@@ -80,9 +81,9 @@ class GroundLink(msgspec.Struct, frozen=True):
         fsw_port: UDP port of Command Ingest.
         fsw_ip: IPv4 address of cFS.
         telemetry_ip: IPv4 address that the bridge binds; ``0.0.0.0`` is any.
-        bridge_ip: IPv4 address of the bridge's machine, which Telemetry Output is told to send to.
-        file: the file, as it was named when loaded.
-        line: where ``communication`` starts, from 1.
+        bridge_ip: IPv4 address of the bridge's machine, to which Telemetry Output sends; None if not given.
+        file: name under which the file was loaded.
+        line: line where ``communication`` starts, from 1.
     """
 
     kind: ClassVar = "ground"
@@ -113,8 +114,8 @@ class FlightLink(msgspec.Struct, frozen=True):
         udp_receive_ip: IPv4 address that the bridge binds; ``0.0.0.0`` is any.
         processor_id: ProcessorID of the bridge.
         spacecraft_id: SpacecraftID of the bridge.
-        file: the file, as it was named when loaded.
-        line: where ``communication`` starts, from 1.
+        file: name under which the file was loaded.
+        line: line where ``communication`` starts, from 1.
     """
 
     kind: ClassVar = "flight"
@@ -146,9 +147,9 @@ class TransferLink(msgspec.Struct, frozen=True):
 
     Attributes:
         port: UDP port of the entity.
-        port_peer: UDP port of the other one.
-        file: the file, as it was named when loaded.
-        line: where ``cfdp`` starts, from 1.
+        port_peer: UDP port of the other entity.
+        file: name under which the file was loaded.
+        line: line where ``cfdp`` starts, from 1.
     """
 
     kind: ClassVar = "transfer"
@@ -163,9 +164,9 @@ class StoredTopic(msgspec.Struct, frozen=True):
     """A topic whose messages EDORAS's ``data_transfer`` writes to a file, for CFDP.
 
     Attributes:
-        topic: with a leading slash.
+        topic: topic name with a leading slash.
         type: ROS type name, ``package/msg/Name``.
-        file_name: of the file, without its folder.
+        file_name: name of the file, without its folder.
     """
 
     topic: str
@@ -177,13 +178,13 @@ class RecordedTopic(msgspec.Struct, frozen=True):
     """A topic of a recording that has no datagrams, as it was recorded.
 
     Attributes:
-        topic: with a leading slash.
-        type: name of its schema; empty where it has none.
-        encoding: of its messages, e.g. ``cdr`` or ``json``.
-        schema_encoding: of the schema, e.g. ``ros2msg``; empty where it has none.
-        schema: its bytes.
-        metadata: of the channel, e.g. ``offered_qos_profiles``.
-        unread: why its messages are not read; empty where they are.
+        topic: topic name with a leading slash.
+        type: name of its schema; empty if it has none.
+        encoding: encoding of its messages, as ``cdr`` or ``json``.
+        schema_encoding: encoding of the schema, as ``ros2msg``; empty if it has none.
+        schema: bytes of the schema.
+        metadata: metadata of the channel, as ``offered_qos_profiles``.
+        unread: reason why its messages are not read; empty if they are.
     """
 
     topic: str
@@ -199,12 +200,12 @@ class FramedPort(msgspec.Struct, frozen=True):
     """One of ``frames``: a port of CCSDS transfer frames.
 
     Attributes:
-        name: that the file gives it.
-        port: where they are sent to; of TCP, that of either end.
-        format: of the frames.
-        link: the one that the packets in them belong to.
-        file: the file, as it was named when loaded.
-        line: where it starts, from 1.
+        name: name in the file.
+        port: destination port of the frames; for TCP, the port of either end.
+        format: format of the frames.
+        link: link that the packets in the frames belong to.
+        file: name under which the file was loaded.
+        line: line where its group starts, from 1.
     """
 
     name: str
@@ -216,14 +217,14 @@ class FramedPort(msgspec.Struct, frozen=True):
 
 
 class Bridge(msgspec.Struct, frozen=True):
-    """One bridge: link, routes and limits, all that is needed to run in its place.
+    """One bridge: link, routes and limits, all values that are needed to run in its place.
 
     Attributes:
-        name: of its node, fully qualified; empty where the file gives none.
-        link: where it talks to cFS.
-        routes: its own, in the order of the file.
-        max_rate_total: messages a second to cFS at the most, all topics together; None where not given.
-        max_size: bytes of a packet that its cFS takes; None where not given.
+        name: fully qualified name of its node; empty if the file gives none.
+        link: link between the bridge and cFS.
+        routes: its own routes, in the order of the file.
+        max_rate_total: most messages a second to cFS, all topics together, Hz; None if not given.
+        max_size: most bytes of a packet that its cFS takes; None if not given.
     """
 
     name: str
@@ -234,13 +235,13 @@ class Bridge(msgspec.Struct, frozen=True):
 
 
 class FlightSoftware(msgspec.Struct, frozen=True):
-    """One cFS, as files and the command line have it; what nobody says is not here.
+    """One cFS, as files and the command line describe it; values that neither states are missing here.
 
     Attributes:
-        constants: by their names in ``SimProfile``.
-        limits: MsgId of version 1 to how many of it may wait at Telemetry Output.
-        headers: how packets are built, by the names of ``decode.Options``; ``ports`` are those of links that
-            no bridge has, ``LINK:PORT`` each.
+        constants: constants by their names in ``SimProfile``.
+        limits: most packets that may wait at Telemetry Output, by MsgId of version 1.
+        headers: packet format, by the names of ``decode.Options``; ``ports`` are those of links that
+            no bridge has, each as ``LINK:PORT``.
     """
 
     constants: Mapping[str, Any] = msgspec.field(default_factory=dict)
@@ -248,21 +249,21 @@ class FlightSoftware(msgspec.Struct, frozen=True):
     headers: Mapping[str, Any] = msgspec.field(default_factory=dict)
 
     def stating(self, constants: Mapping[str, Any]) -> FlightSoftware:
-        """Return the same with other constants in place of those that it has."""
+        """Return the same cFS with ``constants`` in place of those that it has."""
         limits = {} if "to_limits" in constants else self.limits
         return replace(self, constants={**self.constants, **constants}, limits=limits)
 
     @property
     def big_endian(self) -> bool:
-        """Whether counters and events have the highest byte first."""
+        """Whether counters and events are big-endian."""
         return bool(self.constants.get("big_endian"))
 
     @property
     def profile(self) -> SimProfile:
-        """All constants: those that nobody says are the usual ones.
+        """All constants; a constant that is not stated has its usual value.
 
         Raises:
-            ConfigError: one cannot have that value.
+            ConfigError: a constant cannot have its value.
         """
         from edoras_tools.cfs.profile import SimProfile
 
@@ -273,20 +274,20 @@ class Mission(msgspec.Struct, frozen=True):
     """The content of all mission files; ``Mission()`` is valid and empty.
 
     Attributes:
-        routes: in the order of the files; of one link no two have the same MsgId.
-        links: one a bridge, and one a pair of CFDP entities.
+        routes: routes in the order of the files; no two of one link have the same MsgId.
+        links: one link a bridge, and one a pair of CFDP entities.
         files: raw contents by base name, for attachments.
         warnings: one line each: what a bridge accepts but is probably a mistake.
         bridges: link and routes of each bridge together.
-        msg_ids: the version of the MsgIds.
-        frames: the ports of transfer frames; no port twice.
-        pdu_msg_ids: of packets that hold a CFDP PDU each, as those of cFS's CF app.
+        msg_ids: version of the MsgIds.
+        frames: ports of transfer frames; no port twice.
+        pdu_msg_ids: MsgIds of packets that hold one CFDP PDU each, as those of cFS's CF app.
         stored_topics: topics whose messages travel as files.
-        software: what they say of the flight software itself.
-        spacecraft: name and address of each that has a name; their numbers are 1, 2 and so on. Where
-            several have one, topics of ``routes`` begin with the first one's.
-        number: of the spacecraft whose topics ``routes`` have.
-        recorded: not of files: the topics of a recording without datagrams, one for each of ``routes``.
+        recorded: topics of a recording without datagrams, one for each of ``routes``; files have none.
+        software: the flight software, as the files describe it.
+        spacecraft: name and address of each spacecraft with a name; their numbers are 1, 2 and so on. If
+            several have a name, topics of ``routes`` begin with the name of the first.
+        number: number of the spacecraft whose topics ``routes`` have.
     """
 
     routes: tuple[Route, ...] = ()
@@ -304,29 +305,29 @@ class Mission(msgspec.Struct, frozen=True):
     number: int = 1
 
     def prefix(self, spacecraft: int) -> str:
-        """Return what the topics of a spacecraft begin with: nothing those of the first, or ``/sc_NAME``."""
+        """Return a topic prefix, ``/sc_NAME``; empty for the first spacecraft unless several have a name."""
         plain = spacecraft == 1 and len(self.spacecraft) < 2
         return "" if plain else f"/sc_{self.called(spacecraft).rpartition(' ')[2]}"
 
     def own_name(self, name: str, spacecraft: int) -> str:
-        """Return what a topic or packet of a spacecraft is called: behind its prefix, plain of the first."""
+        """Return a topic or packet name with its spacecraft's prefix; names of the first stay as they are."""
         prefix = self.prefix(spacecraft)
         return name if spacecraft == 1 or name.startswith(prefix) else f"{prefix}/{name}".rstrip("/")
 
     def number_of(self, name: str) -> int:
-        """Return the number of the spacecraft whose topics have a name in front; 0 where none can."""
+        """Return the number of the spacecraft whose topics start with a name; 0 if there can be none."""
         names = [own for own, _ in self.spacecraft]
         if name in names:
             return names.index(name) + 1
         return int(name) if name.isdecimal() and int(name) > max(len(names), 1) else 0
 
     def called(self, spacecraft: int) -> str:
-        """Return how people call a spacecraft."""
+        """Return the name of a spacecraft for people, as ``spacecraft rover``."""
         own = self.spacecraft[spacecraft - 1 : spacecraft]
         return f"spacecraft {own[0][0] if own else spacecraft}"
 
     def of(self, spacecraft: int) -> Mission:
-        """Return the mission with the topics of a spacecraft."""
+        """Return the same mission with the topics of a spacecraft."""
         before, own = self.prefix(self.number), self.prefix(spacecraft)
         topics = (own + route.topic.removeprefix(before) for route in self.routes)
         routes = (replace(route, topic=topic) for route, topic in zip(self.routes, topics, strict=True))
@@ -360,7 +361,7 @@ class Mission(msgspec.Struct, frozen=True):
         """Return the route of a topic (leading slash or not), a key, or a MsgId (as 0x827 or ``"0x827"``).
 
         Raises:
-            RouteError: no route is called that, or several are.
+            RouteError: no route has this name, or several have it.
         """
         text = str(name)
         msg_id = read_scalar(text)

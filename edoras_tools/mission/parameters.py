@@ -1,8 +1,9 @@
 """Reads ROS 2 parameter files into dotted names, as ``rcl_yaml_param_parser`` flattens them.
 
-``NODE: ros__parameters: {a: {b: 1}}`` is the parameter ``a.b`` of ``NODE``. Node names may be nested (a
-namespace a level), hold slashes, or be wildcards; several nodes and several documents may share a file.
-Figure 19 of the EDORAS paper has no node name on top: it is read too, with a warning; rcl refuses it.
+``NODE: ros__parameters: {a: {b: 1}}`` is the parameter ``a.b`` of ``NODE``. Node names may be nested (one
+level a namespace), hold slashes, or be wildcards; several nodes and several documents may share a file.
+Figure 19 of the EDORAS paper has no node name at the top: such a file is read too, with a warning; rcl
+refuses it.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ class NodeParameters(msgspec.Struct, frozen=True):
     """The parameters of one node.
 
     Attributes:
-        name: fully qualified, as ``/conversion_node``; empty where the file gives none.
-        line: of its ``ros__parameters``.
-        values: dotted name to a scalar or a list of them; None where the report already has a mistake.
-        groups: dotted name of everything that has names below it.
-        lines: dotted name, of parameter or group, to the line of its key.
-        remap: replaces a topic, fully qualified, as the node's arguments say.
+        name: fully qualified name, as ``/conversion_node``; empty if the file gives none.
+        line: line of its ``ros__parameters``.
+        values: scalar or list of scalars by dotted name; None if the report already has a mistake of it.
+        groups: dotted names that have names below them.
+        lines: line of the key of each parameter or group, by dotted name.
+        remap: replaces a fully qualified topic by the node's remapping arguments.
     """
 
     name: str
@@ -51,7 +52,7 @@ class NodeParameters(msgspec.Struct, frozen=True):
     remap: Callable[[str], str] = str
 
     def children(self, group: str) -> list[str]:
-        """Return the last part of every name directly below a group."""
+        """Return the last part of each parameter's name directly below a group."""
         names = (name.rpartition(".") for name in self.values)
         return [last for above, _, last in names if above == group]
 
@@ -63,7 +64,7 @@ class NodeParameters(msgspec.Struct, frozen=True):
 
 
 def read_nodes(text: str, report: Mistakes, *, merge: bool = True) -> list[NodeParameters]:
-    """Return the nodes of a parameter file, with the parameters of matching wildcards unless told not to.
+    """Return the nodes of a parameter file; unless ``merge`` is False, with parameters of matching wildcards.
 
     Mistakes go to ``report``; everything that can be read is returned.
     """
@@ -97,7 +98,7 @@ class _Reader:
             self.strays.append((tree.line, "/".join(path)))
             return
         for key, line, child in self.entries(tree, "/".join(path)):
-            # rcl compares the beginning only.
+            # rcl compares only the beginning of the key.
             if key.startswith(PARAMETERS_KEY):
                 self.parameters(self.node(path, line), "", child)
             else:
@@ -160,7 +161,7 @@ class _Reader:
         return None
 
     def entries(self, tree: MappingNode, above: str) -> list[tuple[str, int, Tree]]:
-        """Return key, line and value of each entry that can be used: keys are plain text, each once."""
+        """Return key, line and value of each usable entry: its key is plain text and not repeated."""
         first_lines: dict[str, int] = {}
         usable = []
         for key, child in tree.entries:
@@ -179,7 +180,7 @@ class _Reader:
 
 
 def _word(tree: Tree) -> ScalarNode | None:
-    """Return ``NAME: TYPE`` of a mapping that holds no more: a word of an envelope, which is our own key."""
+    """Return the text ``NAME: TYPE`` of a mapping with one such entry: an envelope's word (our own key)."""
     match tree:
         case MappingNode(entries=((ScalarNode() as name, ScalarNode(missing=False) as kind),)):
             text = f"{name.text}: {kind.text}"
@@ -188,7 +189,7 @@ def _word(tree: Tree) -> ScalarNode | None:
 
 
 def _with_wildcards(nodes: list[NodeParameters]) -> list[NodeParameters]:
-    """Give each named node the parameters of the wildcards that match it; as in rclcpp the last wins."""
+    """Give each named node the parameters of the wildcards that match it; as in rclcpp the last one wins."""
     targets = [node for node in nodes if "*" not in node.name]
     used: set[str] = set()
     result = []
@@ -205,7 +206,7 @@ def _with_wildcards(nodes: list[NodeParameters]) -> list[NodeParameters]:
 
 
 def name_matches(pattern: str, name: str) -> bool:
-    """Tell whether a wildcard matches: ``*`` is one part of a name, ``**`` any number of parts."""
+    """Return whether a wildcard matches: ``*`` is one part of a name, ``**`` any number of parts."""
     parts = name.split("/")[1:]
     ends = {0}
     for part in pattern.split("/")[1:]:

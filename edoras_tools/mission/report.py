@@ -16,12 +16,12 @@ def printable(text: str, limit: int = 60) -> str:
 
 
 class Mistakes(msgspec.Struct, eq=False):
-    """What is wrong with one file.
+    """The mistakes and warnings of one file.
 
     Attributes:
-        file: its name, for messages.
+        file: name of the file, for messages.
         mistakes: line number and ``FILE:LINE: KEY: what is wrong; what is allowed``, in the order found.
-        warnings: in the same form, what works but is probably a mistake.
+        warnings: in the same form, parameters that work but are probably mistakes.
     """
 
     file: str

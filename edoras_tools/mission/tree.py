@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 
 BRIDGE_FILE_FORM = "a bridge's file is NODE: ros__parameters: ..."
-"""The hint for a file of another kind."""
+"""Hint for a file of another kind."""
 
 LARGEST_FILE = 1 << 19
-"""Bytes. A mission file is a few KiB; a capture that is given by mistake is not read whole."""
+"""Most bytes of a mission file, which has a few KiB; a capture given by mistake is not read whole."""
 _DEEPEST = 50
 _QUOTES = {"'", '"'}
 _STRING_TAG = "tag:yaml.org,2002:str"
 
 
 class ScalarNode(msgspec.Struct, frozen=True):
-    """A plain value: as rcl reads it, as written, and its line, from 1. An empty one counts as missing."""
+    """A plain value: as rcl reads it, as written, and its line, from 1; ``missing`` if it is empty."""
 
     value: bool | int | float | str
     text: str
@@ -71,11 +71,12 @@ Tree: TypeAlias = ScalarNode | SequenceNode | MappingNode | AliasNode
 
 
 def yaml_text(content: bytes, report: Mistakes, form: str) -> str | None:
-    """Return the text of a YAML file; None, with a mistake in the report, where it is too large or not UTF-8.
+    """Return the text of a YAML file; None, with a mistake in the report, if it is too large or not UTF-8.
 
     Args:
-        content: the file's bytes, ``LARGEST_FILE`` + 1 at most.
-        form: what to give instead.
+        content: bytes of the file, ``LARGEST_FILE`` + 1 at most.
+        report: report of the file.
+        form: hint of what to give instead.
     """
     if len(content) > LARGEST_FILE:
         report.mistake(0, "", f"larger than {LARGEST_FILE >> 10} KiB; {form}")
@@ -89,13 +90,13 @@ def yaml_text(content: bytes, report: Mistakes, form: str) -> str | None:
 
 
 def parse_yaml(text: str, report: Mistakes, form: str = BRIDGE_FILE_FORM) -> list[Tree]:
-    """Return the documents of a YAML text; empty, with a mistake in the report, where it is not YAML.
+    """Return the documents of a YAML text; empty, with a mistake in the report, if it is not YAML.
 
-    ``form`` is the hint of what the file should look like.
+    ``form`` is a hint of what the file should look like.
     """
     import yaml
 
-    loader = getattr(yaml, "CLoader", yaml.Loader)  # libyaml, which the bridges' rcl reads its files with
+    loader = getattr(yaml, "CLoader", yaml.Loader)  # libyaml, with which the bridges' rcl reads its files
     events: list[Any] = []
     depth = 0
     try:
@@ -121,12 +122,14 @@ def parse_yaml(text: str, report: Mistakes, form: str = BRIDGE_FILE_FORM) -> lis
 
 
 def read_document(path: Path, report: Mistakes, form: str, *, one: str, instead: str) -> Tree | None:
-    """Return the only document of a YAML file; None if it has none. What is wrong goes to the report.
+    """Return the only document of a YAML file; None if it has none. Mistakes go to the report.
 
     Args:
-        form: what such a file contains, in a clause.
-        one: that it is one document, in a clause.
-        instead: what to name, if it cannot be read.
+        path: path of the file.
+        report: report of the file.
+        form: clause that says what such a file contains.
+        one: clause that says that it is one document.
+        instead: file or value to name instead, if it cannot be read.
     """
     try:
         with path.open("rb") as file:
@@ -146,12 +149,14 @@ def read_document(path: Path, report: Mistakes, form: str, *, one: str, instead:
 def named_entries(
     tree: Tree, place: str, report: Mistakes, needed: str, allowed: Collection[str] = ()
 ) -> Iterator[tuple[str, int, Tree]]:
-    """Yield the keys of a mapping, with line and value. Unknown ones are mistakes, as are repeated ones.
+    """Yield key, line and value of each entry of a mapping; unknown and repeated keys are mistakes.
 
     Args:
-        place: the key of the mapping; empty for a whole file.
-        needed: what has to be there where it is no mapping.
-        allowed: the keys that there are; empty: any.
+        tree: the mapping.
+        place: key of the mapping; empty for a whole file.
+        report: report of the file.
+        needed: text of the mistake if it is no mapping.
+        allowed: allowed keys; empty: any.
     """
     if not isinstance(tree, MappingNode):
         report.mistake(tree.line, place, needed)
@@ -205,7 +210,7 @@ def _tree(event: Any, events: Iterator[Any]) -> Tree:
 
 
 def _until(end: str, events: Iterator[Any]) -> Iterator[Any]:
-    """Yield events up to the end of a collection; the caller consumes all events of an element it takes."""
+    """Yield the events up to the end of a collection; the caller consumes all events of each element."""
     for event in events:
         if type(event).__name__ == end:
             return
