@@ -38,7 +38,7 @@ def examine(
 
     Args:
         source: a file (pcap, pcapng or MCAP), or any ``Source``.
-        config: mission files; those that a recording carries hold where none is named.
+        config: mission files; if none is named, those that a recording carries apply.
         profile: the constants of the cFS on the link.
 
     Raises:

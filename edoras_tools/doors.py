@@ -1,9 +1,9 @@
 """The one way to what is not of the core: add-ons that ship, and packages that other people install.
 
-Add-ons stand in the table of :mod:`edoras_tools.addons`; a package names what it adds as entry points of the
-group ``edoras.KIND``. Both become an :class:`Addition`, and nothing of either is imported before it is asked
-for. Packages are looked at only by those who have not got what they need from the core and its add-ons: a
-look at all of them takes 2 ms.
+Add-ons stand in the table of :mod:`edoras_tools.addons`; a package declares its additions as entry points of
+the group ``edoras.KIND``. Both become an :class:`Addition`, and nothing of either is imported before it is
+used. Packages are searched only if the core and its add-ons do not have what is needed: a search of all of
+them takes 2 ms.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ KINDS: Final = {
     "databases": "database",
     "parts": "part",
 }
-"""What can be added, and what one of it is called; ``parts`` by add-ons alone: what commands of the core call
-for an option, as ``sniff --tui``, and one add-on of another."""
+"""Kinds of additions, and the noun for one of each. Only add-ons have ``parts``: a command of the core uses a
+part for an option, as ``sniff --tui``, or another add-on uses it."""
 _ADDONS: Final = "edoras_tools.addons"
 
 
@@ -45,8 +45,8 @@ class Addition(msgspec.Struct, frozen=True):
 
     Attributes:
         kind: key of ``KINDS``.
-        name: what users call it.
-        place: of the object, as ``module:name``.
+        name: name for users.
+        place: place of the object, as ``module:name``.
         package: distribution that it comes from; empty for an add-on.
     """
 
@@ -57,14 +57,14 @@ class Addition(msgspec.Struct, frozen=True):
 
     @property
     def absent(self) -> bool:
-        """Whether it is of an add-on whose folder was deleted."""
+        """Whether it belongs to an add-on whose folder was deleted."""
         if self.package:
             return False
         folder = find_spec(f"{_ADDONS}.{self._folder}")
-        return folder is None or folder.origin is None  # a folder that holds caches alone is no package
+        return folder is None or folder.origin is None  # a folder with nothing but caches is no package
 
     def load(self) -> Any:
-        """Import it.
+        """Import the object and return it.
 
         Raises:
             ConfigError: its folder was deleted, or a package's object cannot be imported.
@@ -80,7 +80,7 @@ class Addition(msgspec.Struct, frozen=True):
             raise self.error(f"cannot be loaded: {error}") from error
 
     def error(self, why: str) -> ConfigError:
-        """Return the error that it cannot be used, in one line that names it and where it comes from."""
+        """Return the error that it cannot be used, in one line with its name and where it comes from."""
         subject = f"{KINDS[self.kind]} {self.name!r} of"
         if self.package:
             return ConfigError(f"{subject} the installed package {self.package}: {why}")
@@ -92,18 +92,18 @@ class Addition(msgspec.Struct, frozen=True):
 
 
 def imported(place: str) -> Any:
-    """Import what ``module:name`` names; the module itself where no name is given."""
+    """Import and return the object of ``module:name``; the module itself if no name is given."""
     module, _, name = place.partition(":")
     target = import_module(module)
     return attrgetter(name)(target) if name else target
 
 
 def later(package: str, **homes: str) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a package that imports what it offers when it is asked for.
+    """Return the ``__getattr__`` of a package that imports each of its names when it is first used.
 
     Args:
-        package: its name.
-        homes: by the name of a module in it what that module holds, names apart by spaces.
+        package: name of the package.
+        homes: names that a module of the package holds, separated by spaces, by the name of the module.
     """
     places = {name: f"{package}.{module}:{name}" for module, names in homes.items() for name in names.split()}
 
@@ -116,14 +116,14 @@ def later(package: str, **homes: str) -> Callable[[str], Any]:
 
 
 def table() -> tuple[Addon, ...]:
-    """Return the table of add-ons, also of those whose folder was deleted."""
+    """Return the table of add-ons, including those whose folder was deleted."""
     from edoras_tools.addons import ADDONS
 
     return ADDONS
 
 
 def shipped(kind: str) -> dict[str, Addition]:
-    """Return what the add-ons of the table add, by name, also those whose folder was deleted."""
+    """Return the additions of a kind by add-ons, by name, including those whose folder was deleted."""
     return {
         name: Addition(kind, name, f"{_ADDONS}.{row.folder}.{place}".replace(".:", ":"))
         for row in table()
@@ -132,7 +132,7 @@ def shipped(kind: str) -> dict[str, Addition]:
 
 
 def installed(kind: str) -> list[Addition]:
-    """Return what installed packages add, by name."""
+    """Return the additions of a kind by installed packages, sorted by name."""
     if kind not in _kinds(tuple(sys.path)):
         return []
     from importlib.metadata import entry_points  # 30 ms, most of it to import the email parser
@@ -144,13 +144,13 @@ def installed(kind: str) -> list[Addition]:
 
 
 def find(kind: str, name: str) -> Addition | None:
-    """Return what has a name, an add-on's before a package's; None where nothing has."""
+    """Return the addition with a name, an add-on's before a package's; None if there is none."""
     addition = shipped(kind).get(name)
     return addition or next((item for item in installed(kind) if item.name == name), None)
 
 
 def part(name: str) -> Any:
-    """Return a part of an add-on that a command of the core needs for an option, or another add-on.
+    """Import and return a part of an add-on, which a command of the core or another add-on needs.
 
     Raises:
         ConfigError: the add-on's folder was deleted.
@@ -161,7 +161,7 @@ def part(name: str) -> Any:
 
 @cache
 def _kinds(paths: tuple[str, ...]) -> frozenset[str]:
-    """Return the kinds of which packages in these folders may add something; a file, such as a zip, may."""
+    """Return the kinds that packages in these folders may add; a file, such as a zip, may add all of them."""
     kinds: set[str] = set()
     for path in map(Path, paths):
         if not path.is_dir():

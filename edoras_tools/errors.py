@@ -26,7 +26,7 @@ class EdorasError(Exception):
     """Root of every error that this package raises on purpose.
 
     Attributes:
-        exit_code: what a command that ends with this error returns to the shell: 1 failed, 2 usage, 130
+        exit_code: exit code of a command that ends with this error: 1 failed, 2 usage, 130
             interrupted.
     """
 
@@ -90,7 +90,7 @@ class RouteError(EdorasError):
 class CaptureError(EdorasError):
     """A capture, a recording or an interface that cannot be read or written.
 
-    A source raises it *after* it has handed over everything that could be read.
+    A source raises it only *after* it has handed over everything that could be read.
     """
 
 
@@ -101,11 +101,11 @@ class InterruptError(CaptureError):
 
 
 class NoDatagramsError(CaptureError):
-    """A recording of topics, as other tools make it: it holds messages, and no datagrams.
+    """A recording of topics, as other tools make it: it holds messages and no datagrams.
 
     Attributes:
-        path: as it was named.
-        files: those that it consists of, each a ``SettledFile``; who reads no topics leaves them.
+        path: path as it was named.
+        files: files of the recording, each a ``SettledFile``; a reader that reads no topics ignores them.
     """
 
     path: str = ""
@@ -114,10 +114,10 @@ class NoDatagramsError(CaptureError):
 
 @contextmanager
 def os_errors(failure: str) -> Iterator[None]:
-    """Tell an ``OSError`` inside as what could not be done, and the system's reason.
+    """Turn an ``OSError`` inside into a ``CaptureError`` with ``failure`` and the system's reason.
 
     Raises:
-        CaptureError: there was one.
+        CaptureError: there was an ``OSError``.
     """
     try:
         yield

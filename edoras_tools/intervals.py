@@ -3,8 +3,8 @@
 1. A quantile of Student's t comes from the finite sums for whole degrees of freedom (Abramowitz and Stegun,
    26.7.3 and 26.7.4), one of chi square from Wilson and Hilferty's cube root, a tolerance factor from Howe
    (1969): errors of the last two are below 2 percent of the factor.
-2. A count is whole, so equal counts in all runs do not show that there is no spread: rounding alone spreads
-   values by their step divided by the root of 12.
+2. A count is a whole number, so equal counts in all runs do not show that there is no spread: rounding alone
+   spreads values by their step divided by the root of 12.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 MEAN_CONFIDENCE: Final = 0.95
-"""With which intervals hold what they say."""
+"""Probability with which an interval holds the mean."""
 
 
 class MeanInterval(NamedTuple):
-    """Where a value lies.
+    """An interval that holds a mean.
 
     Attributes:
-        mean: of what was seen.
-        low: at least.
-        high: at most.
+        mean: mean of the values that were measured.
+        low: lower end.
+        high: upper end.
     """
 
     mean: float
@@ -35,7 +35,7 @@ class MeanInterval(NamedTuple):
 
 
 def t_quantile(probability: float, freedom: int) -> float:
-    """Return what Student's t exceeds with ``1 - probability``.
+    """Return the value that Student's t exceeds with probability ``1 - probability``.
 
     Args:
         probability: between 0.5 and 1.
@@ -62,11 +62,11 @@ def _t_within(value: float, freedom: int) -> float:
 
 
 def mean_interval(values: Sequence[float], step: float = 0.0) -> MeanInterval:
-    """Return where the mean of all possible runs lies, with ``MEAN_CONFIDENCE``; one value is its own.
+    """Return the interval of the mean of all possible runs (``MEAN_CONFIDENCE``); one value gives width 0.
 
     Args:
-        values: one of each run, at least one.
-        step: between two values next to each other, as 1 / 160 for a share of 160 messages.
+        values: one value a run, at least one.
+        step: difference of neighbouring possible values, as 1 / 160 for a share of 160 messages.
     """
     mean, count = fmean(values), len(values)
     if count < 2:

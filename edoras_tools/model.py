@@ -32,17 +32,17 @@ NO_ROUTE = -1
 
 
 def rate_hz(count: int, span_ns: int) -> float:
-    """Return the rate of messages between the first and the last, which every command means by a rate.
+    """Return the rate of messages in Hz between the first and the last, as every command defines a rate.
 
     Args:
-        count: messages, the first and the last among them.
-        span_ns: from the first to the last; without one the rate is 0.
+        count: number of messages, the first and the last included.
+        span_ns: time from the first to the last, ns; the rate is 0 if this is 0.
     """
     return (count - 1) * SECOND / span_ns if count > 1 and span_ns > 0 else 0.0
 
 
 class Finding(Flags):
-    """A departure from what the protocols say or the receivers accept; a bit each, so one column holds all.
+    """A departure from the protocols or from what receivers accept; one bit each, so one column holds all.
 
     The bits are recorded in ``/edoras/datagrams``: never renumber one, append.
     """
@@ -82,7 +82,7 @@ class Finding(Flags):
 
     @property
     def label(self) -> str:
-        """The name used in files, JSON and on screen, as ``length_mismatch``."""
+        """The name in files, JSON and on screen, as ``length_mismatch``."""
         return str(self.name).lower()
 
     @property
@@ -106,7 +106,7 @@ UNKNOWABLE: Final = (
     | Finding.SBN_LEGACY_HEADER
     | Finding.STRUCT_LENGTH
 )
-"""What a datagram that the capture itself cut cannot be blamed for."""
+"""Findings that a datagram must not get if the capture itself cut it."""
 
 
 NO_FINDINGS = Finding(0)
@@ -116,9 +116,10 @@ class Transport(msgspec.Struct, frozen=True):
     """How the messages of a link travel.
 
     Attributes:
-        protocol: ``udp``: one message a datagram; ``tcp``: one after the other in a stream; ``either``.
-        ports: the usual destination ports; of TCP, those that are listened on.
-        first: which end speaks first: ``client``, ``server`` or ``either``.
+        protocol: ``udp``: one message a datagram; ``tcp``: messages one after the other in a stream;
+            ``either``.
+        ports: usual destination ports; for TCP, the ports that are listened on.
+        first: end that speaks first: ``client``, ``server`` or ``either``.
     """
 
     protocol: Literal["udp", "tcp", "either"] = "udp"
@@ -137,33 +138,33 @@ class Transport(msgspec.Struct, frozen=True):
 
 
 class Link(int):
-    """What a link is called and what it is for; as a number, its code: what columns and recordings hold.
+    """The names and properties of a link; as a number it is its code, which columns and recordings hold.
 
-    There is one object for each link, in the table :mod:`edoras_tools.links.table`. Ask a link for what it is
-    for (``link.to_cfs``, ``link.peers``), never which one it is.
+    Each link is one object, in the table :mod:`edoras_tools.links.table`. Code asks a link for its properties
+    (``link.to_cfs``, ``link.peers``), never which link it is.
 
     Attributes:
-        code: what recordings store; never renumbered.
-        name: for people, as ``CI``.
-        label: in files, JSON and options, as ``ci``.
-        colour: of its name on a terminal; a name that rich knows.
-        doc: one line on what it is.
-        transport: ports, and who speaks first.
-        to_cfs: whether messages travel towards cFS on it; both may be true.
+        code: number in recordings; never renumbered.
+        name: name for people, as ``CI``.
+        label: name in files, JSON and options, as ``ci``.
+        colour: colour of its name on a terminal; a name that rich knows.
+        doc: description, one line.
+        transport: protocol, ports, and the end that speaks first.
+        to_cfs: whether messages travel towards cFS on it; this and ``from_cfs`` may both be true.
         from_cfs: whether messages travel away from cFS on it.
         packets: whether it carries space packets.
         peers: whether a header names the sender: SpacecraftID and ProcessorID.
-        bridge: kind of the EDORAS bridge whose routes it carries: ``ground``, ``flight``, or none.
-        bridge_ports: parameters of such a bridge that name the link's ports.
-        receive_buffer: bytes that the usual receiver has room for; 0 where that does not matter.
-        over_receive_buffer: the finding of a datagram that is longer.
+        bridge: kind of the EDORAS bridge whose routes it carries: ``ground``, ``flight``, or empty for none.
+        bridge_ports: parameters of such a bridge that hold the link's ports.
+        receive_buffer: bytes of the usual receiver's buffer; 0 if its size does not matter.
+        over_receive_buffer: finding of a datagram that is longer than that buffer.
         largest: bytes of the largest space packet that a datagram can hold.
         header_bytes: bytes in front of the space packet.
-        last_hop: whether flight apps send on it what they were commanded, values without a header.
-        dictionary: whether a dictionary of F Prime describes what its packets hold.
+        last_hop: whether flight apps forward their commands on it, as values without a header.
+        dictionary: whether a dictionary of F Prime describes the content of its packets.
         samples: whether its datagrams hold samples of DDS.
-        in_packets: whether packets of other links may carry its units, as ``Mission.pdu_msg_ids`` says.
-        several: whether a datagram may hold several messages: the link itself says what is in it.
+        in_packets: whether packets of other links may carry its units, as ``Mission.pdu_msg_ids`` states.
+        several: whether a datagram may hold several messages; the link itself finds them.
         quotes: whether each message holds the beginning of a datagram of another link.
     """
 
@@ -192,12 +193,12 @@ class Link(int):
 
     @property
     def only_to_cfs(self) -> bool:
-        """Whether it has one direction, towards cFS."""
+        """Whether messages travel only towards cFS on it."""
         return self.to_cfs and not self.from_cfs
 
     @property
     def only_from_cfs(self) -> bool:
-        """Whether it has one direction, away from cFS."""
+        """Whether messages travel only away from cFS on it."""
         return self.from_cfs and not self.to_cfs
 
     def __new__(cls) -> Self:
@@ -231,7 +232,7 @@ class Endpoint(msgspec.Struct, frozen=True):
 
 
 class Peer(NamedTuple):
-    """What tells SBN peers apart: spacecraft and processor, never their address."""
+    """Identity of an SBN peer: its spacecraft and processor, never its address."""
 
     spacecraft_id: int
     processor_id: int
@@ -241,20 +242,23 @@ class Peer(NamedTuple):
 
 
 class Datagram(NamedTuple):
-    """One captured datagram, whole, or one message of a TCP stream.
+    """One complete captured datagram, or one message of a TCP stream.
 
     Attributes:
-        number: place in its source, counted in frames from 1 as Wireshark does.
+        number: number of its frame in the source, from 1 as Wireshark counts.
         time_ns: capture time, ns since 1970-01-01 UTC.
         link_type: pcap LINKTYPE of ``frame``.
-        frame: the frame as captured, link layer header included.
-        payload: the UDP payload; put together from fragments where there were any. Of a stream, one message.
-        payload_offset: where ``payload`` starts in ``frame``; -1 when it was put together from fragments.
-        original_length: bytes of the frame on the wire; more than ``len(frame)`` when the capture cut it; -1
-            of a packet taken out of transfer frames, which has none.
+        frame: frame as captured, link layer header included.
+        payload: UDP payload, reassembled if there were fragments; for a stream, one message.
+        payload_offset: start of ``payload`` in ``frame``; -1 if the payload was reassembled.
+        original_length: bytes of the frame on the wire; more than ``len(frame)`` if the capture cut it; -1
+            for a packet taken out of transfer frames, which has none.
+        source: sender.
+        destination: receiver.
+        findings: departures that the capture shows.
         stream: whether it is a message of a TCP stream; ``frame`` is then one segment that holds it alone.
-        topic: of a message out of a recording without datagrams: the place of its topic in
-            ``Mission.routes``; ``NO_ROUTE`` of datagrams. Such a message has no addresses.
+        topic: for a message from a recording without datagrams, index of its topic in ``Mission.routes``;
+            ``NO_ROUTE`` for datagrams. Such a message has no addresses.
     """
 
     number: int
@@ -272,37 +276,37 @@ class Datagram(NamedTuple):
 
 
 RECORDED: Final = np.dtype([("topic", "<u2"), ("sequence", "<u4"), ("publish_ns", "<i8")])
-"""Of a message out of a recording without datagrams: place of its topic in ``Mission.routes``, and what the
-recording has beside its time; ns since 1970."""
+"""Row of a message from a recording without datagrams: index of its topic in ``Mission.routes``, sequence
+number and publish time (ns since 1970), which the recording has in addition to the capture time."""
 
 
 class PacketBatch(msgspec.Struct, frozen=True, eq=False):
-    """Datagrams, and messages of TCP streams, in columns over one contiguous byte buffer.
+    """Datagrams, and messages of TCP streams, as columns over one contiguous byte buffer.
 
-    All arrays have the batch's length. Offsets point into ``data``. A batch of one, or none, is a batch.
+    All arrays have the batch's length. Offsets point into ``data``. A batch may have one row, or none.
 
     Attributes:
-        data: u8, the bytes that all offsets point into, frames whole.
-        number: i64, place of the frame in its source, from 1.
+        data: u8, bytes that all offsets point into, with complete frames.
+        number: i64, number of the frame in its source, from 1.
         time_ns: i64, capture time, ns since 1970-01-01 UTC.
         link_type: u16, pcap LINKTYPE of the frame.
         frame_offset: i64, start of the frame, link layer header included.
         frame_length: i32, captured bytes of the frame.
-        original_length: i32, bytes of the frame on the wire; -1 of a packet taken out of transfer frames,
+        original_length: i32, bytes of the frame on the wire; -1 for a packet taken out of transfer frames,
             which are rows of their own.
-        offset: i64, start of the UDP payload. It lies outside its frame when put together from fragments.
-        length: i32, bytes of the UDP payload that were captured.
+        offset: i64, start of the UDP payload; it lies outside its frame if it was reassembled from fragments.
+        length: i32, captured bytes of the UDP payload.
         source_address: u32, IPv4 as a number; for IPv6 an index into ``ipv6``.
-        source_port: u16.
+        source_port: u16, UDP or TCP port of the sender.
         destination_address: u32, as ``source_address``.
-        destination_port: u16.
+        destination_port: u16, UDP or TCP port of the receiver.
         ip_version: u8, 4 or 6.
-        capture_findings: u32, the bits that one datagram alone cannot tell: ``FRAGMENT``, ``CAPTURE_CUT``,
-            ``STREAM_GAP``, ``STREAM_RESENT``, and what is wrong with transfer frames.
-        ipv6: the IPv6 addresses, 16 bytes each, that the address columns index.
-        streams: bool, which rows come from TCP streams; None where none does.
-        recorded: ``RECORDED``, what a recording without datagrams says of each message: its rows are
-            messages, without frames and addresses, and with ``original_length`` -1. None of datagrams.
+        capture_findings: u32, findings that one datagram alone does not show: ``FRAGMENT``, ``CAPTURE_CUT``,
+            ``STREAM_GAP``, ``STREAM_RESENT``, and mistakes in transfer frames.
+        ipv6: IPv6 addresses, 16 bytes each; the address columns hold indexes of them.
+        streams: bool, rows that come from TCP streams; None if no row does.
+        recorded: ``RECORDED``, for the rows of a recording without datagrams; these rows are messages
+            without frames and addresses, with ``original_length`` -1. None for datagrams.
     """
 
     data: NDArray[np.uint8]
@@ -354,7 +358,7 @@ class PacketBatch(msgspec.Struct, frozen=True, eq=False):
         )
 
     def ends(self, index: int) -> tuple[Endpoint, Endpoint]:
-        """Return where a row's datagram came from, and where it went."""
+        """Return source and destination of a row's datagram."""
         source = Endpoint(self.address(int(self.source_address[index]), index), int(self.source_port[index]))
         address = self.address(int(self.destination_address[index]), index)
         return source, Endpoint(address, int(self.destination_port[index]))
@@ -366,7 +370,7 @@ class PacketBatch(msgspec.Struct, frozen=True, eq=False):
         return ".".join(map(str, value.to_bytes(4, "big")))  # a tenth of the time of ``ipaddress``
 
     def fixed(self, address: NDArray[np.uint32]) -> NDArray[np.uint64]:
-        """Return addresses of all rows as numbers that mean the same in every batch, u64.
+        """Return an address column as numbers that mean the same in every batch, u64.
 
         Args:
             address: ``source_address``, ``destination_address``, or one of both in each row.
@@ -380,12 +384,12 @@ class PacketBatch(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def captured(self) -> Self:
-        """The rows that were captured: without packets that were taken out of transfer frames."""
+        """The rows that were captured, without packets that were taken out of transfer frames."""
         own = self.original_length >= 0
         return self if own.all() else self.take(own)
 
     def take(self, rows: NDArray[Any] | slice) -> Self:
-        """Return the rows that an index array, a mask or a slice chooses, over the same buffer."""
+        """Return the rows of an index array, a mask or a slice, over the same buffer."""
         return type(self)(
             **{
                 name: value if value is None or name in {"data", "ipv6"} else value[rows]
@@ -396,29 +400,29 @@ class PacketBatch(msgspec.Struct, frozen=True, eq=False):
 
 
 class Columns(msgspec.Struct, frozen=True, eq=False):
-    """What ``decode.columns`` reads from a batch, one element a datagram.
+    """The values that ``decode.columns`` reads from a batch, one element a datagram.
 
-    Offsets point into the batch's ``data``. Where a layer is absent its columns hold the stated "none".
+    Offsets point into the batch's ``data``. Columns of an absent layer hold the value stated below.
 
     Attributes:
         link: u8, the code of a ``Link``.
-        spacecraft: u8, its number, from 1 on; see ``decode.spacecraft``.
+        spacecraft: u8, number of the spacecraft, from 1; see ``decode.spacecraft``.
         sbn_msg_type: i16, SBN MsgType; -1 where there is no SBN header.
         processor_id: u32, SBN ProcessorID of the sender; 0 where there is none.
         spacecraft_id: u32, SBN SpacecraftID of the sender; 0 where there is none.
         packet_offset: i64, start of the space packet; -1 where there is none.
-        packet_length: i32, bytes of the space packet that are there; 0 where there is none.
+        packet_length: i32, bytes of the space packet that are in the datagram; 0 where there is none.
         msg_id: i32, cFE MsgId; ``NO_MSG_ID`` where there is none.
         sequence_flags: u8, 0 to 3.
         sequence_count: u16, 0 to 16383.
-        function_code: i16, of a command; -1 for telemetry or none.
-        mission_time_ns: i64, telemetry header time since its epoch in ns; -1 where there is none.
+        function_code: i16, function code of a command; -1 for telemetry or none.
+        mission_time_ns: i64, time in the telemetry header, ns since its epoch; -1 where there is none.
         header_length: u8, cFE header bytes, primary header included; 0 where there is none.
-        headers: u8, place in ``wire.cfe.HEADERS`` of the headers that the packet is read with.
+        headers: u8, index into ``wire.cfe.HEADERS`` of the headers that the packet is read with.
         cdr_offset: i64, first byte of the CDR encapsulation; -1 where there is no whole envelope.
         cdr_length: i32, CDR bytes, encapsulation included; 0 where there is no whole envelope.
         route: i16, index into ``Mission.routes``; ``NO_ROUTE`` where no route of this link claims the MsgId.
-        findings: u32, a set of ``Finding`` bits.
+        findings: u32, set of ``Finding`` bits.
     """
 
     link: NDArray[np.uint8]
@@ -444,7 +448,7 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
         return len(self.link)
 
     def take(self, rows: NDArray[Any] | slice) -> Self:
-        """Return the rows that an index array, a mask or a slice chooses."""
+        """Return the rows of an index array, a mask or a slice."""
         return type(self)(**{name: getattr(self, name)[rows] for name in self.__struct_fields__})
 
 
@@ -452,12 +456,12 @@ class LayerField(NamedTuple):
     """One named value of a layer and the bytes it was read from.
 
     Attributes:
-        name: the standard's name, as in the tree, the filters and the JSON.
+        name: name in the standard, as in the tree, the filters and the JSON.
         value: int, float, bytes, str or a plain list.
         start: first byte, from the start of the UDP payload.
         end: one past the last byte.
-        text: how people read it, as ``0x1827`` or ``command``.
-        doc: one line on what the field is.
+        text: value as text for people, as ``0x1827`` or ``command``.
+        doc: description of the field, one line.
     """
 
     name: str
@@ -473,10 +477,10 @@ class Layer(NamedTuple):
 
     Attributes:
         name: short name, as ``ccsds`` or ``sbn``.
-        title: what the tree prints.
+        title: title in the tree.
         start: first byte, from the start of the UDP payload.
         end: one past the last byte.
-        fields: in wire order.
+        fields: fields in wire order.
     """
 
     name: str
@@ -486,7 +490,7 @@ class Layer(NamedTuple):
     fields: tuple[LayerField, ...]
 
     def values(self) -> dict[str, Any]:
-        """Return field names and values."""
+        """Return the fields' values by name."""
         return {item.name: item.value for item in self.fields}
 
 
@@ -495,10 +499,10 @@ class RosMessage(msgspec.Struct, frozen=True):
 
     Attributes:
         type: ROS type name, as ``geometry_msgs/msg/Twist``.
-        topic: the configured topic.
-        values: plain dict of the fields, nested, as ``TypeStore.decode`` gives them.
-        cdr: the bytes, encapsulation included, padding cut.
-        shipped: whether it is one of the built-in structs of cFE.
+        topic: configured topic.
+        values: field values as nested dicts, as ``TypeStore.decode`` returns them.
+        cdr: CDR bytes, encapsulation included, without padding.
+        shipped: whether its type is one of the built-in structs of cFE.
     """
 
     type: str
@@ -509,17 +513,17 @@ class RosMessage(msgspec.Struct, frozen=True):
 
 
 class Decoded(msgspec.Struct, frozen=True):
-    """Everything read from one datagram; what stopped the decode, if anything did, loses nothing before it.
+    """Everything that was read from one datagram; if decoding stops, the layers before that are kept.
 
     Attributes:
-        datagram: the bytes and where they came from.
-        link: the link it was taken for.
+        datagram: the bytes and their addresses.
+        link: link that the datagram was assigned to.
         layers: dissected layers, outermost first.
         findings: all departures.
-        message: the ROS message, where one decoded.
-        stop: why decoding went no further, where it did not reach the end.
+        message: ROS message, if one decoded.
+        stop: reason why decoding stopped; None if it reached the end.
         summary: one short line for the packet list.
-        more: further messages, where one datagram holds several.
+        more: further messages, if one datagram holds several.
     """
 
     datagram: Datagram
@@ -533,21 +537,21 @@ class Decoded(msgspec.Struct, frozen=True):
 
     @property
     def messages(self) -> tuple[RosMessage, ...]:
-        """Every message."""
+        """All messages of the datagram."""
         return (self.message, *self.more) if self.message else ()
 
     @property
     def link_name(self) -> str:
-        """The link's name for people; of traffic of no link, the transport's."""
+        """Name of the link for people; for traffic of no link, name of the transport."""
         return "TCP" if self.datagram.stream and self.link is OTHER else self.link.name
 
     def layer(self, name: str) -> Layer | None:
-        """Return the first layer of that name, or None."""
+        """Return the first layer with a name, or None."""
         return next((item for item in self.layers if item.name == name), None)
 
 
 class CutDatagram(msgspec.Struct, frozen=True):
-    """A datagram that never became whole: its first fragment came, and no later one.
+    """A datagram that was never complete: only its first fragment came.
 
     Attributes:
         time_ns: capture time, ns since 1970-01-01 UTC.
@@ -563,13 +567,13 @@ class CutDatagram(msgspec.Struct, frozen=True):
 
 
 class InterfaceOutage(msgspec.Struct, frozen=True):
-    """A time in which an interface gave nothing because it was not there.
+    """A time in which an interface delivered nothing because it was absent, down or without carrier.
 
     Attributes:
-        interface: its name.
-        why: ``not there``, ``down`` or ``without carrier``, when it was noticed.
-        start_ns: when it went away, ns since 1970-01-01 UTC.
-        end_ns: when it was back; 0 while it is away.
+        interface: name of the interface.
+        why: ``not there``, ``down`` or ``without carrier``, when this was noticed.
+        start_ns: start of the outage, ns since 1970-01-01 UTC.
+        end_ns: end of the outage, ns since 1970-01-01 UTC; 0 while it lasts.
     """
 
     interface: str
@@ -579,10 +583,10 @@ class InterfaceOutage(msgspec.Struct, frozen=True):
 
     @classmethod
     def from_text(cls, values: Mapping[str, str]) -> Self:
-        """Return what ``as_json`` says, from a recording that holds it as text.
+        """Return the outage that ``as_json`` wrote, from a recording that holds its values as text.
 
         Raises:
-            ValueError: it is not whole.
+            ValueError: a value is missing or is no number.
         """
         try:
             start_ns, end_ns = int(values["start_ns"]), int(values["end_ns"])
@@ -591,7 +595,7 @@ class InterfaceOutage(msgspec.Struct, frozen=True):
             raise ValueError(f"no {error}") from error
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``record --json``."""
+        """Return the outage in the form of ``record --json``."""
         return {
             "interface": self.interface,
             "why": self.why,
@@ -601,12 +605,12 @@ class InterfaceOutage(msgspec.Struct, frozen=True):
 
 
 class SocketCounters(msgspec.Struct, frozen=True):
-    """A UDP socket as the kernel counts it.
+    """Counters of the kernel for a UDP socket.
 
     Attributes:
-        port: where it listens.
-        address: where it listens, in text form.
-        inode: tells it from an earlier socket of the same port.
+        port: port that it listens on.
+        address: address that it listens on, in text form.
+        inode: number that differs from that of an earlier socket of the same port.
         queued: bytes that wait in it, the kernel's own overhead included.
         drops: datagrams dropped since it was opened because it was full.
     """
@@ -619,19 +623,20 @@ class SocketCounters(msgspec.Struct, frozen=True):
 
 
 class HostCounters(msgspec.Struct, frozen=True):
-    """What the kernel of a host counts; None where it cannot be read.
+    """Counters of a host's kernel; None if a counter cannot be read.
 
     Attributes:
-        time_ns: ns since 1970.
-        sockets: those of the links' ports.
+        time_ns: time of reading, ns since 1970.
+        sockets: sockets on the links' ports.
         receive_buffer_errors: UDP datagrams dropped by full sockets since the start, IPv4 and IPv6.
-        reassembly_failures: IP packets whose fragments did not all come, since the start.
-        interface_drops: frames that interfaces dropped on receipt, since the start.
+        reassembly_failures: IP packets that were not reassembled because fragments were missing, since the
+            start.
+        interface_drops: received frames that interfaces dropped since the start.
         cpu_ticks: processor time of all kinds since the start, in clock ticks.
-        steal_ticks: the part of it in which the machine waited for its own host.
-        msg_max: ``fs.mqueue.msg_max``: how deep a pipe of cFS can be at most.
-        rmem_default: ``net.core.rmem_default``, bytes that a socket holds unless it asks for more.
-        rmem_max: ``net.core.rmem_max``, the most that it can ask for.
+        steal_ticks: part of it in which the machine waited for its own host.
+        msg_max: ``fs.mqueue.msg_max``, the greatest depth of a cFS pipe.
+        rmem_default: ``net.core.rmem_default``, bytes of a socket's buffer unless it asks for more.
+        rmem_max: ``net.core.rmem_max``, most bytes that a socket can ask for.
     """
 
     time_ns: int
@@ -647,24 +652,25 @@ class HostCounters(msgspec.Struct, frozen=True):
 
 
 class SourceStatistics(msgspec.Struct):
-    """What a source counts as it goes; read at any time.
+    """Counters of a source; they may be read at any time.
 
     Attributes:
         frames: frames read.
         datagrams: UDP datagrams handed over.
-        skipped: frames that are no UDP datagram.
+        skipped: frames that are not UDP datagrams.
         bytes: frame bytes read.
-        kernel_drops: frames that the kernel or a full queue lost before the source saw them; None where the
-            source does not tell, as pcap files.
-        total_bytes: size of the whole input where it is known, for progress; else 0.
+        kernel_drops: frames that the kernel or a full queue lost before the source saw them; None if the
+            source does not count them, as for pcap files.
+        total_bytes: size of the whole input if it is known, for progress; else 0.
         position: bytes of the input consumed so far, on the scale of ``total_bytes``.
-        warnings: one line each, for people.
-        outages: when an interface was away, in order of time; the last may still go on.
-        passed_over: datagrams of a recording that were not read, because nothing asks for them.
-        cut: datagrams that never became whole, at most 16,384 and those that still wait; filled at the end.
-        shared: datagrams that are left out, for another capture that is read with this one has them.
-        astray: time (ns since 1970) and fingerprint of each datagram that never came to the place of another
-            capture that is read with this one, where that is on its way; and whether that is sure.
+        warnings: warnings for people, one line each.
+        outages: outages of interfaces, in order of time; the last one may still last.
+        passed_over: datagrams of a recording that were not read, because nothing needs them.
+        cut: datagrams of which only the first fragment came, at most 16,384 and those that still wait; filled
+            at the end.
+        shared: datagrams left out because another capture, read together with this one, has them.
+        astray: for each datagram that did not reach the place of another capture on its way, which is read
+            together with this one: time (ns since 1970), fingerprint, and whether this is certain.
     """
 
     frames: int = 0
@@ -688,20 +694,21 @@ class SourceStatistics(msgspec.Struct):
 
 
 class SourceInfo(msgspec.Struct, frozen=True):
-    """What a source is.
+    """Description of a source.
 
     Attributes:
         name: file path, ``-`` or interface name.
         kind: ``pcap``, ``pcapng``, ``mcap``, ``live`` or ``udp``.
-        time_resolution_ns: 1, 1000, ...; the step of its timestamps.
-        snap_length: the capture's limit on a frame's bytes.
-        attachments: mission files and the like that the source carries, by name.
+        time_resolution_ns: step of its timestamps, ns: 1, 1000, ...
+        snap_length: most bytes of a frame that the capture keeps.
+        attachments: mission files and similar files that the source carries, by name.
         definitions: message definitions that it carries, complete ``ros2msg`` texts by type.
-        read_with: how its datagrams are read, as ``decode.Options.described``; a recording keeps it.
-        damage: why not all of its topics are known, of a damaged recording of messages.
-        links: labels of the links that a whole recording has; None where it does not say.
+        read_with: options that its datagrams are read with, as ``decode.Options.described``; a recording
+            keeps them.
+        damage: reason why some topics are unknown, for a damaged recording of messages.
+        links: labels of the links in a complete recording; None if it does not state them.
         apart: whether each datagram of a recording can be read without the others, as it was recorded.
-        sound: whether none of its conversations is left out as another program's.
+        sound: whether none of its conversations is left out as another program's traffic.
     """
 
     name: str
@@ -718,7 +725,7 @@ class SourceInfo(msgspec.Struct, frozen=True):
 
 
 def concatenate(batches: Sequence[PacketBatch]) -> PacketBatch:
-    """Put batches end to end into one; the buffers are copied.
+    """Join batches end to end into one; the buffers are copied.
 
     Args:
         batches: at least one.

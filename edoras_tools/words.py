@@ -28,7 +28,7 @@ def seconds(value: float, digits: int = 1) -> str:
 
 
 def listed(items: Sequence[str], most: int = 8) -> str:
-    """Return the first of some items, and that there are more."""
+    """Return the first ``most`` items as a list in text, and ``...`` if there are more."""
     return ", ".join(items[:most]) + (", ..." if len(items) > most else "")
 
 
@@ -38,7 +38,7 @@ def either(items: Sequence[str]) -> str:
 
 
 def did_you_mean(word: str, names: Iterable[str], most: int = 3, cutoff: float = 0.6) -> str:
-    """Return ``did you mean a or b?`` with the nearest names, in either case; nothing if none is near.
+    """Return ``did you mean a or b?`` with the nearest names, case ignored; empty if none is near.
 
     >>> did_you_mean("linaer.x", ["linear.x", "angular.z"])
     'did you mean linear.x?'
