@@ -323,7 +323,7 @@ def arguments_of(
     Args:
         msg_id: MsgId of version 1.
         function_code: function code of the command.
-        payload: bytes behind the header; bytes behind the arguments are ignored.
+        payload: bytes after the header; bytes after the arguments are ignored.
         big_endian: whether the receiving flight computer is big-endian.
         cut: whether the capture has only a part of the bytes.
 

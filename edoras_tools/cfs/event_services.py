@@ -43,7 +43,7 @@ class EventText(msgspec.Struct, frozen=True, dict=True):
     def pattern(self) -> re.Pattern[str]:
         """Regular expression that reads the text; it has a group for each value."""
         *parts, last = [_group(part) if part.startswith("{") else re.escape(part) for part in self._parts]
-        # re.split ends with the text behind the last value; if that is empty, the value extends to the end.
+        # re.split ends with the text after the last value; if that is empty, the value extends to the end.
         return re.compile("".join(parts) + (last or "$"))
 
     @cached_property
@@ -60,7 +60,7 @@ def _group(value: str) -> str:
     name, _, form = value.strip("{}").partition(":")
     if form.endswith("d"):
         return f"(?P<{name}>[0-9]+)"
-    # Names may be empty, and contain anything: they end at the text behind them, or at the end of the event.
+    # Names may be empty, and contain anything: they end at the text after them, or at the end of the event.
     return f"(?P<{name}>[0-9a-fA-F]+)" if form else f"(?P<{name}>.*?)"
 
 

@@ -4,7 +4,7 @@
    for its packets (:mod:`edoras_tools.decode.variants`), or, if none were detected, with those of the whole
    source.
 2. A conversation may hold packets of several builds, for example if a host ran one after the other. Then each
-   packet has the first of these headers that explains it: known content starts behind them. If none does, it
+   packet has the first of these headers that explains it: known content starts after them. If none does, it
    has the first headers with which an app may accept it.
 3. Where anything is detected, MsgIds are of version 1: version 2 is never detected from the bytes.
 
@@ -78,7 +78,7 @@ _MIX: Final = 0x9E3779B1, 0x85EBCA77, 0xC2B2AE3D
 
 
 class Fitting:
-    """Tests which packets the headers of one build explain: known content starts behind these headers.
+    """Tests which packets the headers of one build explain: known content starts after these headers.
 
     Args:
         head: first bytes of each space packet with a correct length field, u8 (n, 48).

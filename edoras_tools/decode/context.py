@@ -181,7 +181,7 @@ class Context:
         known: MsgIds that cFE or the mission names, bool (65536,).
         in_packets: links whose units are carried in packets of other links.
         pdu_msg_ids: MsgIds of packets that each carry such a unit, i32.
-        headers: headers behind the primary header; :mod:`edoras_tools.decode.variants` may change them.
+        headers: headers after the primary header; :mod:`edoras_tools.decode.variants` may change them.
         msg_ids: rule that builds MsgIds; never detected.
         time: format of mission time in headers; :mod:`edoras_tools.decode.variants` may change it.
         builds: headers of conversations that have others than ``headers``.

@@ -105,7 +105,7 @@ class _Dissection(Reading):
     def run(self) -> None:
         """Go through the layers, outermost first."""
         room = self.link.receive_buffer
-        # cFS uses the length in the header: bytes cut behind it are no loss.
+        # cFS uses the length in the header: bytes cut after it are no loss.
         if room and len(self.data) > room and not (self.link.to_cfs and cfe.length_of(self.data) <= room):
             self.findings |= self.link.over_receive_buffer
         start = protocol(self.link).dissect(self, self.context)
@@ -116,7 +116,7 @@ class _Dissection(Reading):
             self._struct(key, len(self.data), 0, (0, 0, 0, 0, self.link))
 
     def space_packet(self, start: int) -> None:
-        """Read the primary header and everything behind it."""
+        """Read the primary header and everything after it."""
         data = self.data
         length = len(data) - start
         if length < ccsds.PRIMARY.size:
@@ -199,7 +199,7 @@ class _Dissection(Reading):
         return length - self.headers.command_bytes + cfe.COMMAND_HEADER_BYTES
 
     def _payload(self, msg_id: int, start: int, header: int, code: int | None) -> None:
-        """Read the payload behind the cFE header: an event, housekeeping, or a route's envelope."""
+        """Read the payload after the cFE header: an event, housekeeping, or a route's envelope."""
         at, length = start + header, len(self.data) - start
         if msg_id in self.context.pdu_msg_ids:
             for link in self.context.in_packets:

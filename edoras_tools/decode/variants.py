@@ -5,7 +5,7 @@ Nothing in a packet names them, so each sound packet is a vote for every kind th
 
 1. Telemetry with a 16-byte header has four spare bytes of 0 at its end. If they are not 0, the bytes are
    either the low half of an extended header's time, which runs with the capture's clock, or the payload
-   behind a 12-byte header.
+   after a 12-byte header.
 2. A payload starts where known content fits: an event with a printable name, a C struct of that length, a
    command that its app accepts with that length, or an envelope in front of CDR.
 3. Another kind replaces the usual one only if it fits more packets, and at least two.

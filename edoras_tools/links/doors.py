@@ -54,7 +54,7 @@ class OwnTopics(Protocol):
 
 
 class OwnRows(Protocol):
-    """Reassembles pieces: each whole unit becomes a row behind the row of its last piece."""
+    """Reassembles pieces: each complete unit becomes a row after the row of its last piece."""
 
     def take(
         self, batch: PacketBatch, columns: Columns, decode: Callable[[PacketBatch], Columns]

@@ -103,7 +103,7 @@ class Framing:
         return int(self.lengths(np.frombuffer(data, np.uint8), np.array([at], np.int64), end)[0])
 
     def likely(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Mask:
-        """Return where a message probably starts, bool (n,): used to find the first one behind missing bytes.
+        """Return where a message probably starts, bool (n,): used to find the first one after missing bytes.
 
         The stricter it is, the better; ``lengths`` may accept positions that it does not.
         """

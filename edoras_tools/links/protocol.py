@@ -356,7 +356,7 @@ class LinkProtocol(Link):
         return None
 
     def holds_units(self, column: Callable[[str], NDArray[Any]], site: Site) -> Mask:
-        """Return which rows are packets that hold a unit of it behind their cFE header; for ``in_packets``.
+        """Return which rows are packets that hold a unit of it after their cFE header; for ``in_packets``.
 
         Args:
             column: returns one of ``Columns`` by name.

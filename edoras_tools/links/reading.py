@@ -67,7 +67,7 @@ class Reading:
 
         Args:
             kind: kind of the content, as a number of the link.
-            at: first byte behind that number.
+            at: first byte after that number.
             end: end of the packet.
         """
         return False

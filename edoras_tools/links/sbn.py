@@ -41,7 +41,7 @@ _KINDS: Final = {
     sbn.SUBSCRIPTIONS.name: (sbn.MsgType.SUB, sbn.MsgType.UNSUB),
     sbn.PROTO.name: (sbn.MsgType.PROTO,),
 }
-"""The message types of each layout behind the header."""
+"""The message types of each layout after the header."""
 _SHOWN: Final = 3
 """Most MsgIds of a subscription that a summary line lists."""
 

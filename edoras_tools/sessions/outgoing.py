@@ -42,7 +42,7 @@ _SIZES: Final = np.array(
 """Header bytes of commands and of telemetry, by ``Outgoing.headers``."""
 _STARTS: Final = np.array([item.start for item in cfe.HEADERS])
 _STAMP_AT: Final = 4
-"""Offset of the time in a message that starts with a ``std_msgs/Header``, behind the encapsulation."""
+"""Offset of the time in a message that starts with a ``std_msgs/Header``, after the encapsulation."""
 
 
 class SequenceRule(StrEnum):
@@ -379,7 +379,7 @@ def _put_msg_ids(out: Outgoing, rows: NDArray[np.intp], msg_id: NDArray[np.int32
 
 
 def _put_other_header(out: Outgoing, rows: NDArray[np.intp]) -> None:
-    """Replace command headers by telemetry headers or the reverse, behind extended headers."""
+    """Replace command headers by telemetry headers or the reverse, after extended headers."""
     headers = cfe.WITH_EXTENDED
     for command in (False, True):
         selection = rows[out.command[rows] == command]

@@ -23,7 +23,7 @@ The rules:
       packet without a time, is (h);
    h. the first of a new strand: a restart, or another sender if the strand before it continues afterwards.
 5. An apparent jump was another sender's packet if counts continue at the beginning of the hole: by three
-   packets while the strand also continues behind the hole (or never did, as behind a damaged count); or by
+   packets while the strand also continues after the hole (or never did, as after a damaged count); or by
    one packet if the hole is larger than the window. The hole then lies between two strands, and nothing is
    missing in it. Three such packets also prove that (f) was (h).
 6. The division of packets into batches changes nothing.
@@ -57,11 +57,11 @@ if TYPE_CHECKING:
 MODULUS: Final = 1 << 14
 """CCSDS 133.0-B 4.1.3.4.3: the packet sequence count has 14 bits."""
 FORWARD: Final = MODULUS // 2
-"""Step from which on a step is a step back: half the range."""
+"""Smallest step, modulo the range, that is a step back: half the range."""
 WINDOW: Final = 1024
-"""Counts behind the highest one within which a late packet is recognised."""
+"""Range of counts below the highest one in which a late packet is recognised."""
 REPEATED: Final = 128
-"""Counts behind the highest one within which a repeated packet is recognised."""
+"""Range of counts below the highest one in which a repeated packet is recognised."""
 BOOT_APART_NS: Final = 3 * SECOND
 """Longest delay of a packet on its way; boots that are closer in time than this are not distinguished."""
 _FIRST_COUNTS: Final = 64

@@ -1,4 +1,4 @@
-"""Finds the bytes of a batch that may hold C structs: behind headers of packets, and on the robot link."""
+"""Finds the bytes of a batch that may hold C structs: after headers of packets, and on the robot link."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""cFE's headers behind the primary header, its checksum, and the core telemetry with loss counters.
+"""cFE's headers after the primary header, its checksum, and the core telemetry with loss counters.
 
 Headers are big-endian; telemetry payloads are in the flight processor's order, little-endian here.
 """
@@ -218,13 +218,13 @@ def _timed(telemetry: Layout, time: MissionTime) -> Layout:
 
 
 class Headers(msgspec.Struct, frozen=True):
-    """The headers of one build of cFE, behind the primary header.
+    """The headers of one build of cFE, after the primary header.
 
     Attributes:
         name: name for users.
         extended: whether the extended header comes first.
-        command: layout behind it in a command.
-        telemetry: layout behind it in telemetry.
+        command: layout after it in a command.
+        telemetry: layout after it in telemetry.
         msg_ids: rule that builds MsgIds from the headers.
     """
 
@@ -392,5 +392,5 @@ def length_of(packet: bytes) -> int:
 
 
 def function_code_of(packet: bytes) -> int:
-    """Return the function code of a command: 7 bits behind the primary header."""
+    """Return the function code of a command: 7 bits after the primary header."""
     return packet[6] & 0x7F

@@ -1,4 +1,4 @@
-"""cFE files: the header that all have, and the contents that core services and Data Storage write behind it.
+"""cFE files: the header that all have, and the contents that core services and Data Storage write after it.
 
 The headers of files and tables are big-endian on every processor. The contents are in the flight processor's
 byte order, little-endian here.
@@ -57,7 +57,7 @@ STORAGE_HEADER: Final = Layout(
     Field("file_name", 512, "on board", kind="text"),
     byte_order="little",
 )
-"""The header behind the file header of stored packets."""
+"""The header after the file header of stored packets."""
 OF_PACKETS: Final = {EVENT_LOG: FILE_HEADER.size, STORED_PACKETS: FILE_HEADER.size + STORAGE_HEADER.size}
 """Subtypes of files of packets, with the offset of the first packet."""
 ON_TIME_LINE: Final = frozenset({*OF_PACKETS, RESET_LOG})
@@ -70,7 +70,7 @@ TABLE_HEADER: Final = Layout(
     Field("load_bytes", 32, "bytes that are loaded"),
     Field("table_name", 320, "application and table", kind="text"),
 )
-"""The header behind the file header of a table image."""
+"""The header after the file header of a table image."""
 TO_SUBSCRIPTION: Final = Layout(
     "to_lab_subscription",
     "TO_LAB Subscription",
@@ -121,7 +121,7 @@ SBN_PEER: Final = Layout(
 SBN_COUNT: Final = Layout(
     "sbn_count", "SBN Count", Field("modules", 8, "in use"), Field("spare", 8, "alignment")
 )
-"""The count behind the protocols, and behind the filters."""
+"""The count after the protocols, and after the filters."""
 SBN_PEER_COUNT: Final = Layout(
     "sbn_peer_count",
     "SBN Peer Count",
@@ -129,7 +129,7 @@ SBN_PEER_COUNT: Final = Layout(
     Field("spare", 16, "alignment"),
     byte_order="little",
 )
-"""The count behind the peers."""
+"""The count after the peers."""
 RESET_ENTRY: Final = Layout(
     "cfe_reset",
     "cFE Exception or Reset",

@@ -2,7 +2,7 @@
 
 A bridge copies ``buffer_length`` and ``buffer_capacity`` of an ``rcutils_uint8_array_t`` (two ``size_t``) and
 then the CDR. A 64-bit little-endian sender makes 8 + 8 bytes; a 32-bit one 4 + 4; the EDORAS paper describes
-1 + 1. A mission may define its own envelope: other words, and a CRC behind the CDR.
+1 + 1. A mission may define its own envelope: other words, and a CRC after the CDR.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class EnvelopeFormat(msgspec.Struct, frozen=True):
         width: bytes of each of the two lengths of a bridge: 8, 4, 2 or 1.
         byte_order: byte order of every word.
         own: words instead of the two lengths: name (``length``, ``capacity`` or ``spare``) and bytes.
-        crc: bytes of a CRC behind the CDR, over envelope and CDR: 2 for CRC-16 (CCSDS), 4 for CRC-32
+        crc: bytes of a CRC after the CDR, over envelope and CDR: 2 for CRC-16 (CCSDS), 4 for CRC-32
             (Ethernet); 0 for none.
     """
 
@@ -64,7 +64,7 @@ class EnvelopeFormat(msgspec.Struct, frozen=True):
 
     @property
     def trailer(self) -> Layout | None:
-        """The layout of the CRC behind the CDR; None if there is none."""
+        """The layout of the CRC after the CDR; None if there is none."""
         return _trailer(self.crc, self.byte_order) if self.crc else None
 
     def __str__(self) -> str:
@@ -143,7 +143,7 @@ class EnvelopeFormat(msgspec.Struct, frozen=True):
         return crc16(data) if self.crc == CRC16_BYTES else crc32(data)
 
     def intact(self, data: bytes | memoryview, offset: int, length: int) -> bool:
-        """Return whether the CRC behind a CDR is right; True if the format has no CRC.
+        """Return whether the CRC after a CDR is right; True if the format has no CRC.
 
         Args:
             offset: start of the envelope; it and its CDR must be complete.
@@ -252,7 +252,7 @@ def holds(
 def intact_rows(
     data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], envelope: EnvelopeFormat
 ) -> NDArray[np.bool_]:
-    """Return whether the CRC behind each of many CDRs is right; see ``EnvelopeFormat.intact``.
+    """Return whether the CRC after each of many CDRs is right; see ``EnvelopeFormat.intact``.
 
     Args:
         offset: start of each envelope in ``data``, i64 (n,); envelope, CDR and CRC are inside.

@@ -21,11 +21,11 @@ NO_PACKET_STARTS: Final = 0x7FF
 ONLY_IDLE_DATA: Final = 0x7FE
 """First header pointer of a frame with only idle data."""
 OCF_BYTES: Final = 4
-"""Bytes of the operational control field, behind the data of a TM or AOS frame."""
+"""Bytes of the operational control field, after the data of a TM or AOS frame."""
 AOS_IDLE_CHANNEL: Final = 63
 """Virtual channel of AOS frames that are sent only to keep the link busy."""
 HEADER_ERROR_CONTROL_BYTES: Final = 2
-"""Bytes of an optional field behind the header of an AOS frame; its Reed-Solomon code is not checked."""
+"""Bytes of an optional field after the header of an AOS frame; its Reed-Solomon code is not checked."""
 
 _VERSION: Final = "transfer_frame_version_number"
 _CRAFT: Final = "of the spacecraft"
@@ -138,9 +138,9 @@ class FrameFormat(msgspec.Struct, frozen=True):
         kind: ``tm``, ``aos`` or ``tc``.
         length: bytes of a whole TM or AOS frame; 0 for TC frames, which state their length.
         fecf: whether the last two bytes are a CRC-16 of the frame.
-        ocf: whether an operational control field is behind the data (TM, AOS); received TM frames state it.
-        insert_zone: bytes of the insert zone behind the header (AOS).
-        header_error_control: whether two bytes of header error control are behind the header (AOS).
+        ocf: whether an operational control field is after the data (TM, AOS); received TM frames state it.
+        insert_zone: bytes of the insert zone after the header (AOS).
+        header_error_control: whether two bytes of header error control are after the header (AOS).
         segment_header: whether the data begins with a segment header (TC).
         stream: whether frames follow each other in TCP streams; if not, each is a datagram.
     """

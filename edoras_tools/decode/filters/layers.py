@@ -285,7 +285,7 @@ def _extended(rows: ColumnRows) -> Places:
 
 
 def _body(rows: ColumnRows) -> tuple[Mask, Integers, Integers]:
-    """Return which packets have a whole cFE header, the start of the bytes behind it, and their number."""
+    """Return which packets have a whole cFE header, the start of the bytes after it, and their number."""
     whole = (rows.column("function_code") >= 0) | (rows.column("mission_time_ns") >= 0)
     header = rows.column("header_length")
     return whole, rows.column("packet_offset") + header, rows.column("packet_length") - header

@@ -23,7 +23,7 @@ LARGEST_FRAME = 262144
 _HEADERS = 256
 """Upper limit of the bytes of a record besides its frame, for the search of a record."""
 SEARCHED = 64 << 10
-"""Positions that are tested at once in the search of the next record behind a damaged place."""
+"""Positions that are tested at once in the search of the next record after a damaged place."""
 FROM_THERE = "; the file is damaged from there on"
 _CUT = "ends inside {} {{}}; the capture was probably cut off while being written"
 

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 
 def order_behind(count: int, row: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Return an order that puts further rows behind some of the first ``count`` rows, i64.
+    """Return an order, i64, that puts each further row after one of the first ``count`` rows.
 
     Args:
         count: number of the first rows, 0 to ``count`` - 1; the further rows follow.
-        row: first row behind which each further row is put.
+        row: row after which each further row is put.
     """
     return np.argsort(np.concatenate([np.arange(count), row]), kind="stable")
 
@@ -42,7 +42,7 @@ def packets_behind(
     start: NDArray[np.int64],
     length: NDArray[np.int64],
 ) -> PacketBatch:
-    """Return a batch with packets inserted behind the rows in which they end; their original length is -1.
+    """Return a batch with packets inserted after the rows in which they end; their original length is -1.
 
     Args:
         buffer: bytes that the packets point into, u8.
@@ -251,7 +251,8 @@ def _write_headers(
     """Write the headers before some payloads (RFC 791, RFC 8200, RFC 768).
 
     Args:
-        data: buffer, u8; each payload is its headers' size behind its offset, and a zero byte follows it.
+        data: buffer, u8; it has each payload after the room for its headers, and a zero byte after the
+            payload.
         version: IP version, 4 or 6.
         offset: start of each frame; even.
         length: bytes of each payload.

@@ -263,7 +263,7 @@ def transport_payloads(
 
 
 _HEADS: Final = {4: (np.dtype((">u2", 14)), slice(6, 10)), 6: (np.dtype((">u2", 24)), slice(4, 20))}
-"""Words of an IP header without options and the UDP header behind it, and which of them are addresses."""
+"""Words of an IP header without options and the UDP header after it, and which of them are addresses."""
 _ONES = 0xFFFF
 CHECKSUMS: Final = "", "UDP checksum wrong", "IPv4 checksum wrong", "UDP and IPv4 checksums wrong"
 """Texts of the codes that :func:`wrong_checksums` returns."""

@@ -274,7 +274,7 @@ class _Follow:
         return np.concatenate(waiting)
 
     def _opened(self, members: NDArray[np.int64], place: int, begin: int) -> int:
-        """Return the index of a connection's first segment; it may be captured behind later ones."""
+        """Return the index of a connection's first segment; it may be captured after later ones."""
         before = members[max(place - _BEFORE, 0) : place]
         ahead = _from(begin, self.segments.sequence[before])
         late = (ahead >= 0) & (ahead < _FAR) & (self.segments.length[before] > 0)
@@ -363,7 +363,7 @@ class _Follow:
     def _lost(
         self, pieces: _Pieces, breaks: NDArray[np.intp], reached: NDArray[np.int64] | None, base: int
     ) -> NDArray[np.bool_]:
-        """Return, for each piece behind missing bytes, whether these bytes are given up."""
+        """Return, for each piece after missing bytes, whether these bytes are given up."""
         time_ns = self.segments.frames.time_ns
         passed = time_ns.max() - time_ns[pieces.segment[breaks]]
         lost = passed > _PATIENCE_NS
@@ -396,7 +396,7 @@ class _Follow:
         return way.sender is not None and bool((own == way.sender).all())
 
     def _put_alone(self, pieces: _Pieces, base: int) -> None:
-        """Add pieces that are one message each, with missing bytes behind each of them."""
+        """Add pieces that are one message each, with missing bytes after each of them."""
         self._add(pieces.segment, pieces.offset, pieces.length, base + pieces.begin)
         self.rows.whole[-1][:] = pieces.untrimmed
         self.rows.findings[-1][1:] = _GAP
@@ -447,7 +447,7 @@ class _Follow:
         )
         rows.whole[-1][:] = whole
         rows.findings[-1][~messages] = _PART | _GAP
-        # A message directly behind bytes that are no message follows missing bytes.
+        # A message directly after bytes that are no message follows missing bytes.
         rows.findings[-1][1:][messages[1:] & ~messages[:-1]] |= _GAP
         if messages.any():
             self.way.gap |= bool(not messages[: int(np.argmax(messages))].all())
@@ -455,7 +455,7 @@ class _Follow:
         self.way.gap |= len(messages) > 0 and not messages[-1]
 
     def _mark_gap(self, place: int = 0) -> None:
-        """Set ``STREAM_GAP`` at the first message behind missing bytes."""
+        """Set ``STREAM_GAP`` at the first message after missing bytes."""
         if self.way.gap:
             self.rows.findings[-1][place] |= _GAP
             self.way.gap = False

@@ -71,7 +71,7 @@ def read_segments(frames: FrameBatch, network: NDArray[np.int64], ip: IpPayloads
     """Read TCP headers; a segment with a damaged header has no data.
 
     Args:
-        frames: frames, with ``PADDING`` bytes behind the last.
+        frames: frames, with ``PADDING`` bytes after the last.
         network: start of each IP header, i64 (n,).
         ip: IP payloads of the same rows; each has at least ``TCP_BYTES``.
         old: number of segments, from the first on, that were read before.

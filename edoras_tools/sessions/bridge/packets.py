@@ -1,6 +1,6 @@
 """Space packets of a bridge, written and read: cFE's header, the EDORAS envelope, the unchanged CDR.
 
-An envelope whose length exceeds the packet is refused; bytes behind the length of an envelope are dropped.
+An envelope whose length exceeds the packet is refused; bytes after the length of an envelope are dropped.
 """
 
 from __future__ import annotations

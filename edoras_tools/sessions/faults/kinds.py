@@ -51,7 +51,7 @@ class FaultKind(msgspec.Struct, frozen=True):
         name: name in a rule and in ``/edoras/faults``.
         stage: stage at which it acts.
         doc: description, one line.
-        value: name of the option that the text behind the colon sets.
+        value: name of the option that the text after the colon sets.
         options: options of this kind, besides those of every rule.
     """
 

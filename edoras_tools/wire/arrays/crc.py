@@ -6,7 +6,7 @@ many ranges it advances by two bytes of each at once. CRC-32C (Castagnoli, RFC 3
 CRCs of short rows, which are computed all at once.
 
 A CRC without its preset and its last inversion is a polynomial in x modulo P: the CRC of consecutive pieces
-is the sum of theirs, each times x to the power of the number of bits behind it. So the CRC of a file can be
+is the sum of theirs, each times x to the power of the number of bits after it. So the CRC of a file can be
 added up from its pieces in any order (``FileCrc``).
 """
 

@@ -29,7 +29,7 @@ _BLOCK: Final = 2048
 """Rows that are moved together: few enough to stay in the first-level cache."""
 
 PADDING = 64
-"""Bytes that must be readable behind the last byte in use, so that header windows never leave a buffer."""
+"""Bytes that must be readable after the last byte in use, so that header windows never leave a buffer."""
 
 
 def at_every_byte(buffer: NDArray[np.uint8], width: int) -> NDArray[np.void]:
@@ -119,7 +119,7 @@ def spill_rows(
     offsets: NDArray[np.int64],
     lengths: NDArray[np.integer[Any]],
 ) -> None:
-    """Copy rows like ``copy_rows``, in a third of the time; the gaps behind them are overwritten.
+    """Copy rows like ``copy_rows``, in a third of the time; the gaps after them are overwritten.
 
     Almost all rows are moved with one length, the longest among them; the next row overwrites the excess. The
     few longer rows are moved last.
@@ -204,7 +204,7 @@ def word_sums(
 ) -> NDArray[np.int64]:
     """Return the sum of the big-endian 16-bit words of each range, modulo 0xFFFF; i64 (n,).
 
-    An odd last byte is followed by a zero. The buffer has at least 64 bytes behind the last range.
+    An odd last byte is followed by a zero. The buffer has at least 64 bytes after the last range.
     """
     base = int(start.min(initial=len(data))) & ~3
     data, start = data[base : int((start + length).max(initial=0)) + 4], start - base

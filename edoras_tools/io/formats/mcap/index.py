@@ -36,7 +36,7 @@ CHUNK_INDEX: Final = np.dtype(
 MAX_CHUNK_BYTES: Final = 128 << 20
 """Largest chunk or other record that is read, in bytes: about three times its size is needed in memory."""
 MOST_IDLE: Final = 1 << 18
-"""Most records in a row without a message; reading stops behind them. A decompression bomb has millions,
+"""Most records in a row without a message; reading stops after them. A decompression bomb has millions,
 a recording at most 65,535 schemas, as many channels, and an index for each."""
 CHUNK_HEAD_BYTES: Final = CHUNK_HEAD.size + 16 + 8
 """Bytes of a chunk's head with up to 16 letters for the compression."""

@@ -684,7 +684,7 @@ class McapSource(SourceDefaults):
 def _following(needed: list[int] | None, position: int) -> int:
     """Return the position of the next needed chunk from ``position`` on.
 
-    All chunks are needed if ``needed`` is empty, and those behind the last needed one.
+    All chunks are needed if ``needed`` is empty, and those after the last needed one.
     """
     return needed[bisect_left(needed, position)] if needed and position < needed[-1] else position
 

@@ -10,7 +10,7 @@
 4. A channel whose record is lost is taken for a channel of our recorder if that could have written all its
    messages; else its topic is ``/unknown/N``. If a summary lists the channels, no other channel is kept.
 
-The records that describe a chunk may be behind it, so a damaged file is read a second time with the results
+The records that describe a chunk may be after it, so a damaged file is read a second time with the results
 of the first reading. The result is read through its own index, and by the ``mcap`` library, before it gets
 its name.
 """
