@@ -211,7 +211,7 @@ class BoundEntry(Bound):
         return self.encode(data, np.array([0]), size, np.zeros(1, HEAD)).data.tobytes()
 
     def wire_places(self, payload: bytes) -> list[tuple[int, int]]:
-        """Return the place of each value of ``plan.leaves`` in the bytes: first byte, and end."""
+        """Return the place of each value of ``plan.leaves`` in the bytes: first, and one past the last."""
         data, size = np.frombuffer(payload or b"\0", np.uint8), np.array([len(payload)])
         _, _, places = self._walk(data, np.array([0]), size)
         texts = iter(zip(self.texts, places, strict=True))

@@ -28,7 +28,7 @@ _EVERY_NS = 1_000_000_000
 
 
 class WhichOptions(NamedTuple):
-    """What to follow, where it is no packet."""
+    """The subject, if it is no packet."""
 
     topic: Annotated[str | None, Option(help="Draw the rounds of this topic; with --nth one message.")] = None
     nth: Annotated[int | None, Option(parser=options.count, metavar="N", help="N-th one of --topic.")] = None
@@ -100,10 +100,10 @@ def trace(
 
 
 def _request(arguments: list[str], read: list[Path], which: WhichOptions) -> tuple[list[Path], TraceRequest]:
-    """Return the files, and what to follow in them.
+    """Return the files, and the subject in them.
 
     Raises:
-        ConfigError: a file is missing, or it is not said what to follow, or said twice.
+        ConfigError: a file is missing, or no subject is given, or two.
     """
     from edoras_tools.addons.trace.tracing import TraceRequest
 
@@ -130,7 +130,7 @@ def _check(output: Path, request: TraceRequest) -> None:
     """Check that a picture can be written.
 
     Raises:
-        ConfigError: its suffix is unknown, or not for what is asked for.
+        ConfigError: its suffix is unknown, or does not fit the subject.
     """
     suffix = output.suffix.lower()
     if suffix not in _PICTURES:
@@ -174,13 +174,13 @@ def _write(tracing: Tracing, zero_ns: int, name: str, output: Path) -> None:
 
 
 class _Printer:
-    """Prints the rates each time that live traffic was judged."""
+    """Prints the rates after each judgement of live traffic."""
 
     def __init__(self, tracing: Tracing) -> None:
         self._tracing = tracing
 
     def update(self, _run: object, /) -> None:
-        """Print them as they are now."""
+        """Print the present rates."""
         from edoras_tools.addons.trace.texts import rate_lines
 
         for rates in self._tracing.rates:
@@ -189,7 +189,7 @@ class _Printer:
 
 
 class RateOptions(NamedTuple):
-    """Live traffic, or a ROS 2 graph."""
+    """The live input: traffic, or a ROS 2 graph."""
 
     interface: Annotated[
         str | None, Option("--interface", "-i", metavar="IFACE", help="Capture here, and print each second.")
@@ -240,7 +240,7 @@ def _hop_rates(
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Print the rates of a topic, or of all, at each hop.
+    """Print the rates of a topic, or of all topics, at each hop.
 
     Raises:
         NoDatagramsError: the input is a recording of ROS messages.
@@ -273,7 +273,7 @@ def _hop_rates(
 
 
 def _print_rates(tracing: Tracing, name: str, printing: options.PrintOptions, *, is_whole: bool) -> None:
-    """Print the rates of a file, or those at the end; of one topic in full, else a line of each."""
+    """Print the rates of a file, or those at the end; of one topic in full, else one line for each topic."""
     from edoras_tools.addons.trace.texts import rate_lines
 
     if printing.json:

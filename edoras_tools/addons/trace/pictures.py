@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 _RUNG: Final = 46
 _ROUNDS: Final = 12
-"""Rounds that a timing diagram shows."""
+"""Number of rounds in a timing diagram."""
 _KEY: Final = parts.colour_key((("note", "came out"), ("error", "did not"), ("rule", "wake-up")))
 
 
 def standalone(svg: str) -> str:
-    """Return a chart of a page as a picture of its own: light or dark as the system of its reader."""
+    """Return a page's chart as a separate picture: light or dark like the reader's system."""
     style = (files("edoras_tools.render.pages") / "style.css").read_text(encoding="utf-8")
     head = '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" style="background:var(--card)"'
     return (
@@ -57,7 +57,7 @@ def trace_picture(trace: MessageTrace, zero_ns: int) -> str:
 
 
 def timing_picture(timing: Timing, zero_ns: int) -> str:
-    """Draw a topic's wake-ups, what waits, and what does not come out."""
+    """Draw a topic's wake-ups, the waiting messages, and those that do not come out."""
     rounds = timing.rounds
     window = texts.TimingWindow.worst(rounds, _ROUNDS)
     span = charts.TimeSpan((window.start_ns - zero_ns) / 1e9, (window.end_ns - window.start_ns) / 1e9)
@@ -82,8 +82,8 @@ def trace_svg(subject: MessageTrace | Timing, zero_ns: int, name: str) -> str:
     """Return a picture of a message's way, or of a topic's rounds.
 
     Args:
-        zero_ns: what times count from.
-        name: of the capture.
+        zero_ns: zero of the times, ns since 1970.
+        name: name of the capture.
     """
     picture = trace_picture if isinstance(subject, MessageTrace) else timing_picture
     drawn = picture(subject, zero_ns)  # type: ignore[arg-type]
@@ -91,7 +91,7 @@ def trace_svg(subject: MessageTrace | Timing, zero_ns: int, name: str) -> str:
 
 
 def trace_page(subject: MessageTrace | Timing, zero_ns: int, name: str, origin: Made) -> str:
-    """Return a page with the picture and, for readers of text, all that it says."""
+    """Return a page with the picture and its contents as text."""
     if isinstance(subject, MessageTrace):
         title, picture = texts.title(subject), trace_picture(subject, zero_ns)
         lines = [line.plain for line in texts.ladder(subject, zero_ns, 80)]

@@ -1,15 +1,14 @@
-"""The rounds in which a queue is read: when each message came, with which wake-up it left, what waited.
+"""The rounds in which a queue is read: arrival of each message, its wake-up, and the messages in front of it.
 
 Rules:
 
-1. Wake-ups are seen where messages come out in bursts: those of Command Ingest at the robot, those of
-   Telemetry Output and of SBN on their links. Bursts that do not fit the round of that task show none.
-2. A message that came out left with the wake-up whose burst it is in. One that did not come out would have
-   left with the next wake-up behind it.
-3. What waited in front of a message are those of its MsgId that left with the same wake-up.
-4. How often the messages of a topic came to a hop is the publisher's rate times the share of them that came
-   out there: bursts, in which a queue is read, do not change it. Where nothing shows what came out, there is
-   none.
+1. Wake-ups are visible if messages come out in bursts: those of Command Ingest at the robot, those of
+   Telemetry Output and of SBN on their links. Bursts that do not fit the task's round show no wake-ups.
+2. A message that came out left with the wake-up of its burst. One that did not come out would have left with
+   the next wake-up behind it.
+3. The messages that waited in front of a message are those of its MsgId that left with the same wake-up.
+4. The rate of a topic at a hop is the publisher's rate times the share of its messages that came out there:
+   so the bursts of a queue do not affect it. If nothing shows the messages that came out, there is no rate.
 """
 
 from __future__ import annotations
@@ -37,28 +36,29 @@ if TYPE_CHECKING:
 
 
 ConstantFrom = Literal["measured", "assumed"]
-"""Whether a constant is the capture's, or of the lab applications'; what somebody told counts as measured."""
+"""Origin of a constant: measured (in the capture, or given by the user), or assumed (stock cFS)."""
 _NEAR: Final = 0.1
-"""A round may be so much longer or shorter than its task's."""
+"""Largest relative difference between an observed round and that of its task."""
 
 
 class Rounds(msgspec.Struct, frozen=True, dict=True):
-    """The messages of a stream in the rounds of the queue that they pass; an element for each message.
+    """The messages of a stream in the rounds of their queue; arrays with one element for each message.
 
     Attributes:
-        stream: the stream.
-        queue: what reads it, as people are told.
-        pipe: where the messages wait.
-        time_ns: i64 (n,), when each was sent or published.
-        row: i64 (n,), its place in the stream; of one that never came, the place of the one before.
-        behind: i64 (n,), 0 of a message that was seen, else the how-manyth it is behind that one.
-        out: bool (n,), it came out.
-        visible: whether it can be seen which came out.
-        wakes_ns: i64 (m,), the wake-ups that are seen.
-        wake: i64 (n,), with which of these it left, or would have; -1 and m where none is seen.
-        task_ns: time between two of them, as its task's constants have it.
-        limit: how many messages of this MsgId may wait.
-        limit_from: what tells that.
+        stream: stream.
+        queue: name of the reader for people.
+        pipe: name of the place where the messages wait.
+        time_ns: i64 (n,), time of sending or publishing, ns since 1970.
+        row: i64 (n,), row in the stream; for a missing message, the row in front of it.
+        behind: i64 (n,), 0 for a captured message, else its position behind that row, from 1.
+        out: bool (n,), whether it came out.
+        visible: whether the capture shows which messages came out.
+        wakes_ns: i64 (m,), times of the visible wake-ups, ns since 1970.
+        wake: i64 (n,), index of the wake-up with which it left, or would have; -1 or m if that is not
+            visible.
+        task_ns: time between two wake-ups by the task's constants, ns.
+        limit: number of messages of this MsgId that may wait.
+        limit_from: origin of the limit.
     """
 
     stream: Stream
@@ -80,28 +80,28 @@ class Rounds(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def round_from(self) -> ConstantFrom:
-        """What tells the time between two wake-ups."""
+        """Origin of the time between two wake-ups."""
         return "measured" if len(self.wakes_ns) else "assumed"
 
     @cached_property
     def round_ns(self) -> int:
-        """Usual time between two wake-ups that follow each other."""
+        """Usual time between two successive wake-ups, ns."""
         steps = np.diff(self.wakes_ns)
         steps = steps[np.abs(steps - self.task_ns) < _NEAR * self.task_ns]
         return int(np.median(steps)) if len(steps) else self.task_ns
 
     def place(self, row: int, behind: int = 0) -> int:
-        """Return the place of a message by its row and how far behind that it is."""
+        """Return the index of a message by its row and its position behind that row."""
         return int(np.flatnonzero((self.row == row) & (self.behind == behind))[0])
 
     def waiting(self, place: int) -> int | None:
-        """Return how many of its MsgId waited when a message came; None where no wake-up of it is seen."""
+        """Return how many of its MsgId waited when a message came; None without a visible wake-up."""
         if not 0 <= self.wake[place] < len(self.wakes_ns):
             return None
         return int((self.out[:place] & (self.wake[:place] == self.wake[place])).sum())
 
     def depth(self) -> NDArray[np.int64]:
-        """Return how many wait once each message came, itself where it got in; i64 (n,)."""
+        """Return the number of waiting messages after each message came, itself if it got in; i64 (n,)."""
         order = np.argsort(self.wake, kind="stable")
         wake, inside = self.wake[order], np.cumsum(self.out[order], dtype=np.int64)
         depth = np.empty_like(inside)
@@ -109,7 +109,7 @@ class Rounds(msgspec.Struct, frozen=True, dict=True):
         return depth
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``trace --json``; of each message its time, wake-up and what waited."""
+        """Return the rounds in the shape of ``trace --json``, with time and wake-up of each message."""
         columns = zip(*(item.tolist() for item in (self.time_ns, self.wake, self.out)), strict=True)
         return {
             "queue": self.queue,
@@ -129,7 +129,7 @@ class Rounds(msgspec.Struct, frozen=True, dict=True):
         }
 
     def sizes(self) -> Counter[tuple[int, int]]:
-        """Return how many rounds there are of each kind: messages that came out, of how many."""
+        """Return the number of rounds by (messages that came out, all messages)."""
         inside = (self.wake >= 0) & (self.wake < len(self.wakes_ns))
         came = np.bincount(self.wake[inside], minlength=1)
         out = np.bincount(self.wake[inside], weights=self.out[inside], minlength=1).astype(np.int64)
@@ -141,10 +141,10 @@ class Timing(msgspec.Struct, frozen=True):
 
     Attributes:
         topic: topic, name or MsgId.
-        link: label of the link on which they are seen.
-        msg_id: their cFE MsgId.
-        rounds: the messages and the wake-ups.
-        endings: what became of those that did not come out: how many, and how; of the ledger.
+        link: label of the link on which they are captured.
+        msg_id: cFE MsgId.
+        rounds: messages and wake-ups.
+        endings: endings of the messages that did not come out, from the ledger: number and text.
     """
 
     topic: str
@@ -155,11 +155,11 @@ class Timing(msgspec.Struct, frozen=True):
 
     @property
     def lost(self) -> int:
-        """How many did not come out."""
+        """Number of messages that did not come out."""
         return int((~self.rounds.out).sum()) if self.rounds.visible else 0
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``trace --json``."""
+        """Return the timing in the shape of ``trace --json``."""
         return {
             "topic": self.topic,
             "link": self.link,
@@ -224,7 +224,7 @@ def rounds_out(case: Case, stream: Stream) -> Rounds:
     behind = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
     times, out = published_at(case, stream), behind == 0
     departure = np.searchsorted(wakes, captured, side="right") - 1
-    # What never came would have left between the one before and the one behind.
+    # A missing message would have left between the one before and the one behind.
     after = np.append(departure[1:], departure[-1:])[row]
     wake = np.where(out, departure[row], np.clip(np.searchsorted(wakes, times), departure[row], after))
     command = told_limit(case, stream)
@@ -248,7 +248,7 @@ def rounds_out(case: Case, stream: Stream) -> Rounds:
 
 
 def _wakes(times: NDArray[np.int64], round_ns: int) -> NDArray[np.int64]:
-    """Return when bursts begin that come in such rounds; none where they do not."""
+    """Return the begins of bursts that come in such rounds, ns since 1970; empty if they do not."""
     begins = times[np.diff(times, prepend=times[:1] - round_ns) > round_ns // 4]
     steps = np.diff(begins) / round_ns
     fits = np.abs(steps - np.round(steps)) < _NEAR
@@ -256,11 +256,11 @@ def _wakes(times: NDArray[np.int64], round_ns: int) -> NDArray[np.int64]:
 
 
 USUAL_WINDOW: Final = 10_000
-"""Messages that a rate is of, as in ``ros2 topic hz``."""
+"""Number of messages of a rate, as in ``ros2 topic hz``."""
 _LEAST: Final = 3
-"""Readings of a counter that make a rate."""
+"""Least number of counter readings for a rate."""
 _BACKLOG_S: Final = 2.0
-"""What waits is no backlog if it is of so short a time: counters are read once a second."""
+"""Least time of traffic that waits in a backlog, s: counters are read once a second."""
 _GONE: Final = frozenset({"lost", "unaccounted"})
 
 
@@ -268,13 +268,13 @@ class HopRate(msgspec.Struct, frozen=True):
     """The rate at one hop.
 
     Attributes:
-        hop: the place.
-        rate_hz: messages a second; None where nothing shows them.
+        hop: name of the place.
+        rate_hz: messages per second; None if nothing shows them.
         count: messages of the window that came out there.
-        exact: whether that is known of each, not only of all in the capture.
-        least_s: shortest time between two; None where their times are not seen.
-        greatest_s: longest.
-        deviation_s: standard deviation.
+        exact: whether this is known of each message, not only of all messages of the capture together.
+        least_s: shortest time between two, s; None if their times are not captured.
+        greatest_s: longest time between two, s.
+        deviation_s: standard deviation of that time, s.
     """
 
     hop: str
@@ -290,11 +290,11 @@ class TopicRates(msgspec.Struct, frozen=True):
     """The rates of one topic.
 
     Attributes:
-        topic: what it was asked for by.
-        link: label of the link on which it is first seen.
-        msg_id: its cFE MsgId there.
-        window: messages that they are of.
-        hops: in the order of the way.
+        topic: name of the topic as requested.
+        link: label of the link on which it is first captured.
+        msg_id: cFE MsgId there.
+        window: number of messages that the rates are of.
+        hops: rates in order of the way.
     """
 
     topic: str
@@ -304,7 +304,7 @@ class TopicRates(msgspec.Struct, frozen=True):
     hops: tuple[HopRate, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``hz --json``."""
+        """Return the rates in the shape of ``hz --json``."""
         hops = [asdict(item) for item in self.hops]
         return {**asdict(self), "msg_id": f"0x{self.msg_id:04x}", "hops": hops}
 
@@ -313,8 +313,8 @@ def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRat
     """Return the rates of the last messages of a stream.
 
     Args:
-        topic: what people call it.
-        window: how many messages.
+        topic: name for people.
+        window: maximum number of messages.
     """
     fate = case.commands.fates.get(stream)
     rounds = rounds_out(case, stream) if fate is None else rounds_into(case, stream)
@@ -329,7 +329,7 @@ def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRat
         into = base if hops[-1].rate_hz is None else hops[-1].rate_hz
         hops.append(HopRate(APPLICATION, None if rate is None else into - rate, None, False))
     elif fate is not None:
-        # What may yet come out says nothing of the rate.
+        # Messages that may still come out are left out of the rate.
         waits = np.flatnonzero(fate.waits[first:])
         until = int(waits[0]) if len(waits) and waits[0] else len(out)
         rate, count = base * int(out[:until].sum()) / until, int(out.sum())
@@ -341,23 +341,23 @@ def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRat
 
 
 def _steps(times: NDArray[np.int64]) -> tuple[float, float, float] | tuple[()]:
-    """Return the shortest and the longest time between two, and their deviation, s."""
+    """Return the shortest and the longest time between two, and the standard deviation, s."""
     steps = np.diff(times) / SECOND
     return (float(steps.min()), float(steps.max()), float(steps.std())) if len(steps) else ()
 
 
 def _inner(way: LedgerWay, first: int, size: int, base: float) -> list[HopRate]:
-    """Return the hops between the first and the last, by the ledger."""
+    """Return the rates at the hops between the first and the last, by the ledger."""
     hops, share, exact = [], 1.0, True
     for row in way.rows()[:-1]:
         if row.hop in {BUS, APPLICATION}:
-            break  # what the bus and the application lose is told by what comes out
+            break  # the losses of the bus and the application follow from the messages that come out
         entries = [item for item in way.entries() if item.hop == row.hop and item.ending in _GONE]
         number, sure = (row.proven, True) if not first else _within(entries, first, size / row.came)
         late = row.waiting + row.uncertain
         if is_behind := late > _BACKLOG_S * base:
             number, late = number + round(late * size / row.came), 0
-        # What no count has yet says nothing of the rate, but where ever more of it waits.
+        # Messages without a count yet are left out of the rate, unless more and more of them wait.
         passed = (row.came if not first else size) - late - row.not_captured
         share, exact = share * (1 - number / max(passed, number, 1)), exact and sure and not is_behind
         figures = (base * share, round(size * share), exact) if row.observed else (None, None)
@@ -366,7 +366,7 @@ def _inner(way: LedgerWay, first: int, size: int, base: float) -> list[HopRate]:
 
 
 def _by_counters(case: Case, stream: Stream, way: LedgerWay, times: NDArray[np.int64]) -> float | None:
-    """Return how many a second the pipe of an application loses, by 0x803; None where others may share it."""
+    """Return the loss rate of an application's pipe by 0x803, Hz; None if other messages may share it."""
     row = next((item for item in way.rows() if item.hop == BUS), None)
     tracks = [track for at, track in case.tracks.items() if case.goes_to(stream, at)]
     if row is None or not row.observed or len(tracks) != 1:
@@ -381,11 +381,11 @@ def _by_counters(case: Case, stream: Stream, way: LedgerWay, times: NDArray[np.i
 
 
 def _within(entries: list[LedgerEntry], first: int, share: float) -> tuple[int, bool]:
-    """Return how many of some entries' messages are in the window, and whether that is sure.
+    """Return the number of some entries' messages in the window, and whether it is certain.
 
     Args:
-        first: the first row of the window.
-        share: of all messages, as far as nothing tells which they are.
+        first: first row of the window.
+        share: share of the window in all messages, for entries whose messages are not identified.
     """
     number, exact = 0, True
     for entry in entries:
@@ -398,7 +398,7 @@ def _within(entries: list[LedgerEntry], first: int, share: float) -> tuple[int, 
 
 
 def _outs(case: Case, stream: Stream, first: int) -> NDArray[np.int64]:
-    """Return when the messages of the window came out of cFS."""
+    """Return the times when the messages of the window came out of cFS."""
     hops = [hop for hop in case.hops if hop.into is stream]
     parts = [case.rows.time_ns[hop.out.rows[hop.out_rows[hop.in_rows >= first]]] for hop in hops]
     return np.sort(np.concatenate([np.zeros(0, np.int64), *parts]))

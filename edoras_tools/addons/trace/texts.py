@@ -29,26 +29,26 @@ if TYPE_CHECKING:
 _WIDEST: Final = 100
 _TIME, _AFTER, _WITNESS = 13, 13, 8
 _HEAD: Final = 9
-"""Columns of the names of a diagram's lines."""
+"""Width of the line names in a diagram, in columns."""
 COLUMNS_A_ROUND: Final = 10
-"""Columns of a diagram that one round takes."""
+"""Width of one round in a diagram, in columns."""
 
 
 def title(trace: MessageTrace) -> str:
-    """Return which message it is: ``/cmd_vel (0x1827 on CI), message 25 of 600``."""
+    """Return the title of a message: ``/cmd_vel (0x1827 on CI), message 25 of 600``."""
     if trace.link == "" or not trace.of:
         return clean(trace.topic or "a message")
     return clean(f"{name_on_link(trace)}, message {trace.nth:,} of {trace.of:,}")
 
 
 def name_on_link(item: MessageTrace | Timing) -> str:
-    """Return ``/cmd_vel (0x1827 on CI)``; where no mission names a topic, ``0x1827 on CI``."""
+    """Return ``/cmd_vel (0x1827 on CI)``; ``0x1827 on CI`` if no mission names a topic."""
     which = f"0x{item.msg_id:04x} on {item.link.upper()}" if item.msg_id >= 0 else item.link.upper()
     return f"{item.topic} ({which})" if item.topic and item.topic[:2] != "0x" else which
 
 
 def usual_text(trace: MessageTrace) -> str:
-    """Return how long the message took, and how long others did."""
+    """Return the time that the message took, and the usual time of others."""
     if trace.delay_ns is None:
         return ""
     took = "took" if trace.ended.ending in {"delivered", "sent_out"} else "followed for"
@@ -62,25 +62,25 @@ def usual_text(trace: MessageTrace) -> str:
 
 
 def ended_text(trace: MessageTrace) -> str:
-    """Return how it ended, and how that is known."""
+    """Return the ending of the message, with its evidence."""
     ended = trace.ended
     where = f", at {ended.hop}" if ended.ending not in {"delivered", "sent_out", "lost"} else ""
     return f"{ended.text}{where} ({ended.witness})"
 
 
 def is_lost(trace: MessageTrace) -> bool:
-    """Tell whether the message did not arrive, as far as that is known."""
+    """Return whether the message did not arrive, as far as known."""
     return trace.ended.ending in {"lost", "unaccounted"}
 
 
 class LadderPart(NamedTuple):
-    """One way of a message, as it is drawn.
+    """One way of a message as a drawing.
 
     Attributes:
-        trace: the way.
-        heading: what stands above it.
-        shared: places that it has in common with the first way; they are drawn there.
-        rungs: of each of the others what happened there, its time, that since the one before, and the place.
+        trace: way.
+        heading: text above it.
+        shared: number of places in common with the first way, where they are drawn.
+        rungs: text, time, time since the previous place, and place of each of the others.
     """
 
     trace: MessageTrace
@@ -106,11 +106,11 @@ def ladder_parts(trace: MessageTrace, zero_ns: int) -> Iterator[LadderPart]:
 
 
 def ladder(trace: MessageTrace, zero_ns: int, width: int) -> list[Text]:
-    """Return the way of a message, a rung for each place.
+    """Return the way of a message, one rung for each place.
 
     Args:
-        zero_ns: what times count from.
-        width: columns.
+        zero_ns: zero of the times, ns since 1970.
+        width: width in columns.
     """
     width = min(width, _WIDEST)
     room = width - 2 - _TIME - _AFTER - 2 - _WITNESS
@@ -134,7 +134,7 @@ def ladder(trace: MessageTrace, zero_ns: int, width: int) -> list[Text]:
 
 
 def _milliseconds(value_ns: int) -> str:
-    """Return a time to the microsecond, so that the parts of a way add up."""
+    """Return a time in ms, to the microsecond, so that the parts of a way add up."""
     return f"{value_ns / 1e6:,.3f} ms"
 
 
@@ -157,12 +157,12 @@ def trace_mermaid(trace: MessageTrace, zero_ns: int) -> Iterator[str]:
 
 
 class TimingWindow(msgspec.Struct, frozen=True):
-    """The part of a topic's rounds that a diagram shows.
+    """The part of a topic's rounds in a diagram.
 
     Attributes:
-        rounds: all of them.
-        start_ns: where it begins.
-        end_ns: where it ends.
+        rounds: all rounds.
+        start_ns: begin, ns since 1970.
+        end_ns: end, ns since 1970.
     """
 
     rounds: Rounds
@@ -171,7 +171,7 @@ class TimingWindow(msgspec.Struct, frozen=True):
 
     @classmethod
     def worst(cls, rounds: Rounds, count: int) -> TimingWindow:
-        """Return the first time of so many rounds in which most messages did not come out."""
+        """Return the first window of ``count`` rounds in which most messages did not come out."""
         length = count * rounds.round_ns
         times, absent = rounds.time_ns, np.append(0, np.cumsum(~rounds.out))
         begins = rounds.wakes_ns if len(rounds.wakes_ns) else times
@@ -183,19 +183,19 @@ class TimingWindow(msgspec.Struct, frozen=True):
 
     @property
     def messages(self) -> slice:
-        """The messages in it."""
+        """Messages in the window."""
         first, last = np.searchsorted(self.rounds.time_ns, (self.start_ns, self.end_ns))
         return slice(int(first), int(last))
 
     @property
     def wakes_ns(self) -> list[int]:
-        """The wake-ups in it."""
+        """Wake-ups in the window."""
         wakes = self.rounds.wakes_ns
         return [int(item) for item in wakes[(wakes >= self.start_ns) & (wakes < self.end_ns)]]
 
 
 def facts(timing: Timing) -> list[str]:
-    """Return what the rounds of a topic say, a line each."""
+    """Return facts on the rounds of a topic, one line each."""
     rounds = timing.rounds
     reads = f"{rounds.queue} wakes up every {rounds.round_ns / 1e6:.0f} ms ({rounds.round_from})"
     lines = [f"{reads}; {rounds.limit} of this MsgId may wait in {rounds.pipe} ({rounds.limit_from})"]
@@ -214,11 +214,11 @@ def facts(timing: Timing) -> list[str]:
 
 
 def diagram(timing: Timing, zero_ns: int, width: int) -> list[Text]:
-    """Return a topic's wake-ups, what waited, and losses over time.
+    """Return a topic's wake-ups, waiting messages, and losses over time.
 
     Args:
-        zero_ns: what times count from.
-        width: columns.
+        zero_ns: zero of the times, ns since 1970.
+        width: width in columns.
     """
     width, rounds = min(width, _WIDEST), timing.rounds
     columns = width - _HEAD - 1
@@ -255,7 +255,7 @@ def diagram(timing: Timing, zero_ns: int, width: int) -> list[Text]:
 
 
 def rate_lines(rates: TopicRates) -> list[str]:
-    """Return the rates of a topic: all of them in one line, then a line for each hop."""
+    """Return the rates of a topic: all in one line, then one line for each hop."""
     every = ", ".join(f"{hop.hop} {_hertz(hop)}" for hop in rates.hops)
     msg_id, link = f"0x{rates.msg_id:04x}", rates.link.upper()
     name = f"{msg_id} on {link}" if rates.topic == msg_id else f"{rates.topic} ({msg_id} on {link})"
@@ -284,13 +284,13 @@ def packet_ladder(
     zero_ns: int,
     cancelled: Callable[[], bool],
 ) -> Callable[[int], list[Text]] | None:
-    """Return what draws the way of a packet's message in a width; None where that was cancelled.
+    """Return a function of the width that draws the way of a packet's message; None if it was cancelled.
 
     Args:
-        batches: the whole capture.
-        number: place of the packet in it, from 1.
-        zero_ns: what times count from.
-        cancelled: asked before each batch.
+        batches: batches of the whole capture.
+        number: number of the packet in it, from 1.
+        zero_ns: zero of the times, ns since 1970.
+        cancelled: called before each batch.
 
     Raises:
         RouteError: the packet is no message of a link.

@@ -2,12 +2,12 @@
 
 Rules:
 
-1. A message is followed by its values: back to where it was first captured, and on to where it comes out.
-   Times of datagrams are measured; all others lie between two of these and say how they are known.
-2. How it ended is what the ledger says. An entry that is of as many messages as it is among proves it of
-   each. So does one kind of ending that is left for all messages that nothing else decides.
-3. Elsewhere the model of queues may say what it explains: ``by model``. Else it is not known, and what it may
-   be is listed.
+1. A message is followed by its values: back to its first capture, and on to where it comes out. Times of
+   datagrams are measured; all other times lie between two of these, and are marked with their evidence.
+2. Its ending is that of the ledger. An entry with as many messages as candidates proves the ending of each.
+   So does a single kind of ending that is left for all undecided messages.
+3. In other cases the queue model may explain the ending: ``by model``. Else it is unknown, and the possible
+   endings are listed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.streams import Stream
 
 Witness = Literal["proven", "measured", "by model", "unknown"]
-"""Proven: counters, counts or values show it. Measured: a datagram's time. By model: queues explain it."""
+"""Proven: by counters, counts or values. Measured: the time of a datagram. By model: queues explain it."""
 _NOT_SEEN: Final = "not seen in a capture: give doctor the --bag of its side"
 PASSED_ON: Final = "passed on by the application, and lost behind it"
 
@@ -43,13 +43,13 @@ class TraceStep(msgspec.Struct, frozen=True):
     """One place on the way of a message.
 
     Attributes:
-        hop: the place.
-        text: what happened there.
-        witness: how that is known.
-        time_ns: when, ns since 1970; None where that is not known.
-        packet: place of its datagram in the capture, from 1; None where there is none.
-        waiting: messages of its MsgId that waited in front of it; None where that is not known.
-        limit: how many of them may wait.
+        hop: name of the place.
+        text: event there.
+        witness: evidence.
+        time_ns: time, ns since 1970; None if unknown.
+        packet: number of its datagram in the capture, from 1; None if there is none.
+        waiting: messages of its MsgId that waited in front of it; None if unknown.
+        limit: number of them that may wait.
     """
 
     hop: str
@@ -62,16 +62,16 @@ class TraceStep(msgspec.Struct, frozen=True):
 
 
 class MessageEnd(msgspec.Struct, frozen=True):
-    """How the way of a message ended.
+    """The end of a message's way.
 
     Attributes:
-        ending: ``delivered``, ``sent_out`` (seen leaving; nothing shows whether anyone took it), an ending of
-            the ledger, or ``open``: one of several.
-        hop: where.
-        text: the same for people.
-        witness: how that is known.
-        cause: why, of a loss.
-        one_of: among how many messages it is not known which ended so; None where that is known.
+        ending: ``delivered``, ``sent_out`` (captured on its way out; nothing shows its reception), an ending
+            of the ledger, or ``open``: one of several.
+        hop: name of the place.
+        text: the ending for people.
+        witness: evidence.
+        cause: cause of a loss.
+        one_of: number of messages of which some ended like this, if they are not identified; else None.
     """
 
     ending: str
@@ -88,14 +88,14 @@ class MessageTrace(msgspec.Struct, frozen=True):
     Attributes:
         topic: configured topic, else the packet's name, or None.
         link: label of the link on which it is first seen.
-        msg_id: its cFE MsgId there.
-        nth: its place among the messages of that stream, from 1, those included that were never seen.
-        of: how many these are.
-        steps: the places on its way, in order.
-        ended: how it ended.
-        delay_ns: from the first to the last time that is known; None where there is one only.
-        usual: of all messages that went this way, as ``doctor -v`` has it; None where none did.
-        also: its ways from where it came out more than once, but for the first.
+        msg_id: cFE MsgId there.
+        nth: number among the messages of that stream, from 1, including missing ones.
+        of: number of these messages.
+        steps: places on its way, in order.
+        ended: end of the way.
+        delay_ns: time from the first to the last known time, ns; None if there is only one.
+        usual: latency of all messages on this way, as in ``doctor -v``; None if there are none.
+        also: its further ways, if it came out more than once.
     """
 
     topic: str | None
@@ -111,14 +111,14 @@ class MessageTrace(msgspec.Struct, frozen=True):
 
     @property
     def delay_witness(self) -> Witness:
-        """How ``delay_ns`` is known: the model has it where others had its values, or a queue ended it."""
+        """Evidence of ``delay_ns``: by model if other messages had equal values, or if a queue ended it."""
         timed = [step.witness for step in self.steps if step.time_ns is not None]
         is_guess = any(step.hop == APPLICATION and step.witness == "by model" for step in self.steps)
         return "by model" if is_guess or timed[-1] == "by model" else "measured"
 
     @property
     def after_ns(self) -> list[int | None]:
-        """The time since the step before that has one, of each step; they add up to ``delay_ns``."""
+        """For each step, the time since the previous step that has one, ns; they add up to ``delay_ns``."""
         out: list[int | None] = []
         before: int | None = None
         for step in self.steps:
@@ -127,7 +127,7 @@ class MessageTrace(msgspec.Struct, frozen=True):
         return out
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``trace --json``."""
+        """Return the trace in the shape of ``trace --json``."""
         return {
             **asdict(self),
             "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}",
@@ -143,7 +143,7 @@ class MessageTrace(msgspec.Struct, frozen=True):
 
 
 class _Leg(msgspec.Struct, frozen=True):
-    """A message in one stream: its row, or how far behind a row it is missing."""
+    """A message in one stream: its row, or its position behind a row if it is missing."""
 
     stream: Stream
     row: int
@@ -151,21 +151,21 @@ class _Leg(msgspec.Struct, frozen=True):
 
     @property
     def at(self) -> int:
-        """Its row in the capture, or that of the one before it."""
+        """Row in the capture of the message, or of the one before it."""
         return int(self.stream.rows[self.row])
 
 
 class Tracer:
-    """Follows messages of a capture that was judged."""
+    """Follows messages of a capture that is judged."""
 
     def __init__(self, case: Case) -> None:
         self._case = case
 
     def packet(self, number: int) -> MessageTrace | None:
-        """Return the way of the message in a packet; None where it is no message of a link.
+        """Return the way of the message in a packet; None if it is no message of a link.
 
         Args:
-            number: its place in the capture, from 1.
+            number: number of the packet in the capture, from 1.
         """
         rows = np.flatnonzero(self._case.rows.number == number)
         for stream in (*self._case.streams, *self._case.robots) if len(rows) else ():
@@ -175,7 +175,7 @@ class Tracer:
         return None
 
     def missing(self, link: str, msg_id: int, time_ns: int, first: int | None) -> MessageTrace | None:
-        """Return the way of a message that never came, by the packet before it and its own count."""
+        """Return the way of a missing message, by the packet before it and its own count."""
         for stream in self._case.streams:
             if (stream.link.label, stream.msg_id) == (link, msg_id):
                 for row in np.flatnonzero(self._case.rows.time_ns[stream.rows] == time_ns).tolist():
@@ -198,7 +198,7 @@ class Tracer:
         return self.follow(_Leg(stream, row, place - (int(counts[row - 1]) if row else 0)))
 
     def follow(self, leg: _Leg) -> MessageTrace:
-        """Return the way of a message, and where it came out more than once, the others."""
+        """Return the way of a message, with its other ways if it came out more than once."""
         before = [*reversed(list(self._before(leg)))]
         every = [self._along([*before, *way]) for way in self._behind(leg)]
         every.sort(key=lambda item: item.ended.ending != "delivered")
@@ -215,7 +215,8 @@ class Tracer:
                 steps += self._inside(item, legs[place + 1] if place + 1 < len(legs) else None)
         ended = self._ended(last, steps)
         if len(legs) > 1 and any(step.hop == APPLICATION and step.witness == "by model" for step in steps):
-            # Which of several with its values came so far is the model's word, not the counters'.
+            # Which of several messages with equal values came this far is the model's result, not the
+            # counters'.
             ended = ended if ended.witness == "unknown" else replace(ended, witness="by model")
         times = [step.time_ns for step in steps if step.time_ns is not None]
         counts = head.stream.counts
@@ -232,7 +233,7 @@ class Tracer:
         )
 
     def _before(self, leg: _Leg) -> Iterator[_Leg]:
-        """Yield the messages that one was before, the latest first."""
+        """Yield the earlier forms of a message, the latest first."""
         while not leg.behind and (before := self._way_in(leg)) is not None:
             leg = before
             yield leg
@@ -245,7 +246,7 @@ class Tracer:
         return None
 
     def _behind(self, leg: _Leg) -> Iterator[list[_Leg]]:
-        """Yield each way of a message to its end: itself, and what it became."""
+        """Yield each way of a message to its end: itself, and its later forms."""
         queue = [[leg]]
         while queue:
             way = queue.pop()
@@ -266,7 +267,7 @@ class Tracer:
         return int(self._case.rows.time_ns[leg.at])
 
     def _origin(self, leg: _Leg) -> Iterator[TraceStep]:
-        """Yield where a message comes from: a bridge, or an application of cFS."""
+        """Yield the origin of a message: a bridge, or an application of cFS."""
         stream = leg.stream
         if stream.link.only_from_cfs or (stream.link.peers and stream.instance != NOBODY):
             yield from self._published(leg)
@@ -277,7 +278,7 @@ class Tracer:
             yield self._captured(leg, "bridge")
 
     def _published(self, leg: _Leg) -> Iterator[TraceStep]:
-        """Yield when an application published a message, what waited in the pipe, and when it left."""
+        """Yield the publishing of a message, the messages in front of it in the pipe, and its departure."""
         rounds = rounds_out(self._case, leg.stream)
         place = rounds.place(leg.row, leg.behind)
         if leg.behind:
@@ -294,7 +295,7 @@ class Tracer:
         yield from self._departure(leg, rounds, place, when)
 
     def _out(self, leg: _Leg, steps: Sequence[TraceStep]) -> Iterator[TraceStep]:
-        """Yield how a message that came in somewhere came out again."""
+        """Yield the steps of a message that entered and came out again."""
         before = next((item.time_ns for item in reversed(steps) if item.time_ns is not None), None)
         if leg.stream.link.last_hop:
             step = self._captured(leg, "robot")
@@ -305,7 +306,7 @@ class Tracer:
         yield from self._departure(leg, rounds, rounds.place(leg.row), before)
 
     def _departure(self, leg: _Leg, rounds: Rounds, place: int, since_ns: int | None) -> Iterator[TraceStep]:
-        """Yield what waited in the pipe of a message that was captured, the wake-up, and the datagram."""
+        """Yield the pipe of a captured message, with those in front of it, the wake-up, and the datagram."""
         yield self._pipe(rounds, place)
         wake = int(rounds.wake[place])
         if 0 <= wake < len(rounds.wakes_ns):
@@ -322,7 +323,7 @@ class Tracer:
 
     @staticmethod
     def _pipe(rounds: Rounds, place: int) -> TraceStep:
-        """Return what waited in front of a message."""
+        """Return the step with the messages that waited in front of a message."""
         waiting, limit = rounds.waiting(place), rounds.limit
         if waiting is None:
             text = f"it keeps {limit} of this MsgId ({rounds.limit_from}); what waited is not seen"
@@ -337,7 +338,7 @@ class Tracer:
         return TraceStep(rounds.pipe, text, witness, waiting=waiting, limit=limit)
 
     def _inside(self, leg: _Leg, onward: _Leg | None) -> Iterator[TraceStep]:
-        """Yield the wake-up that read a message, what waited, and the application."""
+        """Yield the wake-up that read a message, the waiting messages, and the application."""
         rounds = rounds_into(self._case, leg.stream)
         place = rounds.place(leg.row)
         sent, wake = self._time(leg), int(rounds.wake[place])
@@ -359,13 +360,13 @@ class Tracer:
 
     @staticmethod
     def _is_single(hop: Hop, leg: _Leg) -> bool:
-        """Tell whether no other message that went in has the values of one."""
+        """Return whether no other message into cFS has the same values."""
         rows = np.flatnonzero(hop.known)
         place = int(np.searchsorted(rows, leg.row))
         return bool(place < len(rows) and rows[place] == leg.row and hop.single[place])
 
     def _ended(self, leg: _Leg, steps: list[TraceStep]) -> MessageEnd:
-        """Return how the way of a message ended, by the ledger."""
+        """Return the end of a message's way, by the ledger."""
         stream = leg.stream
         if stream.link.last_hop:
             return MessageEnd("delivered", "robot", "came out to the robot", "measured")
@@ -387,7 +388,7 @@ class Tracer:
         return MessageEnd("sent_out", where, f"left for the {where}; nothing shows who took it", "measured")
 
     def _usual(self, legs: Sequence[_Leg]) -> Latency | None:
-        """Return the delay of all messages that went the same way, from the first to the last step."""
+        """Return the latency of all messages on the same way, from the first to the last step."""
         if len(legs) == 2:
             return next((h.latency for h, target in self._ways_out(legs[0]) if target.at == legs[1].at), None)
         stream = legs[0].stream
@@ -400,7 +401,7 @@ class Tracer:
 
 
 def messages_in(stream: Stream) -> int:
-    """Return how many messages a stream has, those included that never came."""
+    """Return the number of messages in a stream, including missing ones."""
     return int(stream.counts.sum())
 
 
@@ -410,12 +411,12 @@ def _woke(rounds: Rounds, place: int) -> str:
 
 
 def _decided(way: LedgerWay, leg: _Leg, absent: Any, *, full: bool, case: Case) -> MessageEnd | None:
-    """Return the ending of a message by the entries of its way; None where none can be of it.
+    """Return the ending of a message by the entries of its way; None if it can be in none of them.
 
     Args:
-        absent: bool, of each row of the stream: it did not come out.
-        full: the model says that its queue was full.
-        case: names applications as this cFS does.
+        absent: bool (rows,), whether a message of the stream did not come out.
+        full: whether its queue was full, by the model.
+        case: case with the names of this cFS's applications.
     """
     entries = [(entry, _members(entry, leg)) for entry in [*way.entries(), *_passed_on(way, leg, case)]]
     own = [entry for entry, members in entries if members and members[0]]
@@ -426,7 +427,7 @@ def _decided(way: LedgerWay, leg: _Leg, absent: Any, *, full: bool, case: Case) 
     may_be = own + [entry for entry, members in entries if members is None and is_absent]
     if not may_be:
         return None
-    # Of telemetry the ledger has no rows that did not come, so no sum of them either.
+    # For telemetry the ledger has no rows of missing messages, so no sum of them either.
     pool = 0 if leg.behind or not is_absent else _undecided(absent, exact)
     is_limit = [entry.cause == "limit" for entry in own]
     if full and any(is_limit):
@@ -435,10 +436,10 @@ def _decided(way: LedgerWay, leg: _Leg, absent: Any, *, full: bool, case: Case) 
 
 
 def _open(way: LedgerWay, may_be: Sequence[LedgerEntry], pool: int, case: Case) -> MessageEnd:
-    """Return the ending of a message that is of one of several entries; of one kind for all it is proven.
+    """Return the ending of a message in one of several entries; proven if all have the same ending.
 
     Args:
-        pool: messages that no other entry decides; 0 where that is not known.
+        pool: number of messages that no other entry decides; 0 if unknown.
     """
     number = sum(entry.number for entry in may_be)
     if len({(entry.ending, entry.hop, entry.cause) for entry in may_be}) == 1 and number >= pool > 0:
@@ -449,14 +450,14 @@ def _open(way: LedgerWay, may_be: Sequence[LedgerEntry], pool: int, case: Case) 
 
 
 def _texts(entries: Sequence[LedgerEntry], case: Case, between: str, form: str) -> str:
-    """Return what several entries say, each text once."""
+    """Return the texts of several entries, each text once."""
     return between.join(
         dict.fromkeys(form.format(number=item.number, text=_text(item, case)) for item in entries)
     )
 
 
 def _undecided(absent: Any, exact: Sequence[LedgerEntry]) -> int:
-    """Return how many rows did not come out and are in no entry that is of as many as it is among."""
+    """Return the number of rows that did not come out, and are in no entry with as many messages as rows."""
     undecided = absent.copy()
     for entry in exact:
         if isinstance(entry.among, Among) and entry.among.missing is None:
@@ -465,14 +466,14 @@ def _undecided(absent: Any, exact: Sequence[LedgerEntry]) -> int:
 
 
 def _passed_on(way: LedgerWay, leg: _Leg, case: Case) -> Iterator[LedgerEntry]:
-    """Yield what came out of the application and was lost behind it: the ledger has it on the way out."""
+    """Yield the entry of messages that the application passed on, and that were lost behind it."""
     fate = case.commands.fates.get(leg.stream)
     if fate is not None and fate.seen and fate.ends["passed_on"]:
         yield LedgerEntry(way.traffic, APPLICATION, "lost", fate.ends["passed_on"], "passed_on", PASSED_ON)
 
 
 def _members(entry: LedgerEntry, leg: _Leg) -> tuple[bool, int] | None:
-    """Return whether a message is among those of an entry, and how many these are; None where none tells."""
+    """Return whether a message is a candidate of an entry, and the number of candidates; None if unknown."""
     among = entry.among
     if not isinstance(among, Among):
         return None
@@ -492,11 +493,11 @@ def _ending(entry: LedgerEntry, witness: Witness, case: Case, wording: str = "")
 
 
 def with_ending(trace: MessageTrace, text: str, one_of: int | None) -> MessageTrace:
-    """Return a trace of a message that the list of losses names, where its way alone does not tell.
+    """Return the trace of a message in the list of losses, with that list's ending if its way shows none.
 
     Args:
-        text: what the list says became of it.
-        one_of: among how many it is not known which.
+        text: ending in the list.
+        one_of: number of messages among which it is not identified.
     """
     if trace.ended.ending == "lost":
         return trace

@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 
 
 class TraceRequest(msgspec.Struct, frozen=True):
-    """What to follow: a packet, the n-th message of a topic, the n-th lost one, or the topic itself.
+    """The subject: a packet, the n-th message of a topic, the n-th lost one, or the topic itself.
 
     Attributes:
-        packet: place of a packet in the capture, from 1.
-        topic: a topic, or a name or MsgId that tables show.
-        nth: which of its messages, from 1.
-        lost: which of those that were lost, of the topic or of all, from 1.
-        window: the rates of so many messages of the topic are asked for; without one of every topic.
+        packet: number of a packet in the capture, from 1.
+        topic: topic, or name or MsgId that tables show.
+        nth: number of the topic's message, from 1.
+        lost: number among the lost messages of the topic, or of all, from 1.
+        window: number of messages whose rates are requested; without a topic, for every topic.
     """
 
     packet: int | None = None
@@ -51,12 +51,12 @@ class TraceRequest(msgspec.Struct, frozen=True):
 
 
 class Tracing(Examination):
-    """Takes batches as they come and keeps the trace that was asked for; it gives no verdicts.
+    """Takes batches as they come and keeps the requested trace; it gives no verdicts.
 
     Attributes:
-        trace: the way of the message, once it was met.
-        timing: the rounds of the topic, of the chapter that lost most.
-        rates: the rates of the topic, of each spacecraft in the last chapter that has it.
+        trace: way of the message, once it is found.
+        timing: rounds of the topic, in the chapter that lost most.
+        rates: rates of the topic, for each spacecraft in the last chapter that has it.
     """
 
     def __init__(self, context: Context, request: TraceRequest) -> None:
@@ -70,7 +70,7 @@ class Tracing(Examination):
         self._names: dict[str, None] = {}
 
     def judged(self, recorder: Recorder, chapter: Chapter) -> Diagnosis:
-        """Look for the message in a chapter."""
+        """Search for the message in a chapter."""
         case = Case(recorder, self.profile, chapter.capture, proxied(chapter.faults))
         packet = self.request.packet
         is_here = packet is None or (case.rows.number == packet).any()
@@ -88,10 +88,10 @@ class Tracing(Examination):
         return [item for _, rates in sorted(self._rates.items()) for item in rates]
 
     def check(self) -> None:
-        """Raise an error if what was asked for is not there.
+        """Raise an error if the subject was not found.
 
         Raises:
-            RouteError: it is not there.
+            RouteError: it was not found.
         """
         request = self.request
         if self.trace is not None or self.timing is not None or self.rates:
@@ -118,7 +118,7 @@ class Tracing(Examination):
             lost = [
                 (item, case) for item in missing(case) if request.topic in {None, *_names(case, item.msg_id)}
             ]
-            # The list is by time; of several spacecraft each is judged by itself.
+            # The list is in order of time; several spacecraft are judged separately.
             before = 0 if self.context.spacecraft.several else self._passed
             self._listed = sorted([*self._listed[before:], *lost], key=lambda item: item[0].time_ns)
             self._passed += len(lost)
@@ -139,7 +139,7 @@ class Tracing(Examination):
             self.timing = best
 
     def _streams(self, case: Case, name: str) -> list[Stream]:
-        """Return the streams of a name where its messages are first seen, the first to begin first."""
+        """Return the streams of a name at their first capture, in order of their begin."""
         self._names |= dict.fromkeys(item for stream in case.streams for item in _names(case, stream.msg_id))
         streams = [item for item in case.streams if name in _names(case, item.msg_id)]
         behind = {hop.out for hop in case.hops}
@@ -147,7 +147,7 @@ class Tracing(Examination):
         return [item for item in streams if item.link is streams[0].link]
 
     def _every(self, case: Case) -> list[tuple[Stream, str]]:
-        """Return the streams of each topic, where there is none of each MsgId, with its name."""
+        """Return the streams of each topic, or without topics of each MsgId, with its name."""
         ids = list(dict.fromkeys(stream.msg_id for stream in case.streams))
         topics = [topic for item in ids if (topic := case.topic(item))]
         names = topics or [_names(case, item)[-1] for item in ids]
@@ -155,7 +155,7 @@ class Tracing(Examination):
 
     @staticmethod
     def _lost(item: Missing, case: Case) -> MessageTrace:
-        """Return the way of a message that is on the list of losses."""
+        """Return the way of a message in the list of losses."""
         tracer = Tracer(case)
         if item.number is not None:
             trace = tracer.packet(item.number)
@@ -170,7 +170,7 @@ class Tracing(Examination):
 
 
 def _names(case: Case, msg_id: int) -> list[str]:
-    """Return what a MsgId is called."""
+    """Return the names of a MsgId."""
     names = case.topic(msg_id), case.packet_name(msg_id), f"0x{msg_id:04x}"
     return [case.mission.own_name(item, case.mission.number) for item in names if item]
 
@@ -182,7 +182,7 @@ def _timing(case: Case, stream: Stream, name: str) -> Timing:
 
 
 def _endings(case: Case, stream: Stream) -> Sequence[tuple[int, str]]:
-    """Return what became of the messages of a stream that did not come out, by the ledger."""
+    """Return the endings of the messages of a stream that did not come out, by the ledger."""
     sums: dict[str, int] = {}
     for entry in case.ledger.way(stream).entries():
         text = case.called(entry.text) if entry.ending == "lost" else ENDING_TEXTS[entry.ending]
