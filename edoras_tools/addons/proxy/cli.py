@@ -27,7 +27,7 @@ _NEVER_NS = 1 << 62
 
 
 class RelayOptions(NamedTuple):
-    """What is relayed, from where to where, and at which rates."""
+    """The link, the addresses, and the rates."""
 
     link: Annotated[str, Argument(metavar="LINK", help="The link to relay: ci, to, sbn, fprime ...")]
     listen: Annotated[
@@ -59,7 +59,7 @@ class RelayOptions(NamedTuple):
 
 
 class TimeOptions(NamedTuple):
-    """How long clients are remembered, and how long the proxy runs."""
+    """Time that clients are kept, and duration of the proxy."""
 
     timeout: Annotated[
         int | None, Option(parser=options.duration, help="Forget silent clients; default 60s; 0: never.")
@@ -172,5 +172,5 @@ def _relay_streams(
 
 
 def _begin(relay: Proxy | StreamProxy) -> None:
-    """Say what is relayed."""
+    """Print what is relayed."""
     say(f"relaying {relay.title}; Ctrl-C ends")

@@ -26,9 +26,9 @@ class ProxyClient(msgspec.Struct, eq=False):
 
     Attributes:
         number: from 0, in order of appearance.
-        address: where it sends from.
-        sockets: one for each target.
-        to_target: an outlet for each target.
+        address: address of the client.
+        sockets: sockets, one for each target.
+        to_target: outlets, one for each target.
         to_client: the outlet to the client.
         ends: endpoints from client to target, and from target to client, made by ``ends_of``.
         last_ns: time of the last datagram in either direction.
@@ -53,11 +53,11 @@ class ProxyClient(msgspec.Struct, eq=False):
 
 
 class Routing(msgspec.Struct, frozen=True):
-    """What all clients of a proxy share.
+    """The common settings of all clients of a proxy.
 
     Attributes:
-        listen: the socket that clients send to.
-        targets: family and address of each.
+        listen: socket that clients send to.
+        targets: family and address of each target.
         to_target: counters of the direction to each target.
         to_client: counters of the direction to the clients.
         queue_bytes: maximum bytes that wait while a socket's buffer is full.
@@ -78,7 +78,7 @@ class Clients:
     """The clients, by address and by number.
 
     Args:
-        routing: what they share.
+        routing: common settings.
         watch: called with every socket that is opened, and its client.
         forget: called with every socket before it is closed.
 
@@ -135,7 +135,7 @@ class Clients:
                     self._end(client)
 
     def drops(self) -> int:
-        """Return how many datagrams from targets the kernel dropped because receive buffers were full."""
+        """Return the number of targets' datagrams that the kernel dropped at full receive buffers."""
         return self._dropped + (0 if self._closed else sum(map(kernel_drops, self._sockets())))
 
     def close(self) -> None:

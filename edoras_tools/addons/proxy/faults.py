@@ -28,7 +28,7 @@ class Outbox:
 
     Args:
         buffer: the slots.
-        send: sends what was gathered.
+        send: sends the gathered slots.
     """
 
     def __init__(self, buffer: DatagramBuffer, send: Send) -> None:
@@ -49,7 +49,7 @@ class Outbox:
         self._spare += 1
 
     def flush(self) -> None:
-        """Send what was gathered."""
+        """Send the gathered slots."""
         if self._slots:
             self._send(np.array(self._slots, np.int64))
         self._slots.clear()
@@ -73,10 +73,10 @@ class FaultStage:
         self._buffer, self._link, self._note = buffer, link, note
 
     def apply(self, slots: NDArray[np.int64], *, to_cfs: bool, now: int, stream: int, send: Send) -> None:
-        """Send what the faults leave of the datagrams in some slots.
+        """Send the datagrams in some slots after applying faults.
 
         Args:
-            slots: which slots.
+            slots: indices of the slots.
             to_cfs: the direction of the datagrams.
             now: ns since 1970.
             stream: number of the client.

@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 
 class ProxyPlan(msgspec.Struct, frozen=True):
-    """What is relayed, and where.
+    """The settings of a relay.
 
     Attributes:
         link: the link of the datagrams.
-        listen: where clients send to; for TO the client is cFS.
+        listen: address that clients send to; for TO the client is cFS.
         targets: each target gets every datagram.
-        bind: where the target sends to, if it does not answer to the sender's port (an SBN peer); then there
-            is one client, the last that sent.
-        client: who gets the target's datagrams before any client has sent; needs ``bind``.
+        bind: address that the target sends to, if it does not answer to the sender's port (an SBN peer); then
+            there is one client, the last that sent.
+        client: receiver of the target's datagrams before any client has sent; needs ``bind``.
         faults: the faults to inject.
-        idle_ns: a client without traffic for this time is removed.
+        idle_ns: time without traffic after which a client is removed, ns.
         clients: maximum number of clients.
         queue_bytes: maximum bytes that wait while a socket's buffer is full.
-        headers: those of the cFE, for faults behind them.
+        headers: headers of the cFE, for faults that depend on them.
 
     Raises:
         ConfigError: there is no target, ``bind`` cannot be combined with the others, or it sends to itself.

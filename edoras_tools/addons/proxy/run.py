@@ -1,6 +1,6 @@
 """A relay between ground and cFS: transparent both ways, with faults, several targets and a recording.
 
-Rules that it keeps:
+Rules:
 
 1. One thread moves the datagrams. Recording and display have their own threads; they cost the moving thread
    only a copy of the bytes.
@@ -46,9 +46,9 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.faults.scopes import Predicate
 
 _TURNS: Final = 4
-"""How often a busy socket is read before the others are read."""
+"""Times that a busy socket is read before the others are read."""
 _SPIN_NS: Final = 20_000
-"""For this time after a datagram the sockets are polled without sleeping, so that bursts need no wake-ups."""
+"""Time after a datagram in which the sockets are polled without sleeping, so that bursts need no wake-ups."""
 _UPKEEP_NS: Final = 20 * MILLISECOND
 """Period of the other work, and maximum delay until Ctrl-C, keys and idle clients are noticed."""
 _FINISH_NS: Final = 200_000_000
@@ -59,12 +59,12 @@ class Proxy:
     """One relay; the constructor binds its ports, and nothing that is sent afterwards is missed.
 
     Args:
-        plan: what is relayed, and where.
+        plan: settings.
         recorder: called once the ports are bound; returns the recorder of the datagrams that are sent.
         where: compiles the filter expressions of faults.
 
     Attributes:
-        plan: as given.
+        plan: settings.
         endpoint: the address that it listens on, with the port that the system chose if none was given.
         to_target: counters of the direction to each target.
         to_client: counters of the direction to the clients.
@@ -151,7 +151,7 @@ class Proxy:
         """Relay until ``stop``, Ctrl-C, the key q, or the end of the duration.
 
         Args:
-            duration_ns: how long; 0: without end.
+            duration_ns: duration, ns; 0: without end.
             watcher: updated while it runs.
             keys: 1 to 9 switch faults on and off, q quits.
 
@@ -228,7 +228,7 @@ class Proxy:
         if now - self._active_ns > _SPIN_NS and not self.to_target[0].queued + self.to_client.queued:
             wait_ms = max(-(-(until - now) // MILLISECOND), 0)  # rather late than polling without sleep
             if due is not None:
-                wait_ms = min(wait_ms, max(due - now, 0) // MILLISECOND)  # to the moment
+                wait_ms = min(wait_ms, max(due - now, 0) // MILLISECOND)  # not later than the deadline
         for fileno, _ in self._poll.poll(wait_ms):
             if fileno == self._listen.fileno():
                 self._from_clients()
@@ -293,7 +293,7 @@ class Proxy:
                 return
 
     def _arrived(self, count: int) -> int:
-        """Note that datagrams arrived; return the time. ``_send`` asks when, once they are sent."""
+        """Record that datagrams arrived; return the time. ``_send`` gets the arrival times later."""
         self._untimed = count
         self._active_ns = now = self._now()
         return now
@@ -358,7 +358,7 @@ class Proxy:
         client = self.clients.numbered(number)
 
         def send(slots: NDArray[np.int64]) -> None:
-            if client is None:  # removed meanwhile
+            if client is None:  # removed in between
                 (self.to_target[0] if to_target else self.to_client).unclaimed += len(slots)
             else:
                 self._send(client, slots, to_target=to_target)

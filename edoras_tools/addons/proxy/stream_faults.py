@@ -1,7 +1,7 @@
-"""Faults of a byte stream: when bytes that came may go on. Time is an argument.
+"""Faults of a byte stream: the time when received bytes may leave. Time is an argument.
 
-TCP delivers every byte, in order, or ends. So a stream can be late, slow, stalled or cut; nothing in it can
-be lost, repeated or overtaken, and rules that ask for that are refused.
+TCP delivers every byte, in order, or ends. So a stream can be late, slow, stalled or cut; but no byte can be
+lost, repeated or overtaken, and rules for that are refused.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ STREAM_KINDS: Final = ("delay", "bandwidth", "silence")
 
 
 class StreamFaults:
-    """Decides when the bytes of one direction of a connection leave.
+    """Determines when the bytes of one direction of a connection leave.
 
     Args:
-        rules: faults; those of the other direction are left out.
+        rules: faults; those of the other direction are ignored.
         to_cfs: the direction.
 
     Attributes:
-        struck: how often each rule made bytes wait.
+        struck: number of times that each rule made bytes wait.
 
     Raises:
-        ConfigError: a rule is of a kind that streams cannot have, or chooses among messages.
+        ConfigError: a rule is of a kind that streams cannot have, or selects messages.
     """
 
     def __init__(self, rules: Sequence[Rule], *, to_cfs: bool) -> None:
@@ -47,11 +47,11 @@ class StreamFaults:
         self._last = 0
 
     def leave(self, now: int, size: int) -> int:
-        """Return when bytes that came at ``now`` may leave, ns; never before those that came earlier.
+        """Return when bytes that came at ``now`` may leave, ns; never before earlier bytes.
 
         Args:
             now: ns since the start of the relay.
-            size: how many bytes.
+            size: number of bytes.
         """
         at = max(now, self._last)
         for place, rule in self._rules.items():
@@ -73,7 +73,7 @@ class StreamFaults:
 
     @staticmethod
     def _stalled_until(rule: Rule, now: int) -> int:
-        """Return the end of the stall that ``now`` is in, or ``now``: it begins with the rule's time."""
+        """Return the end of the stall at ``now``, else ``now``; stalls begin with the rule's time."""
         since = now - rule.schedule.from_ns
         if rule.schedule.period_ns:
             since %= rule.schedule.period_ns
@@ -81,10 +81,10 @@ class StreamFaults:
 
 
 def _check(rule: Rule) -> None:
-    """Refuse what a stream cannot have.
+    """Refuse a rule that a stream cannot have.
 
     Raises:
-        ConfigError: it is one.
+        ConfigError: it is such a rule.
     """
     kinds = ", ".join(STREAM_KINDS)
     if rule.kind.name not in STREAM_KINDS:

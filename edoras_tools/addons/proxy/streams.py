@@ -1,14 +1,14 @@
 """A relay for TCP: a connection to it becomes one to the target, with faults that a stream can have.
 
-Rules that it keeps:
+Rules:
 
-1. Bytes leave unchanged and in order. Where a peer reads slowly, the other one is read no faster.
-2. An end that stops sending is told to the other end once all its bytes have left; a broken connection breaks
+1. Bytes leave unchanged and in order. If a peer reads slowly, the other one is read no faster.
+2. When an end stops sending, the other end is told after all its bytes have left; a broken connection breaks
    the other one too.
-3. The target is connected when the client's first whole message is to leave, never before: a cFS with SBN
-   over TCP ends when a connection closes before its first message, as a port scan's does. On all links here
+3. The target is connected when the client's first complete message may leave, never before: a cFS with SBN
+   over TCP ends if a connection closes before its first message, as that of a port scan. On all links here
    the client speaks first.
-4. One thread moves everything and sleeps until something arrives, is due, or has room again; no connection
+4. One thread moves everything. It sleeps until something arrives, is due, or has space again; no connection
    waits for another one's target.
 """
 
@@ -38,18 +38,18 @@ if TYPE_CHECKING:
 
 _AT_ONCE: Final = 1 << 16
 _MOST_BYTES: Final = 1 << 20
-"""Bytes that wait in one direction; more are left with their sender."""
+"""Bytes that may wait in one direction; further ones stay with their sender."""
 _WAIT_S: Final = 0.05
 _CONNECT_NS: Final = 5_000_000_000
 _PENDING: Final = (errno.EINPROGRESS, errno.EALREADY)
 _RESET: Final = struct.pack("ii", 1, 0)
-"""``struct linger`` with a time of 0."""
+"""``struct linger`` with a time of 0: close with a reset."""
 
 
 class _Pipe(msgspec.Struct, eq=False):
-    """One direction of a connection: bytes that wait, each with the time when they may leave.
+    """One direction of a connection: waiting bytes, each with the time when they may leave.
 
-    ``full`` is whether the target took no more when it was last sent to.
+    ``full`` is whether the target accepted no more at the last attempt to send.
     """
 
     source: socket.socket
@@ -63,7 +63,7 @@ class _Pipe(msgspec.Struct, eq=False):
     full: bool = False
 
     def receive(self, now: int) -> None:
-        """Take what the source sent.
+        """Receive bytes from the source.
 
         Raises:
             OSError: the connection is broken.
@@ -83,7 +83,7 @@ class _Pipe(msgspec.Struct, eq=False):
         return bool(self.waiting) and self.waiting[0][0] <= now
 
     def send(self, now: int) -> None:
-        """Send what may leave, once there is a target.
+        """Send the bytes that may leave, if there is a target.
 
         Raises:
             OSError: the connection is broken.
@@ -112,19 +112,19 @@ class _Pipe(msgspec.Struct, eq=False):
 
 
 class StreamCounts(msgspec.Struct, eq=False):
-    """What went one way, over all connections.
+    """Counts of one direction, over all connections.
 
     Attributes:
-        octets: bytes that were passed on.
+        octets: number of bytes passed on.
     """
 
     octets: int = 0
 
 
 class _Connection(msgspec.Struct, eq=False):
-    """A client, and the target once it is connected: ``pipes`` begins with the way to the target.
+    """A client, and its target once it is connected; the first of ``pipes`` is the way to the target.
 
-    ``asked_ns`` is when the target was asked for a connection, ``target`` what is to become it.
+    ``asked_ns`` is when the connection to the target was requested, ``target`` the socket for it.
     """
 
     pipes: list[_Pipe]
@@ -138,19 +138,19 @@ class StreamProxy:
 
     Args:
         plan: one target, no ``bind``.
-        cut_ns: how long a connection is relayed before it is cut; 0: never.
+        cut_ns: time after which a connection is cut, ns; 0: never.
 
     Attributes:
-        endpoint: where it listens.
-        connections: how many were made to the target.
-        refused: how many the target did not take.
-        cut: how many were cut on purpose.
-        to_target: what went to the target.
-        to_client: what went to clients.
+        endpoint: address that it listens on.
+        connections: number of connections to the target.
+        refused: number of connections that the target refused.
+        cut: number of connections that were cut on purpose.
+        to_target: counts towards the target.
+        to_client: counts towards clients.
 
     Raises:
         CaptureError: the port cannot be bound.
-        ConfigError: a fault is none that a stream can have.
+        ConfigError: a fault is not possible for a stream.
     """
 
     def __init__(self, plan: ProxyPlan, cut_ns: int = 0) -> None:
@@ -174,12 +174,12 @@ class StreamProxy:
 
     @property
     def title(self) -> str:
-        """What is relayed, for people."""
+        """Description of the relay, for people."""
         return f"{self._plan.link.name} over TCP, {self.endpoint} to {self._plan.targets[0]}"
 
     @property
     def silent(self) -> int:
-        """How many clients sent nothing that was to leave: the target was not connected for them."""
+        """Number of clients that sent no message: the target was not connected for them."""
         return self._accepted - self.connections - self.refused
 
     def stop(self) -> None:
@@ -187,7 +187,7 @@ class StreamProxy:
         self._stopping = True
 
     def run(self, *, duration_ns: int = 0) -> None:
-        """Relay until ``stop``, or for a time."""
+        """Relay until ``stop``, or for a duration."""
         while not self._stopping and not (duration_ns and self._now() >= duration_ns):
             self._selector.select(self._wait_s())
             self._accept()
@@ -202,7 +202,7 @@ class StreamProxy:
         self._listen.close()
 
     def summary(self) -> dict[str, Any]:
-        """Return what was relayed, in the shape of ``proxy --json``."""
+        """Return the relay's counts, in the shape of ``proxy --json``."""
         plan = self._plan.summary()
         for place, fault in enumerate(plan["faults"]):
             now = sum(pipe.faults.struck[place] for item in self._open for pipe in item.pipes)
@@ -244,7 +244,7 @@ class StreamProxy:
         end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def _connect(self, connection: _Connection, now: int) -> bool:
-        """Connect the target for a client, or go on with it; return whether it may take the connection."""
+        """Connect the target for a client, or continue to; return whether it may accept the connection."""
         target = self._plan.targets[0]
         opened = connection.target
         if opened is None:
@@ -253,7 +253,7 @@ class StreamProxy:
             self._prepare(opened)
         try:
             error = opened.connect_ex((target.address, target.port))
-        except OSError:  # its name is not known
+        except OSError:  # its name is unknown
             error = errno.EHOSTUNREACH
         if error in _PENDING and now - connection.asked_ns < _CONNECT_NS:
             return True
@@ -293,7 +293,7 @@ class StreamProxy:
             self._end(connection)
 
     def _has_message(self, pipe: _Pipe) -> bool:
-        """Return whether what waits begins with a whole message, or with none of this link."""
+        """Return whether the waiting bytes begin with a complete message, or with no message of this link."""
         framing = protocol(self._plan.link).framing
         if framing is None or pipe.size > framing.largest:
             return bool(pipe.waiting)
@@ -302,7 +302,7 @@ class StreamProxy:
         return length == NOT_A_MESSAGE or 0 < length <= len(data)
 
     def _watch(self, connection: _Connection) -> None:
-        """Wait for a source while there is room and it sends, and for a target while it is full."""
+        """Wait for a source if there is space and it sends, and for a target if it is full."""
         events_of: dict[socket.socket, int] = {}
         for pipe in connection.pipes:
             reads = pipe.size < _MOST_BYTES and not pipe.ended
@@ -328,6 +328,6 @@ class StreamProxy:
         for end in ends | ({connection.target} if connection.target else set()):
             with suppress(KeyError, ValueError):
                 self._selector.unregister(end)
-            if abort:  # what waits is lost, and the peers are told: RST
+            if abort:  # the waiting bytes are lost, and the peers get a RST
                 end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
             end.close()

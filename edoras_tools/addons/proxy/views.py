@@ -24,7 +24,7 @@ _MOST_CLIENTS: Final = 8
 
 
 def stream_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Return lines on what a relay of TCP did, from its summary."""
+    """Return lines on the result of a TCP relay, from its summary."""
     texts = {"cut": "cut", "refused": "refused by the target", "silent": "without a byte, so not made"}
     ends = "".join(f", {summary[key]} {text}" for key, text in texts.items() if summary[key])
     bytes_ = f"{summary['bytes_to_target']:,} bytes to the target, {summary['bytes_to_client']:,} back"
@@ -49,7 +49,7 @@ def _counts(summary: Mapping[str, Any]) -> dict[object, int]:
 
 
 def outcome(summary: Mapping[str, Any], width: int, output: Path | None = None) -> Group:
-    """Return the result of a proxy.
+    """Return the view of a proxy's result.
 
     Args:
         summary: in the shape of ``proxy --json``.
@@ -59,7 +59,7 @@ def outcome(summary: Mapping[str, Any], width: int, output: Path | None = None) 
 
 
 def plan(summary: Mapping[str, Any], output: Path | None) -> Group:
-    """Return what a proxy would do."""
+    """Return the view of a proxy's plan."""
     lines = [Text.assemble("would relay ", (_title(summary), palette.STRONG), "; nothing was opened")]
     lines += [plain(f"  fault  {item['rule']}{'' if item['on'] else ' (off)'}") for item in summary["faults"]]
     if summary["faults"]:
@@ -70,7 +70,7 @@ def plan(summary: Mapping[str, Any], output: Path | None) -> Group:
 
 
 def notes(summary: Mapping[str, Any]) -> list[str]:
-    """Return notes, a line each: refusals, losses, datagrams not delivered at the end."""
+    """Return notes, one line each: refusals, losses, datagrams not delivered at the end."""
     lines = []
     for way in summary["ways"]:
         if way["refused"]:
