@@ -1,18 +1,19 @@
 """Domains of Cyclone DDS, configured once in a process.
 
-What comes later in this list holds:
+Configurations, of which later ones override earlier ones:
 
-1. ``IgnoreTypeInformation`` for Fast DDS 3 (ROS 2 Kilted): its type objects are of a form that Cyclone DDS
-   refuses, so that endpoints whose type has a sequence or an array would never match, silently.
-2. ROS's own variables of discovery (docs.ros.org, Improved Dynamic Discovery), as rmw_cyclonedds obeys them;
-   but with ``LOCALHOST`` and no other peers only ``lo`` is used.
+1. ``IgnoreTypeInformation`` for Fast DDS 3 (ROS 2 Kilted): Cyclone DDS refuses the form of its type objects.
+   Without it, endpoints whose type has a sequence or an array would never match, without a message.
+2. ROS's own variables of discovery (docs.ros.org, Improved Dynamic Discovery), as rmw_cyclonedds applies
+   them; but with ``LOCALHOST`` and no other peers only ``lo`` is used.
 3. ``CYCLONEDDS_URI``.
-4. Our options.
+4. The options of this package.
 
-Interfaces would add up, and one that is named twice is refused: the last that names some replaces the others.
-Beside these Cyclone DDS's own defaults hold: the first interface that it finds fit, discovery by multicast.
-But where nothing else is said it also uses ``lo``, and listens on one of the ports that the standard gives to
-participants of a machine (RTPS 9.6.1.1): there a node with ``LOCALHOST`` looks for others.
+Interfaces would add up, and Cyclone DDS refuses one that is named twice: so the last configuration that
+names some replaces those of the others. For all else Cyclone DDS's defaults apply: the first suitable
+interface, and discovery by multicast. But if nothing names interfaces, it also uses ``lo``, and listens on
+one of the ports that the standard assigns to participants of a machine (RTPS 9.6.1.1): there a node with
+``LOCALHOST`` searches for others.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ _RANGES: Final = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 _PEERS: Final = "ROS_STATIC_PEERS"
 _LOCAL_ONLY: Final = "ROS_LOCALHOST_ONLY"
 _MOST_PARTICIPANTS: Final = 32
-"""Participants of a machine that discovery by unicast finds, as rmw_cyclonedds has it."""
+"""Maximum number of participants of a machine that discovery by unicast finds, as in rmw_cyclonedds."""
 _WITH_LO: Final = (
     '<Interfaces><NetworkInterface autodetermine="true"/><NetworkInterface name="lo"/></Interfaces>'
 )
@@ -56,9 +57,9 @@ _INDEX: Final = (
     f"<MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}</MaxAutoParticipantIndex>"
 )
 _FAST_DDS_3: Final = "1.15"
-"""The vendor id of eProsima; Cyclone DDS then matches its types by name, as rmw_fastrtps itself does."""
+"""Vendor id of eProsima; with it Cyclone DDS matches types by name, as rmw_fastrtps does."""
 _PREFIX: Final = re.compile(r"^\d+\.\d+ \[\d*\]\s+\S+:\s*")
-"""What Cyclone DDS puts before a line: time, domain and thread."""
+"""Prefix of Cyclone DDS's log lines: time, domain and thread."""
 _TABLES: Final = ("/proc/thread-self/net/udp", "/proc/thread-self/net/udp6")
 _DESCRIPTORS: Final = "/proc/self/fd"
 _SOCKET: Final = re.compile(r"socket:\[(\d+)\]")
@@ -67,7 +68,7 @@ _RECEIVE_BYTES: Final = 8 << 20
 _CHOICE: Final = re.compile(r"<(Interfaces|NetworkInterfaceAddress)\b.*?</\1\s*>", re.DOTALL | re.IGNORECASE)
 _FILE: Final = "file://"
 UNACKNOWLEDGED_BYTES: Final = 8 << 20
-"""Where a writer begins to wait for its readers, of whatever history; Cyclone DDS's own value is 500 kB."""
+"""Unacknowledged bytes from which a writer waits for its readers, whatever its history; default: 500 kB."""
 _BUFFER: Final = f'<SocketReceiveBufferSize max="{_RECEIVE_BYTES} B"/>'
 _COMPATIBLE: Final = f"<IgnoreTypeInformation>{_FAST_DDS_3}</IgnoreTypeInformation>"
 
@@ -84,9 +85,9 @@ _lock = Lock()
 
 
 def compatible() -> str:
-    """Return what every domain is configured with, as XML.
+    """Return the configuration of every domain, as XML.
 
-    Fast DDS learns that an endpoint is gone only where its key's hash is sent, too.
+    Fast DDS notices that an endpoint has left only if its key's hash is sent, too.
     """
     marks = f"<Watermarks><WhcHigh>{UNACKNOWLEDGED_BYTES} B</WhcHigh></Watermarks>"
     return _domain(
@@ -102,7 +103,7 @@ def discovery(environ: Mapping[str, str]) -> str:
     """
     reach = environ.get(_RANGE, "") or _RANGES[0]
     peers = [item.strip() for item in environ.get(_PEERS, "").split(";") if item.strip()]
-    if environ.get(_LOCAL_ONLY) == "1":  # deprecated, and stronger than the other two
+    if environ.get(_LOCAL_ONLY) == "1":  # deprecated, but it overrides the other two
         reach, peers = "LOCALHOST", []
     if reach not in _RANGES:
         raise ConfigError(f"{_RANGE} cannot be {reach!r}; set it to {', '.join(_RANGES)}")
@@ -127,7 +128,7 @@ def _interface(name: str) -> str:
 
 
 def _unicast(peers: Iterable[str]) -> str:
-    """Return discovery by unicast: it finds a participant only on one of the ports that are tried."""
+    """Return discovery by unicast: it finds only participants on one of the ports that it tries."""
     inner = "".join(f"<Peer Address={quoteattr(item)}/>" for item in peers)
     return f"{_INDEX}<Peers>{inner}</Peers>"
 
@@ -156,7 +157,7 @@ def hold(number: int, config: str) -> None:
     """Open a domain with this configuration, or share it; each call needs its ``release``.
 
     Raises:
-        ConfigError: the domain does not exist, is configured otherwise in this process, or Cyclone DDS
+        ConfigError: the domain does not exist, has another configuration in this process, or Cyclone DDS
             refuses the configuration.
     """
     if not 0 <= number <= MOST_DOMAIN:
@@ -185,13 +186,13 @@ def release(number: int) -> None:
 
 
 def one_choice(*layers: str) -> str:
-    """Return layers of configuration as one, where only the last one that names interfaces does."""
+    """Return layers of configuration as one, in which only the last one that names interfaces does."""
     last = max((number for number, item in enumerate(layers) if _CHOICE.search(item)), default=0)
     return ",".join(filter(None, (*(_CHOICE.sub("", item) for item in layers[:last]), *layers[last:])))
 
 
 def _of_user() -> str:
-    """Return the user's own configuration; a file's content where it is one that can be read."""
+    """Return the user's own configuration; the contents if it is a readable file."""
     text = os.environ.get(_URI, "")
     if text.startswith(_FILE):
         with suppress(OSError, UnicodeDecodeError):
@@ -200,7 +201,7 @@ def _of_user() -> str:
 
 
 def missing_hint(environ: Mapping[str, str]) -> str:
-    """Return what to look at where no other node was found."""
+    """Return advice for the case that no other node was found."""
     reach = "LOCALHOST" if environ.get(_LOCAL_ONLY) == "1" else environ.get(_RANGE, "") or _RANGES[0]
     variable = _LOCAL_ONLY if environ.get(_LOCAL_ONLY) == "1" else _RANGE
     if reach == "OFF":
@@ -218,7 +219,7 @@ def missing_hint(environ: Mapping[str, str]) -> str:
 
 
 def dropped(number: int) -> int:
-    """Return how many datagrams the kernel dropped because a socket of a domain was full, so far."""
+    """Return the number of datagrams that the kernel dropped so far because a socket of a domain was full."""
     with _lock:
         domain = _domains.get(number)
     rows: list[list[str]] = []
@@ -229,7 +230,7 @@ def dropped(number: int) -> int:
 
 
 def _sockets() -> dict[int, int]:
-    """Return the sockets of this process: inode to descriptor; none where the system does not tell."""
+    """Return the sockets of this process, inode to descriptor; empty if the system does not show them."""
     sockets = {}
     with suppress(OSError):
         for path in Path(_DESCRIPTORS).iterdir():
@@ -240,7 +241,7 @@ def _sockets() -> dict[int, int]:
 
 
 def _widen(descriptor: int) -> None:
-    """Give a socket a larger receive buffer, beyond the system's limit where this process may do that."""
+    """Give a socket a larger receive buffer, beyond the system's limit if this process may do that."""
     with suppress(OSError), socket(fileno=os.dup(descriptor)) as opened:
         if opened.type == SOCK_DGRAM and opened.getsockopt(SOL_SOCKET, SO_RCVBUF) < _RECEIVE_BYTES:
             with suppress(OSError):
@@ -252,7 +253,7 @@ def _create(number: int, config: str) -> Domain | None:
     users, variables = _of_user(), discovery(os.environ)
     lines: list[str] = []
     usual, has_interface = variables == discovery({}), bool(users) or "NetworkInterface" in config
-    # Each asks for less than the one before: a machine may have no other interface, or no port left.
+    # Each configuration requires less than the one before: there may be no other interface, or no free port.
     beside = [] if has_interface else [f"{variables},{_domain(General=_WITH_LO)}"]
     reaches = [*beside, variables, ""] if usual else [variables]
     for reach in reaches:
@@ -275,9 +276,9 @@ def _create(number: int, config: str) -> Domain | None:
 
 @contextmanager
 def _overheard(output: list[str]) -> Iterator[None]:
-    """Take what Cyclone DDS writes to the standard error stream while it fails: its errors say nothing.
+    """Capture Cyclone DDS's output on standard error when it fails: its errors have no text.
 
-    What it says and goes on is written there afterwards.
+    The output of a successful call is written there afterwards.
     """
     stderr = sys.__stderr__.fileno() if sys.__stderr__ else 2
     real_stderr = os.dup(stderr)

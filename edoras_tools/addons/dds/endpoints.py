@@ -1,20 +1,20 @@
-"""What a node has of one topic: the readers that follow its publishers, or a writer; and what they lost.
+"""The endpoints of a node on one topic: readers that follow its publishers, or a writer; and their losses.
 
-**Readers.** DDS connects a reader only with writers that offer what it asks for, and what asks for less gets
-less: no samples again, none from before. So a subscription without a quality of service of its own has one
-reader for each combination that the writers of its topic offer, and takes from a reader the samples of its
-own kind of writers alone. A reader is made when discovery shows the first of its kind, before a sample of it
-is read; it goes when others have writers and it has none. Until there is a writer, one reader shows others
-that we listen; but not before discovery has had its time. For Fast DDS counts a reader of ours as soon as it
-hears of it, and Cyclone DDS learns of a writer that was there before us up to a second later: what was
-published in between would be lost, and counted by nobody.
+**Readers.** DDS connects a reader only with writers that offer at least the requested policies, and a weaker
+request gets less: no retransmissions, and no samples from before. So a subscription without its own policies
+has one reader for each combination that the writers of its topic offer, and takes from it only the samples
+of that kind of writers. A reader is made when discovery shows the first writer of its kind, before any
+sample of it is read. It is deleted when other kinds have writers and its kind has none. While there is no
+writer, one reader shows other nodes that we listen, but only after the time of discovery. The reason: Fast
+DDS counts our reader as soon as it discovers it, but Cyclone DDS discovers an older writer up to a second
+later. Samples published in between would be lost, and counted by nobody.
 
-**Histories.** No reader of ours overwrites a sample: they wait until a thread takes them. What a publisher
-overwrote before we had it Cyclone DDS does not count: its sample-lost status stays 0, and it tells no
-sequence number. On one machine that takes a full socket, whose drops the kernel counts: ``domain.dropped``.
-A writer keeps ``room`` samples until all reliable subscribers have acknowledged them, though late ones get
-only as many as its depth says. What it overwrites then is counted here, from the last time that everything
-was acknowledged; so the count may be too high, never too low.
+**Histories.** None of our readers overwrites a sample: samples wait until a thread takes them. Samples that a
+publisher overwrote before we received them are not counted by Cyclone DDS: its sample-lost status stays 0,
+and it gives no sequence numbers. On one machine this requires a full socket, whose drops the kernel counts:
+``domain.dropped``. A writer keeps ``room`` samples until all reliable subscribers have acknowledged them,
+though late subscribers get only as many as its depth. Samples that it then overwrites are counted here, from
+the last time that everything was acknowledged: so the count may be too high, never too low.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ if TYPE_CHECKING:
     Readers = Mapping[Qos, tuple[DataReader[Any], TakeWithInfo]]
 
 BLOCKING_MS: Final = 100
-"""How long a write waits for readers that are behind: DDS's own default. ROS waits for ever."""
+"""Time that a write waits for readers that are behind: DDS's own default. ROS waits for ever."""
 _MOST_ROOM: Final = 1000
 _USUAL_BYTES: Final = 50_000
-"""Bytes of a message of a type without a fixed size, at most, for which a standing reader holds up nobody."""
+"""Assumed maximum size of a message of variable size, bytes: up to it, a stopped reader delays nobody."""
 _PATIENCE_S: Final = 0.02
 _BREAK_S: Final = 0.2
 _ALL: Final = math.inf
@@ -56,7 +56,7 @@ _FIRST_OFFER: Final = Qos(reliable=True, transient_local=False)
 
 
 def offer_to(qos: Qos, offer: Qos) -> Qos:
-    """Return the quality of service to ask of a publisher: what is not said is what it offers."""
+    """Return the quality of service to request of a publisher: open policies are those that it offers."""
     return replace(
         qos,
         reliable=offer.reliable if qos.reliable is None else qos.reliable,
@@ -68,15 +68,15 @@ class TopicReaders:
     """The readers of a topic.
 
     Args:
-        topic: of ROS.
-        type_name: of ROS.
-        qos: what is asked for; None in it is what each publisher offers.
+        topic: ROS topic.
+        type_name: ROS type.
+        qos: requested quality of service; a policy that is None is that of each publisher.
         heard: called with each message.
-        make: makes a reader.
-        drop: deletes one.
+        make: function that makes a reader.
+        drop: function that deletes a reader.
 
     Attributes:
-        readers: by what they ask for.
+        readers: readers by their quality of service.
     """
 
     def __init__(
@@ -97,12 +97,12 @@ class TopicReaders:
         self._known = not self.follows
 
     def follow(self, offers: Iterable[Qos], offer_of: OfferOf, *, settled: bool) -> list[bytes]:
-        """Have a reader for each kind of writers, and no other; return what waited in those that went.
+        """Make a reader for each kind of writers, and delete all others; return the messages left in those.
 
         Args:
-            offers: of all writers that there are.
+            offers: offers of all present writers.
             offer_of: see ``take``.
-            settled: discovery has had its time.
+            settled: whether the time of discovery is over.
         """
         requests = {offer_to(self._qos, offer) for offer in offers}
         self._known = self._known or bool(requests)
@@ -122,10 +122,10 @@ class TopicReaders:
         return leftover
 
     def take(self, offer_of: OfferOf) -> Iterator[bytes]:
-        """Yield the messages that wait, each once.
+        """Yield the waiting messages, each once.
 
         Args:
-            offer_of: returns what the writer of a handle offers, and whether it is still there.
+            offer_of: returns the offer of a writer's handle, and whether the writer still exists.
         """
         for qos, (_, take) in self.readers.items():
             samples = take()
@@ -136,10 +136,10 @@ class TopicReaders:
                     yield cdr
 
     def _is_first(self, qos: Qos, info: Any, offer_of: OfferOf) -> bool:
-        """Tell whether no other reader has given this sample, or will.
+        """Return whether no other reader has given this sample, or will.
 
-        What comes to another reader before that of its kind is connected is taken from there, unless the
-        latter will have it from the history of its writer.
+        A sample that another reader gets before the reader of its kind is connected is taken from the other
+        one, unless the reader of its kind will get it from the history of its writer.
         """
         handle, when = int(info.publication_handle), int(info.source_timestamp)
         offer, alive = offer_of(handle) or (qos, True)
@@ -155,11 +155,11 @@ class TopicReaders:
         return when > latest
 
     def state(self) -> TopicState:
-        """Return what its readers ask for, once there is who publishes."""
+        """Return the policies of its readers, once a publisher is known."""
         return TopicState(tuple(self.readers) if self._known else (), missed=None)
 
     def _recent(self, samples: list[tuple[bytes, Any]], depth: int) -> list[tuple[bytes, Any]]:
-        """Return samples without those of a writer from before we saw it, but for its last ``depth``."""
+        """Return samples; of those written before we discovered a writer, only its last ``depth``."""
         now, older = time.time_ns(), defaultdict[int, int](int)
         for _, info in samples:
             handle = info.publication_handle
@@ -177,18 +177,18 @@ class TopicReaders:
 
 
 class CountedWriter:
-    """A writer, with the count of what it overwrote.
+    """A writer with a count of overwritten samples.
 
     Args:
-        topic: of ROS.
-        type_name: of ROS.
-        qos: what it offers.
-        room: samples that it keeps until they are acknowledged; 0 for all.
-        writer: made with these.
-        types: has the type.
+        topic: ROS topic.
+        type_name: ROS type.
+        qos: offered quality of service.
+        room: number of samples kept until they are acknowledged; 0 for all.
+        writer: writer made with these values.
+        types: types that include this one.
 
     Attributes:
-        overwritten: samples that a reliable subscriber may not have had, at the most.
+        overwritten: upper bound of the samples that a reliable subscriber may not have received.
     """
 
     def __init__(
@@ -205,8 +205,8 @@ class CountedWriter:
         """Publish a message.
 
         Raises:
-            WireError: it is not valid, or lost because a reliable subscriber has been behind for
-                ``BLOCKING_MS``: that happens only where all samples are kept, or large ones.
+            WireError: the message is not valid, or lost because a reliable subscriber has been behind for
+                ``BLOCKING_MS``: this happens only if all samples are kept, or large ones.
         """
         if self._room and self._sent - self._acknowledged >= self._room:
             self._count()
@@ -219,11 +219,11 @@ class CountedWriter:
         self._sent += 1
 
     def state(self) -> TopicState:
-        """Return what it offers, and how many samples it overwrote."""
+        """Return its offer, and the number of overwritten samples."""
         return TopicState((self._qos,), overwritten=self.overwritten)
 
     def _count(self) -> None:
-        """Count that one is overwritten by the next, unless all were acknowledged in a short time."""
+        """Count that the next sample overwrites one, unless all are acknowledged within a short time."""
         now = time.monotonic()
         patience = _PATIENCE_S if now >= self._again_s else 0
         if acknowledged(self._writer, patience):
@@ -235,7 +235,7 @@ class CountedWriter:
 
 
 def acknowledged(writer: DataWriter[Any], patience_s: float = 0) -> bool:
-    """Tell whether reliable subscribers acknowledge all that was written, in a time."""
+    """Return whether reliable subscribers acknowledge all written samples within a time."""
     try:
         return bool(writer.wait_for_acks(round(patience_s * 1e9)))
     except AttributeError:  # cyclonedds 11.0.1 asks the wrong class whether its time is over
@@ -243,17 +243,17 @@ def acknowledged(writer: DataWriter[Any], patience_s: float = 0) -> bool:
 
 
 def room_of(qos: Qos, size: int | None) -> int:
-    """Return how many samples a writer keeps until they are acknowledged.
+    """Return the number of samples that a writer keeps until they are acknowledged.
 
     Args:
-        size: bytes of a message; None where they vary.
+        size: size of a message, bytes; None if it varies.
     """
     fitting = UNACKNOWLEDGED_BYTES // (size or _USUAL_BYTES)
     return max(qos.depth, min(_MOST_ROOM, fitting)) if qos.depth else 0
 
 
 def _loss(code: int) -> str:
-    """Return why a write failed, in words."""
+    """Return the reason of a failed write in words."""
     if code == DDSException.DDS_RETCODE_TIMEOUT:
         return f"a reliable subscriber did not keep up for {BLOCKING_MS} ms"
     return str(DDSException(code, "while writing"))

@@ -1,6 +1,6 @@
 """A node among those ROS 2 nodes that run on DDS (rmw_cyclonedds, rmw_fastrtps); see docs/dds.md.
 
-ROS's quality of service becomes DDS policies as in rmw_cyclonedds.
+ROS's quality of service is mapped to DDS policies as in rmw_cyclonedds.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ _UNFIT: Final = {
     23: ("the data representation", "", ""),
     24: ("the definition of the type", "", ""),
 }
-"""Policies that may be incompatible, by their number in DDS: in words, and what a subscriber or a publisher
-of ours has to be for the other to match."""
+"""Policies that may be incompatible, by their number in DDS: their names, and the values that our subscriber
+or publisher needs for a match."""
 _PATIENCE_S: Final = 5.0
-"""Seconds after which a note says that no other node was found."""
+"""Time after which a note reports that no other node was found, s."""
 _UNLIMITED: Final = -1
 
 
 def writer_qos(qos: graph.Qos, user_data: bytes = b"", room: int = 0) -> Qos:
-    """Return the policies of a writer, and what others are told of it.
+    """Return the policies of a writer, with its user data for other participants.
 
     Args:
-        room: samples that wait for acknowledgement; by default as many as late subscribers get.
+        room: number of samples that may wait for acknowledgement; by default as many as late subscribers get.
     """
     history = _history(qos.depth)
     service = Policy.DurabilityService(0, history, _UNLIMITED, _UNLIMITED, _UNLIMITED)
@@ -69,10 +69,10 @@ def writer_qos(qos: graph.Qos, user_data: bytes = b"", room: int = 0) -> Qos:
 
 
 def reader_qos(qos: graph.Qos, user_data: bytes = b"") -> Qos:
-    """Return the policies of a reader, and what others are told of it.
+    """Return the policies of a reader, with its user data for other participants.
 
-    ROS's depth limits how far a subscriber may fall behind. Here that is only as long as a thread takes to
-    wake up, and must not cut a burst: nothing is overwritten.
+    ROS's depth limits how far a subscriber may be behind. Here it is behind only until a thread wakes up,
+    and must not lose part of a burst: so no sample is overwritten.
     """
     return Qos(*_common(qos), Policy.History.KeepAll, Policy.Userdata(user_data))
 
@@ -93,7 +93,7 @@ def _history(depth: int) -> Any:
 
 
 def _unfit(topic: str, status: Any, *, ours_writes: bool) -> str:
-    """Return why an endpoint of another does not match ours, and what to write."""
+    """Return the reason why an endpoint of another participant does not match ours, and the remedy."""
     kind, as_subscriber, as_publisher = _UNFIT.get(status.last_policy_id, ("a policy", "", ""))
     line = as_publisher if ours_writes else as_subscriber
     remedy = f"; write qos: {{{line}}} for this topic in the mission file" if line else ""
@@ -107,10 +107,10 @@ class DdsGraph:
     while ``heard`` is busy, samples wait in their readers.
 
     Args:
-        types: has the types of all topics.
-        node: its namespace and its name.
+        types: types of all topics.
+        node: namespace and name.
         domain: ``ROS_DOMAIN_ID``.
-        config: of the domain, as XML.
+        config: configuration of the domain, as XML.
 
     Raises:
         ConfigError: Cyclone DDS refuses the domain or its configuration.
@@ -164,9 +164,9 @@ class DdsGraph:
             self._announce()
 
     def advertise(self, topic: str, type_name: str, qos: graph.Qos) -> Callable[[bytes], None]:
-        """Return what publishes one message of a topic; see ``Graph``. Once closed, it does nothing.
+        """Return a function that publishes on a topic; see ``Graph``. After ``close`` it does nothing.
 
-        It raises ``WireError`` as ``CountedWriter.publish`` does.
+        It raises ``WireError`` like ``CountedWriter.publish``.
         """
         with self._lock:
             on = self._topic(topic, type_name)
@@ -192,7 +192,7 @@ class DdsGraph:
         return publish
 
     def states(self) -> Mapping[str, TopicState]:
-        """See ``Graph``: of a topic that is both, the subscription's."""
+        """See ``Graph``: for a topic with both directions, the state of the subscription."""
         with self._lock:
             if self._closed.is_set():
                 return {}
@@ -200,25 +200,25 @@ class DdsGraph:
             return published | {item.topic: item.state() for item in self._subscriptions}
 
     def subscribers(self, topic: str) -> int:
-        """Return how many readers of other participants a topic has that is published on here."""
+        """Return the number of other participants' readers of a topic that this node publishes."""
         return max(
             (len(writer.get_matched_subscriptions()) for name, writer in self._writers if name == topic),
             default=0,
         )
 
     def acknowledged(self) -> bool:
-        """Tell whether reliable subscribers have acknowledged everything that was published."""
+        """Return whether reliable subscribers have acknowledged everything published."""
         return all(acknowledged(writer) for _, writer in self._writers)
 
     def dropped(self) -> int:
-        """See ``Graph``: of all nodes of this domain in this process."""
+        """See ``Graph``: the drops of all nodes of this domain in this process."""
         return dds_domain.dropped(self._domain)
 
     def notes(self) -> list[str]:
-        """Return a line for each topic with an incompatible peer, once, with the reason; see ``Graph``.
+        """Return one line for each topic with an incompatible peer, once, with the reason; see ``Graph``.
 
-        It also says where the other side has another type or definition, or a topic nearly of this name, and
-        after some seconds that no other node was found.
+        Lines also report another type or definition at a peer, a topic with a similar name, and, after some
+        seconds, that no other node was found.
         """
         with self._lock:
             if self._closed.is_set():
@@ -281,7 +281,7 @@ class DdsGraph:
         self._present(dds_peers.gid_bytes_of(self._types))
 
     def _present(self, gid_bytes: int | None) -> None:
-        """Announce the node with identifiers of so many bytes, where that is new."""
+        """Announce the node with identifiers of a size in bytes, if that is new."""
         if gid_bytes is None or gid_bytes == self._gid_bytes:
             return
         for entity in self._presence:  # a topic has one type, and a writer is deleted before its topic
@@ -357,7 +357,7 @@ class DdsGraph:
                 leftover.clear()
 
     def _follow(self) -> list[tuple[TopicReaders, bytes]]:
-        """Give subscriptions the readers that their publishers need; return what waited in others."""
+        """Make the readers that the topics' publishers need; return the messages left in deleted readers."""
         with self._lock:
             if self._closed.is_set() or not (self._peers.update() or self._changed):
                 return []
@@ -373,7 +373,7 @@ class DdsGraph:
             return leftover
 
     def _offer_of(self, handle: int) -> tuple[graph.Qos, bool] | None:
-        """Return what a writer offers: discovery shows it before its first sample, perhaps just now."""
+        """Return a writer's offer: discovery shows the writer before its first sample, perhaps just now."""
         peers = self._peers
         if handle not in peers.offers:
             with self._lock:
@@ -417,13 +417,13 @@ def open_graph(
     """Join the graph as a node.
 
     Args:
-        store: has the types of all topics.
+        store: types of all topics.
         node: name of the node, or ``/namespace/name``.
         domain: ``ROS_DOMAIN_ID``.
         options: see docs/dds.md: ``interface``, ``peers``, ``multicast``.
 
     Raises:
-        ConfigError: an option cannot be honoured, or Cyclone DDS refuses the domain.
+        ConfigError: an option cannot be applied, or Cyclone DDS refuses the domain.
         ImportError: cyclonedds is not installed.
     """
     return DdsGraph(store, node_name(node), domain, dds_domain.configuration(options or {}))

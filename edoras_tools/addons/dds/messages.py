@@ -1,12 +1,11 @@
-"""Messages in Cyclone DDS: classes of their types, their bytes in and out, and RTPS's padding.
+"""Messages in Cyclone DDS: classes of their types, reading and writing their bytes, and RTPS's padding.
 
-**Types.** They are those that rmw_cyclonedds announces: final structs, ROS's member names, ``byte`` and
-``char`` as ``uint8``. Cyclone DDS checks every sample against them, and other DDS programs can ask for
-them.
+**Types.** They are equal to those of rmw_cyclonedds: final structs, ROS's member names, ``byte`` and
+``char`` as ``uint8``. Cyclone DDS checks every sample against them, and other DDS programs can request them.
 
-**Bytes.** A sample of a topic made in Python is its bytes already: ``dds_write`` takes a pointer and a size
-for it, and ``ddspy_take`` gives bytes. Both are internal to cyclonedds, so only this file uses them; where
-they are not as expected, the public functions (to objects and back) do the same, slower.
+**Bytes.** For a topic made in Python a sample is already bytes: ``dds_write`` takes a pointer and a size, and
+``ddspy_take`` returns bytes. Both are internal to cyclonedds, so only this file uses them. If they are not as
+expected, the public functions (to objects and back) do the same, slower.
 
 **Padding.** CDR in RTPS is padded to 4 bytes, here little-endian, with the number of padding bytes in the
 two low bits of the options (DDS-XTypes 1.3, 7.6.3.1.2). Not all writers set them.
@@ -59,7 +58,7 @@ class DdsTypes:
     """Makes the class of a ROS type, once.
 
     Args:
-        types: knows the definitions.
+        types: store with the definitions.
     """
 
     def __init__(self, types: TypeStore) -> None:
@@ -70,7 +69,7 @@ class DdsTypes:
         """Return the class of a message type.
 
         Raises:
-            ConfigError: the type holds what cyclonedds for Python cannot say.
+            ConfigError: the type has a part that cyclonedds for Python cannot express.
             RouteError: the type is not known.
         """
         name = full_name(type_name)
@@ -80,7 +79,7 @@ class DdsTypes:
             data_type: Any = make_idl_struct(
                 dotted.rpartition(".")[2], dotted, members or {PLACEHOLDER: idl.uint8}, dataclassify=False
             )
-            data_type.__init__ = _fill  # given by a base class, it would make that a base of the DDS type
+            data_type.__init__ = _fill  # a base class with it would become a base of the DDS type
             self._made[name] = data_type
         return self._made[name]
 
@@ -94,7 +93,7 @@ class DdsTypes:
             one = Annotated[str, idl.bounded_str(field.string_bound)] if field.string_bound else str
         elif one is None:
             one = self.of(field.type)
-        # as idl.array[one, size] and idl.sequence[one, size] do, but that the latter takes no more than 65535
+        # like idl.array[one, size] and idl.sequence[one, size], but the latter takes no more than 65535
         if field.shape is Shape.ARRAY:
             return Annotated[Sequence[one], idl.array(one, field.size)]
         if field.shape is Shape.SEQUENCE:
@@ -103,7 +102,7 @@ class DdsTypes:
 
 
 def _fill(self: IdlStruct, **values: Any) -> None:
-    """Hold any member, also one that Python has a keyword or cyclonedds a method for; dataclasses do not."""
+    """Store all members, also with names of Python keywords or cyclonedds methods; dataclasses cannot."""
     self.__dict__.update(values)
 
 
@@ -118,7 +117,7 @@ class _Sample(ctypes.Structure):
 
 
 def writer_of(writer: DataWriter[Any]) -> Write:
-    """Return what writes one sample: encapsulation and body, padded to 4; it returns a ``DDS_RETCODE``.
+    """Return a function that writes a sample with encapsulation, padded to 4; it returns a ``DDS_RETCODE``.
 
     Other Python threads run while a write waits for space.
     """
@@ -132,7 +131,7 @@ def writer_of(writer: DataWriter[Any]) -> Write:
 
 
 def info_taker_of(reader: DataReader[Any]) -> TakeWithInfo:
-    """Return what takes the samples that wait, ``_MOST_SAMPLES`` at most: each with its ``SampleInfo``.
+    """Return a function that takes the waiting samples, at most ``_MOST_SAMPLES``, each with ``SampleInfo``.
 
     A sample is encapsulation, body and padding.
     """
@@ -140,7 +139,7 @@ def info_taker_of(reader: DataReader[Any]) -> TakeWithInfo:
         from cyclonedds._clayer import ddspy_read, ddspy_take  # type: ignore[import-not-found]
 
         entity = reader._ref  # noqa: SLF001
-        if isinstance(ddspy_read(entity, ANY_STATE, 1), int):  # a sample may be there already
+        if isinstance(ddspy_read(entity, ANY_STATE, 1), int):  # a sample may already be there
             return plain_taker_of(reader)
     except (ImportError, AttributeError, TypeError):
         return plain_taker_of(reader)
@@ -155,7 +154,7 @@ def info_taker_of(reader: DataReader[Any]) -> TakeWithInfo:
 
 
 def plain_writer_of(writer: DataWriter[Any]) -> Write:
-    """Return ``writer_of``'s like from public parts only."""
+    """Return a function like that of ``writer_of``, made of public parts only."""
     of = writer.topic.data_type.__idl__
 
     def write(cdr: bytes) -> int:
@@ -171,7 +170,7 @@ def plain_writer_of(writer: DataWriter[Any]) -> Write:
 
 
 def plain_taker_of(reader: DataReader[Any]) -> TakeWithInfo:
-    """Return ``info_taker_of``'s like from public parts only."""
+    """Return a function like that of ``info_taker_of``, made of public parts only."""
     of = reader.topic.data_type.__idl__
     return lambda: [
         (of.serialize(sample), sample.sample_info)
@@ -181,12 +180,12 @@ def plain_taker_of(reader: DataReader[Any]) -> TakeWithInfo:
 
 
 _LITTLE: Final = b"\x00\x01"
-"""The representation of little-endian CDR, as ROS 2 sends it."""
+"""Representation of little-endian CDR, as ROS 2 sends it."""
 _PAD_BITS: Final = 3
 
 
 def is_little_endian(cdr: bytes) -> bool:
-    """Tell whether a message is little-endian CDR and has a body."""
+    """Return whether a message is little-endian CDR and has a body."""
     return cdr[:2] == _LITTLE and len(cdr) > 4
 
 
@@ -197,12 +196,12 @@ def padded(cdr: bytes) -> bytes:
 
 
 def trimmed(types: TypeStore, type_name: str, cdr: bytes) -> bytes:
-    """Return a valid message without its padding, as it was before it was written.
+    """Return a valid message without its padding, as it was before writing.
 
     Args:
-        types: has the type.
-        type_name: of the message.
-        cdr: as received.
+        types: store with the type.
+        type_name: type of the message.
+        cdr: message as received.
     """
     if extra := cdr[3] & _PAD_BITS:
         return cdr[:3] + bytes((cdr[3] ^ extra,)) + cdr[4:-extra]
@@ -213,7 +212,7 @@ def trimmed(types: TypeStore, type_name: str, cdr: bytes) -> bytes:
 
 
 def rewritten(types: TypeStore, type_name: str, cdr: bytes) -> bytes:
-    """Return a message as ROS 2 itself writes it: Cyclone DDS accepts less than our reader does.
+    """Return a message as ROS 2 itself writes it: Cyclone DDS accepts fewer forms than our reader.
 
     Raises:
         WireError: it is not a valid message of its type.

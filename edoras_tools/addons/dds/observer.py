@@ -1,6 +1,7 @@
-"""Looks at a ROS 2 graph on DDS: the endpoints with their quality of service, and what comes of each.
+"""Observes a ROS 2 graph on DDS: the endpoints with their quality of service, and their messages.
 
-Cyclone DDS does not tell the sequence number of a sample; what its readers lost it counts. The observer is no
+Cyclone DDS gives no sequence number of a sample, but it counts the samples that its readers lost. The
+observer is no
 node: others see a participant without a name.
 """
 
@@ -45,7 +46,7 @@ _AT_ONCE: Final = 256
 _WORD: Final = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _FOREVER: Final = duration(infinite=True)
 _ALL: Final = Qos(transient_local=True, depth=0)
-"""What each participant says of its nodes is a sample of one instance: all have to be kept."""
+"""Policies for announcements: all nodes of a participant are samples of one instance, so all must be kept."""
 
 
 class _Observed(NamedTuple):
@@ -56,12 +57,12 @@ class _Observed(NamedTuple):
 
 
 class DdsObserver:
-    """Looks at a graph over one participant; a thread takes the samples of all topics.
+    """Observes a graph over one participant; a thread takes the samples of all topics.
 
     Args:
-        types: has the types of all topics.
+        types: types of all topics.
         domain: ``ROS_DOMAIN_ID``.
-        config: of the domain, as XML.
+        config: configuration of the domain, as XML.
 
     Raises:
         ConfigError: Cyclone DDS refuses the domain or its configuration.
@@ -93,7 +94,7 @@ class DdsObserver:
         self._thread.start()
 
     def described(self) -> list[dict[str, Any]]:
-        """Return the endpoints of all topics of ROS, each as fields by name."""
+        """Return the endpoints of all ROS topics, each as fields by name."""
         with self._lock:
             for publishes, reader in self._everybody:
                 while samples := reader.take(_AT_ONCE):
@@ -111,7 +112,7 @@ class DdsObserver:
             ]
 
     def observe(self, topic: str, type_name: str, qos: Qos, heard: Any) -> None:
-        """Call ``heard`` for each message, with when it came and was published, 0, and its publisher.
+        """Call ``heard`` for each message, with times of receiving and publishing, 0, and its publisher.
 
         Raises:
             ConfigError: the type is unknown, or Cyclone DDS refuses the topic.
@@ -126,7 +127,7 @@ class DdsObserver:
         self._waitset.attach(ready)
 
     def lost(self) -> Mapping[str, int]:
-        """Return how many samples the readers lost so far, by topic."""
+        """Return the number of samples that the readers lost so far, by topic."""
         statuses = {
             topic: item.reader.get_sample_lost_status()  # type: ignore[no-untyped-call]
             for topic, item in self._observed.items()
@@ -160,7 +161,7 @@ class DdsObserver:
                     item.heard(message, now_ns, max(source_ns, 0), 0, gid)
 
     def _gid(self, reader: DataReader[Any], handle: int) -> str:
-        """Return the identifier of a writer, empty where it left before anybody asked."""
+        """Return the identifier of a writer; empty if it left before the query."""
         if handle not in self._gids:
             with suppress(DDSException, AttributeError):
                 writer: Any = reader.get_matched_publication_data(handle)
@@ -168,7 +169,7 @@ class DdsObserver:
         return self._gids.get(handle, "")
 
     def _note(self, item: Any, *, publishes: bool) -> None:
-        """Take what discovery says: an endpoint that is there, or one that left."""
+        """Process an announcement of discovery: an endpoint that exists, or one that left."""
         if item.sample_info.instance_state != InstanceState.Alive:
             self._seen.pop(item.key, None)
         elif item.topic_name:
@@ -179,7 +180,7 @@ class DdsObserver:
                 self._presence = types, info_taker_of(self._reader(*names, reader_qos(_ALL)))
 
     def _note_nodes(self, presence: Mapping[str, Any]) -> None:
-        """Take which endpoints the nodes of a participant say are theirs."""
+        """Process the announcement of a participant's nodes: which endpoints belong to them."""
         for entry in presence["node_entities_info_seq"]:
             name = f"{entry['node_namespace'].rstrip('/')}/{entry['node_name']}"
             gids = (*entry["reader_gid_seq"], *entry["writer_gid_seq"])
@@ -208,13 +209,13 @@ class DdsObserver:
 
 
 def _word(policy: Any) -> str:
-    """Return ROS's name of a policy's value: ``BEST_EFFORT`` of ``BestEffort``."""
+    """Return ROS's name of a policy's value: ``BEST_EFFORT`` for ``BestEffort``."""
     return _WORD.sub("_", str(policy).partition("(")[0].rpartition(".")[2]).upper()
 
 
 def dds_observer(
     store: TypeStore, node: str, *, domain: int = 0, options: Mapping[str, str] | None = None
 ) -> DdsObserver:
-    """Join the graph to look at it; see ``graph.open_graph``."""
+    """Join the graph to observe it; see ``graph.open_graph``."""
     del node
     return DdsObserver(store, domain, dds_domain.configuration(options or {}))

@@ -1,4 +1,4 @@
-"""Who else is in the domain, by DDS's discovery, and how a node of ours shows itself to them.
+"""The other participants of the domain, by DDS's discovery, and the announcement of our node to them.
 
 From Iron on an endpoint's user data has ``typehash=RIHS01_...;``: the hash of its type's definition. ``ros2
 node list`` shows a participant whose entities are published on ``ros_discovery_info``.
@@ -36,32 +36,32 @@ if TYPE_CHECKING:
     from uuid import UUID
 
 PRESENCE_TOPIC: Final = "ros_discovery_info"
-"""A DDS name: ROS puts no ``rt/`` before it."""
+"""Name of a DDS topic: ROS puts no ``rt/`` in front of it."""
 PRESENCE_TYPE: Final = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 _GID: Final = "rmw_dds_common/msg/Gid"
 _NEWER: Final = 16
 OLDER: Final = 24
 OLDEST_DISTRO: Final = "humble"
-"""The newest distribution whose nodes send no type hashes."""
+"""Newest distribution whose nodes send no type hashes."""
 _OF_SIZE: Final = {_NEWER: "iron", OLDER: OLDEST_DISTRO}
-"""By the bytes of an identifier, the distribution that it began or ended with."""
+"""Size of an identifier to the distribution that introduced it, or was the last to use it."""
 QOS: Final = graph.Qos(transient_local=True, depth=1)
 ENCLAVE: Final = b"enclave=/;"
-"""User data of a participant: its security enclave, without which ROS 2 ignores it."""
+"""User data of a participant: its security enclave; ROS 2 ignores participants without it."""
 
 
 def presence_types(gid_bytes: int) -> TypeStore:
-    """Return the types of this message where an identifier has 16 or 24 bytes."""
+    """Return the types of this message with identifiers of 16 or 24 bytes."""
     return TypeStore(_OF_SIZE[gid_bytes])
 
 
 def gid_bytes_of(types: TypeStore) -> int:
-    """Return the bytes of an identifier in a distribution, 16 where it does not have the message."""
+    """Return the size of an identifier in a distribution, bytes; 16 if it does not have the message."""
     return types.fields(_GID)[0].size if types.has(_GID) else _NEWER
 
 
 def gid_bytes_told(hash_told: str) -> int:
-    """Return the bytes of an identifier where the type has this hash; older ones have none."""
+    """Return the size of an identifier for a type with this hash, bytes; older distributions send no hash."""
     return OLDER if hash_told in {"", _older_hash()} else _NEWER
 
 
@@ -80,11 +80,11 @@ def presence(
     """Return the message that lists the entities of a participant.
 
     Args:
-        types: has ``PRESENCE_TYPE``; the size of an identifier depends on the distribution.
-        node: its namespace and its name.
-        participant: GUID, 16 bytes, as all that follow.
-        readers: of the node's topics.
-        writers: of the node's topics.
+        types: types with ``PRESENCE_TYPE``; the size of an identifier depends on the distribution.
+        node: namespace and name.
+        participant: GUID, 16 bytes, like all that follow.
+        readers: GUIDs of the readers of the node's topics.
+        writers: GUIDs of the writers of the node's topics.
     """
     size = gid_bytes_of(types)
 
@@ -102,12 +102,12 @@ def presence(
 
 TYPE_HASH: Final = "typehash="
 _ROS_TOPIC: Final = "rt"
-"""What DDS puts before the name of a topic of ROS."""
+"""Prefix of ROS topics in DDS."""
 _AT_ONCE: Final = 256
 _HASH_LENGTH: Final = len(HASH_VERSION) + 64
 _ALIKE: Final = 0.8
 DISCOVERY_S: Final = 1.5
-"""Discovery by multicast takes some tenths of a second."""
+"""Time for discovery by multicast, which takes some tenths of a second, s."""
 _STEP_S: Final = 0.05
 
 
@@ -115,10 +115,10 @@ class PeerEndpoint(msgspec.Struct, frozen=True):
     """A reader or writer of another participant.
 
     Attributes:
-        topic: of DDS, as ``rt/cmd_vel``.
-        type_name: of DDS.
+        topic: DDS topic, as ``rt/cmd_vel``.
+        type_name: DDS type.
         writes: whether it is a writer.
-        type_hash: as it was sent; empty where there is none, as from Humble.
+        type_hash: type hash as sent; empty if there is none, as from Humble.
     """
 
     topic: str
@@ -131,10 +131,10 @@ class OwnEndpoint(msgspec.Struct, frozen=True):
     """A reader or writer of ours.
 
     Attributes:
-        topic: of ROS, as ``/cmd_vel``.
-        type_name: of ROS.
+        topic: ROS topic, as ``/cmd_vel``.
+        type_name: ROS type.
         writes: whether it is a writer.
-        type_hash: of its type.
+        type_hash: hash of its type.
         matched: whether it has a partner.
     """
 
@@ -146,17 +146,17 @@ class OwnEndpoint(msgspec.Struct, frozen=True):
 
 
 class Discovered:
-    """Collects the endpoints of other participants; it never forgets one.
+    """Collects the endpoints of other participants, and keeps them for ever.
 
     Args:
-        participant: ours.
+        participant: our participant.
 
     Attributes:
-        found: the others' endpoints, by identifier.
-        offers: what writers offer, by their handle in Cyclone DDS.
-        alive: the handles of those that are there now.
-        writers: identifiers and offers of the writers that there are now, by topic of DDS.
-        entities: the readers that it has made.
+        found: endpoints of the others, by identifier.
+        offers: offers of writers, by their handle in Cyclone DDS.
+        alive: handles of the present writers.
+        writers: identifiers and offers of the present writers, by DDS topic.
+        entities: readers for discovery that this object has made.
     """
 
     def __init__(self, participant: DomainParticipant) -> None:
@@ -172,7 +172,7 @@ class Discovered:
         self.writers: defaultdict[str, dict[UUID, graph.Qos]] = defaultdict(dict)
 
     def update(self) -> bool:
-        """Take what discovery has told since the last time; return whether writers came or went."""
+        """Process the announcements since the last call; return whether writers came or went."""
         changed = False
         for writes, reader in self._readers:
             while samples := reader.take(_AT_ONCE):
@@ -191,7 +191,7 @@ class Discovered:
         return changed
 
     def _note_writer(self, item: DcpsEndpoint) -> None:
-        """Take what is said of a writer: what it offers, that it is gone, or both at once."""
+        """Process an announcement of a writer: its offer, its end, or both at once."""
         info: Any = item.sample_info  # type: ignore[attr-defined]
         writers = self.writers[self.found[item.key].topic]
         if item.topic_name:
@@ -203,13 +203,13 @@ class Discovered:
 
     @property
     def gid_bytes(self) -> int | None:
-        """Bytes of an identifier in what other nodes say of themselves; None where there are none."""
+        """Size of an identifier in the announcements of other nodes, bytes; None if there are none."""
         hashes = {item.type_hash for item in self.found.values() if item.topic == PRESENCE_TOPIC}
         return min(map(gid_bytes_told, hashes), default=None)
 
     @property
     def distro(self) -> str | None:
-        """The distribution that the other nodes' type hashes tell; None where there is no node.
+        """Distribution of the other nodes, by their type hashes; None if there are no nodes.
 
         Every type that bridges carry has one hash from Iron on; nodes of Humble send none.
         """
@@ -217,11 +217,11 @@ class Discovered:
         return None if size is None else OLDEST_DISTRO if size == OLDER else USUAL_DISTRO
 
     def notes(self, own: Sequence[OwnEndpoint], *, late: bool) -> Iterator[str]:
-        """Yield what keeps our endpoints and those of others apart, and where definitions differ.
+        """Yield reasons why our endpoints and those of others do not match, and differences of definitions.
 
         Args:
-            own: all of ours.
-            late: discovery has had its time, so that what has no partner is worth a word.
+            own: all our endpoints.
+            late: whether the time of discovery is over, so that an endpoint without a partner is reported.
         """
         mine = {item.topic for item in own}
         others = [item for item in self.found.values() if item.topic.startswith(_ROS_TOPIC + "/")]
@@ -238,7 +238,7 @@ class Discovered:
 
 
 def _nearest(topic: str, names: Sequence[str]) -> str:
-    """Return the topic with the same last part, or else nearly of this name; empty where there is none."""
+    """Return the topic with the same last part, or else a similar name; empty if there is none."""
     last = topic.rpartition("/")[2]
     alike = [name for name in names if name.rpartition("/")[2] == last]
     return next(iter(alike or get_close_matches(topic, names, 1, _ALIKE)), "")
@@ -250,7 +250,7 @@ def user_data(type_hash: str) -> bytes:
 
 
 def _offer(qos: Qos) -> graph.Qos:
-    """Return what a writer offers of reliability and durability."""
+    """Return the offer of a writer: reliability and durability."""
     policies = list(qos)
     lasting = (Policy.Durability.TransientLocal, Policy.Durability.Transient, Policy.Durability.Persistent)
     return graph.Qos(
@@ -269,10 +269,10 @@ def hash_of(qos: Qos) -> str:
 
 
 def distro_seen(domain: int, options: Mapping[str, str]) -> str | None:
-    """Return the distribution that the nodes of a domain tell; None where none is found in a short time.
+    """Return the distribution of the nodes in a domain; None if no node is found in a short time.
 
     Raises:
-        ConfigError: an option cannot be honoured, or Cyclone DDS refuses the domain.
+        ConfigError: an option cannot be applied, or Cyclone DDS refuses the domain.
     """
     hold(domain, configuration(options))
     try:
@@ -282,7 +282,7 @@ def distro_seen(domain: int, options: Mapping[str, str]) -> str | None:
         while peers.distro is None and monotonic() < end:
             sleep(_STEP_S)
             peers.update()
-        for entity in (*peers.entities, participant):  # as the graph leaves: cyclonedds deletes nothing else
+        for entity in (*peers.entities, participant):  # as the graph does: cyclonedds deletes nothing else
             entity.__del__()
     except DDSException as error:
         raise ConfigError(f"dds: no participant in domain {domain}: {error}") from error
@@ -292,7 +292,7 @@ def distro_seen(domain: int, options: Mapping[str, str]) -> str | None:
 
 
 def _difference(ours: OwnEndpoint, item: PeerEndpoint) -> str:
-    """Return what differs between endpoints of one topic; empty where nothing does."""
+    """Return the difference between endpoints of one topic; empty if there is none."""
     who = "a publisher" if item.writes else "a subscriber"
     if item.type_name != dds_name(ours.type_name):
         theirs = ros_name(item.type_name)
