@@ -58,10 +58,10 @@ def files(
 
 
 def _lines(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a line for each transaction, then where its file is if its name was refused.
+    """Yield a line for each transaction, and the path of its file if its name was refused.
 
     Args:
-        report: as ``files --json`` prints it.
+        report: report in the shape of ``files --json``.
     """
     rows = [_HEAD, *map(_row, report["transactions"])]
     if len(rows) == 1:

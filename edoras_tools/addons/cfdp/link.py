@@ -40,7 +40,7 @@ _TEXTS: Final = {
 
 
 class FileDeliveryLink(LinkProtocol):
-    """The link between CFDP entities; its length fields must fit the datagram, other bytes are not of it."""
+    """The link between CFDP entities; a datagram belongs to it only if its length fields are consistent."""
 
     code = 5
     name = "CFDP"
@@ -59,7 +59,7 @@ class FileDeliveryLink(LinkProtocol):
     sends = True
 
     def recognise(self, facts: Seen) -> Any:
-        """Recognise a header of a known version whose lengths add up to the datagram's."""
+        """Recognise a header of a known version whose lengths add up to that of the datagram."""
         number = {
             slot.field.name: facts.field(cfdp.PDU_HEADER, slot.field.name) for slot in cfdp.PDU_HEADER.slots
         }
@@ -68,11 +68,11 @@ class FileDeliveryLink(LinkProtocol):
         return BY_CONTENT * (plausible & (header + number["pdu_data_field_length"] == facts.length))
 
     def send(self, site: Site, *, up: bool) -> LinkSending | None:
-        """Return how files go to the receiver's entity; which way is a matter of ``--target``."""
+        """Return what sends files to the receiver's entity; ``--target`` determines the direction."""
         return None if up else self.part("sending:FileSending")(self)
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
-        """Judge whether PDUs are whole; see :meth:`LinkProtocol.locate`."""
+        """Judge whether PDUs are complete; see :meth:`LinkProtocol.locate`."""
         located = Located(len(rows))
         for finding, wrong in self.judge_units(batch.data, batch.offset[rows], batch.length[rows]):
             located.flag(finding, wrong)
@@ -100,7 +100,7 @@ class FileDeliveryLink(LinkProtocol):
         return owner[present], pdus.start[present]
 
     def holds_units(self, column: Callable[[str], NDArray[Any]], site: Site) -> NDArray[np.bool_]:
-        """Tell which rows are space packets that hold a PDU behind their cFE header."""
+        """Return which rows are space packets with a PDU behind their cFE header: bool (n,)."""
         return holds_pdu(column, site.pdu_msg_ids)
 
     def judge_units(
@@ -116,15 +116,15 @@ class FileDeliveryLink(LinkProtocol):
         read_pdu(reading, at)
 
     def topics(self, space: TopicSpace) -> OwnTopics | None:
-        """Return what makes messages of transferred files; None where the mission names no such topic."""
+        """Return the maker of messages of transferred files; None if the mission has no such topic."""
         return self.part("topics:FileTopics")(space) if space.mission.stored_topics else None
 
     def evidence(self, site: Site) -> LinkEvidence:
-        """Return what follows transactions."""
+        """Return a follower of transactions."""
         return self.part("transactions:FileEvidence")(msg_ids=site.pdu_msg_ids)
 
     def summary(self, decoded: Decoded) -> str:
-        """Return what the PDU says, and of which transaction; empty where it is cut."""
+        """Return the contents of the PDU and its transaction in words; empty if it is cut."""
         head = decoded.layer(cfdp.PDU_HEADER.name)
         if head is None or decoded.stop:
             return ""
@@ -139,14 +139,14 @@ class FileDeliveryLink(LinkProtocol):
 
 CFDP: Final = FileDeliveryLink()
 _FINDINGS: Final = {"truncated": Finding.TRUNCATED, "corrupt": Finding.CHECKSUM_BAD}
-"""Columns of ``Pdus`` that are findings."""
+"""Columns of ``Pdus`` to their findings."""
 _NO_PDU: Final = np.uint32(Finding.HEADER_ONLY)
 
 
 def _pdu_places(
     rows: BatchRows, link: FileDeliveryLink
 ) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int32]]:
-    """Return the rows that hold a PDU, where it starts, and the bytes that are there."""
+    """Return the rows with a PDU, the start of each, and the number of bytes that exist."""
     own = rows.column("link") == link
     offset = rows.datagram("offset").astype(np.int64)
     length = rows.datagram("length")
@@ -160,11 +160,11 @@ def _pdu_places(
 
 
 def holds_pdu(column: Callable[[str], NDArray[Any]], msg_ids: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Tell which rows are space packets that hold a PDU behind their cFE header.
+    """Return which rows are space packets with a PDU behind their cFE header: bool (n,).
 
     Args:
-        column: gives one of ``Columns``.
-        msg_ids: of such packets.
+        column: returns a column of ``Columns`` by its name.
+        msg_ids: MsgIds of such packets.
     """
     present: NDArray[np.bool_] = np.isin(column("msg_id"), msg_ids)
     present &= (column("header_length") > ccsds.PRIMARY.size) & ((column("findings") & _NO_PDU) == 0)
@@ -175,7 +175,7 @@ def read_pdu(reading: Reading, at: int) -> None:
     """Read the layers of the PDU from byte ``at`` of a datagram on.
 
     Raises:
-        TruncatedError: it needs more bytes than there are.
+        TruncatedError: it needs more bytes than exist.
     """
     data = reading.data
     head = reading.read(cfdp.PDU_HEADER, at)

@@ -57,7 +57,7 @@ def file_checksum(case: Case) -> Iterator[Verdict]:
 
 
 _GOING_ON_NS: Final = 10 * SECOND
-"""A transaction with a PDU so short before the end of the capture may go on behind it."""
+"""Time before the end of the capture in which a PDU means that its transaction may go on."""
 
 
 def file_not_finished(case: Case) -> Iterator[Verdict]:
@@ -73,7 +73,7 @@ def file_not_finished(case: Case) -> Iterator[Verdict]:
         severity = Severity.WARNING if cancelled else Severity.ERROR
         how = "was cancelled" if cancelled else f"ended with {item.state}"
         if not item.condition:
-            # What lacks pieces when all was sent is not only going on.
+            # If pieces are missing after everything was sent, the transaction is not merely going on.
             going_on = end_ns - item.last_ns < _GOING_ON_NS and not (item.eof is not None and item.holes)
             severity = Severity.NOTE if going_on else Severity.ERROR
             how = "was not finished when the capture ended" if going_on else "was never finished"
@@ -91,7 +91,7 @@ def file_not_finished(case: Case) -> Iterator[Verdict]:
 
 
 _LONG_NS: Final = 10 * SECOND
-"""Twice the usual interval of the timers for ACK and NAK."""
+"""Least time of a standstill: twice the usual interval of the timers for ACK and NAK."""
 
 
 def file_stalled(case: Case) -> Iterator[Verdict]:

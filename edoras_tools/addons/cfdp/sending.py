@@ -1,7 +1,8 @@
-"""How files of CFDP are sent again: each recorded transaction as a new one, of the class that it had.
+"""Sends files of CFDP again: each recorded transaction as a new one, of the same class.
 
-The recorded PDUs of the file's sender go out with a new transaction sequence number. In class 2 its side of
-the procedures is kept: what the receiver misses is sent again, EOF until it is acknowledged, and Finished is.
+The recorded PDUs of the file's sender get a new transaction sequence number. In class 2 the sender's
+procedures are carried out: missing pieces are sent again, EOF is repeated until it is acknowledged, and
+Finished is acknowledged.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, Link, PacketBatch
 
 _AGAIN_NS: Final = SECOND
-"""EOF is sent again after this time, until it is acknowledged."""
+"""Time after which EOF is sent again, until it is acknowledged."""
 _MOST_TRIES: Final = 30
 _OF_SENDER: Final = (Directive.FILE_DATA, Directive.METADATA, Directive.EOF)
 _FINISHED_ACKNOWLEDGED: Final = bytes([Directive.ACK, Directive.FINISHED << 4 | 1, 2])
-"""An ACK of Finished, with no error, of a transaction that has terminated."""
+"""ACK of Finished, without error, for a terminated transaction."""
 
 
 def _read(data: bytes) -> Pdus:
@@ -40,14 +41,14 @@ class SentFile(msgspec.Struct):
     """A new transaction.
 
     Attributes:
-        pieces: what the recording has of the file, (first byte, one past the last, PDU).
-        metadata: its PDU; empty where the recording has none.
-        eof: likewise.
-        acknowledged: of class 2.
-        due_ns: when EOF goes again; 0 before it was sent.
-        tries: how often it went again.
-        state: ``open``, ``told`` (EOF was acknowledged), ``finished``; what the receiver said last.
-        missing: bytes that were asked for and the recording has not.
+        pieces: recorded pieces of the file, (first byte, one past the last, PDU).
+        metadata: Metadata PDU; empty if the recording has none.
+        eof: EOF PDU; empty if the recording has none.
+        acknowledged: whether it is of class 2.
+        due_ns: time when EOF is sent again; 0 before it was sent.
+        tries: number of repetitions of EOF.
+        state: last state from the receiver: ``open``, ``told`` (EOF was acknowledged), ``finished``.
+        missing: number of requested bytes that the recording does not have.
     """
 
     pieces: list[tuple[int, int, bytes]] = msgspec.field(default_factory=list)
@@ -60,7 +61,7 @@ class SentFile(msgspec.Struct):
     missing: int = 0
 
     def again(self, requests: Iterable[Sequence[int]]) -> Iterator[bytes]:
-        """Yield the PDUs that hold what is asked for."""
+        """Yield the PDUs with the requested pieces."""
         for first, last in requests:
             if (first, last) == (0, 0) and self.metadata:
                 yield self.metadata
@@ -82,34 +83,34 @@ class FileSender(SendingSession):
 
     @property
     def busy(self) -> bool:  # type: ignore[override]
-        """Whether a receiver has not finished; not for ever."""
+        """Whether a receiver has not finished, for a limited time."""
         return bool(self._waiting)
 
     @property
     def next_ns(self) -> int:  # type: ignore[override]
-        """When an EOF is due."""
+        """Time when an EOF is due."""
         return min((item.due_ns for item in self._waiting if item.due_ns), default=SendingSession.next_ns)
 
     def begin(self, files: dict[tuple[int, int], SentFile]) -> None:
-        """Take the transactions that are sent."""
+        """Store the transactions that are sent."""
         self.files = files
         self._open = [item for item in files.values() if item.acknowledged and item.eof]
 
     def sent(self, *, now: int) -> None:
-        """Let the first EOF be due some time after the messages."""
+        """Schedule the first EOF some time after the messages."""
         for item in self._open:
             if not item.tries:
                 item.due_ns = now + _AGAIN_NS
 
     def due(self, *, now: int) -> Iterable[bytes]:
-        """Return the EOFs that nobody acknowledged."""
+        """Return the EOFs that were not acknowledged."""
         late = [item for item in self._waiting if item.due_ns <= now]
         for item in late:
             item.due_ns, item.tries = now + _AGAIN_NS, item.tries + 1
         return [item.eof for item in late if item.state == "open"]
 
     def answer(self, data: bytes, *, now: int) -> Iterable[bytes]:
-        """Take a PDU of the receiver's."""
+        """Process a PDU of the receiver."""
         pdus = _read(data)
         key = int(pdus.source_entity_id[0]), int(pdus.transaction_sequence_number[0])
         item, kind = self.files.get(key), int(pdus.kind[0])
@@ -127,7 +128,7 @@ class FileSender(SendingSession):
         return ()
 
     def notes(self) -> Iterable[str]:
-        """Return how many files came whole, and what was asked for in vain."""
+        """Return the number of files that arrived complete, and of requests that could not be met."""
         whole, missing = (
             sum(item.state == "finished" for item in self._open),
             sum(item.missing for item in self.files.values()),
@@ -139,7 +140,7 @@ class FileSender(SendingSession):
 
 
 class FileSending(LinkSending):
-    """What senders of files sent, in new transactions."""
+    """The PDUs of files' senders, in new transactions."""
 
     renews = True
     instead = "edoras replay --to cfdp sends recorded files; a new file is sent by a CFDP entity"
@@ -150,7 +151,7 @@ class FileSending(LinkSending):
         self.session: FileSender = FileSender()
 
     def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
-        """Tell which PDUs are pieces, Metadata and EOF, as they were sent."""
+        """Return which PDUs are pieces, Metadata and EOF, as they were sent: bool (n,)."""
         own = super().outgoing_rows(batch, columns)
         rows = np.flatnonzero(own)
         pdus = cfdp.read_pdus(batch.data, batch.offset[rows], batch.length[rows])
@@ -160,7 +161,7 @@ class FileSending(LinkSending):
     def renew(
         self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
     ) -> tuple[list[bytes], NDArray[np.int64]]:
-        """Number the transactions anew, from the time of the recording on: no receiver knows these."""
+        """Give the transactions new numbers, which start at the recording's time: no receiver knows them."""
         numbers: dict[tuple[int, int], int] = {}
         files: dict[tuple[int, int], SentFile] = {}
         renewed = []
@@ -184,7 +185,7 @@ class FileSending(LinkSending):
 
 
 def _numbered(data: bytes, number: int) -> bytes:
-    """Return a PDU with another transaction sequence number, and its CRC, if it has one, made right."""
+    """Return a PDU with another transaction sequence number, and a new CRC if it has one."""
     ids, count = (data[3] >> 4 & 7) + 1, (data[3] & 7) + 1
     at = cfdp.PDU_HEADER.size + ids
     return _checked(data[:at] + number.to_bytes(count, "big") + data[at + count :])

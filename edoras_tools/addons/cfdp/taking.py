@@ -1,11 +1,11 @@
-"""Takes the files of CFDP transactions out of an input.
+"""Extracts the files of CFDP transactions from an input.
 
-The rules that this file keeps:
+Rules:
 
-1. Bytes go to the disk as they come, into a folder of their own inside the output; a file gets its name at
-   the end. A file of which bytes are missing gets the suffix ``.incomplete``; zeros are in their place.
-2. A name is taken from the capture only if it stays below the output and can be printed. A file with another
-   name, or none, is called by its transaction. Nothing is overwritten.
+1. Bytes are written as they come, into a separate folder inside the output; a file gets its name at the end.
+   An incomplete file gets the suffix ``.incomplete``, with zeros for the missing bytes.
+2. A name from the capture is used only if it stays below the output and is printable. A file with another
+   name, or without one, is named after its transaction. No file is overwritten.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
     from edoras_tools.render.terminal.text import Progress
 
 _LONGEST: Final = 255
-"""Bytes of a part of a path, on all usual file systems."""
+"""Maximum length of a part of a path on all usual file systems, bytes."""
 
 
 def safe_path(name: str | None) -> Path | None:
-    """Return the relative path that a file name of a capture stands for; None for one that is refused.
+    """Return the relative path of a file name in a capture; None for one that is refused.
 
-    A slash in front stands for the folder of the receiver, as with EDORAS, and is left out.
+    A slash in front stands for the receiver's folder, as in EDORAS, and is removed.
     """
     parts = (name or "").lstrip("/").split("/")
     safe = all(
@@ -53,12 +53,12 @@ def safe_path(name: str | None) -> Path | None:
 
 
 class TakenFile(msgspec.Struct):
-    """A transaction, and what was written of its file.
+    """A transaction, and its extracted file.
 
     Attributes:
-        transaction: what was followed.
-        checksum_right: whether the checksum is that of EOF; None where it cannot be told.
-        path: the file; None if none was written.
+        transaction: transaction.
+        checksum_right: whether the checksum is that of EOF; None if unknown.
+        path: path of the file; None if none was written.
         refused: whether its name was not safe.
     """
 
@@ -69,11 +69,11 @@ class TakenFile(msgspec.Struct):
 
     @property
     def good(self) -> bool:
-        """Whether the file came whole, and its transaction ended well."""
+        """Whether the file is complete, and its transaction ended without error."""
         return self.transaction.state == "finished" and self.checksum_right is not False
 
     def summary(self) -> dict[str, Any]:
-        """Return it in the form of ``files --json``."""
+        """Return the file in the form of ``files --json``."""
         item = self.transaction
         names = ("source_entity_id", "transaction_sequence_number", "destination_entity_id", "acknowledged")
         counts = ("segments", "resent", "filled", "naks")
@@ -95,10 +95,10 @@ class FilesReport(msgspec.Struct):
 
     Attributes:
         source: the input.
-        files: one for each transaction, in order of their first PDU.
-        left_out: PDUs of transactions beyond the limit.
-        corrupt: PDUs with a wrong CRC, which are not taken.
-        failure: why the input ended early, if it did.
+        files: files, one for each transaction, in order of their first PDU.
+        left_out: number of PDUs of transactions beyond the limit.
+        corrupt: number of PDUs with a wrong CRC, which are ignored.
+        failure: error that ended the input early, if any.
     """
 
     source: Source
@@ -131,13 +131,13 @@ def take_out(
     Args:
         source: the input.
         bench: mission, types and decoders.
-        folder: where files go, new or empty; None to write none.
-        selection: which datagrams.
-        limits: when to end.
-        progress: shows how far the input is read.
+        folder: folder for the files, new or empty; None to write none.
+        selection: selection of datagrams.
+        limits: conditions of the end.
+        progress: shows the progress of reading.
 
     Raises:
-        ConfigError: something is in the folder, or the selection has an error.
+        ConfigError: the folder is not empty, or the selection has an error.
         CaptureError: the folder cannot be written.
     """
     report = FilesReport(source)
@@ -163,13 +163,13 @@ class _Spool:
     """Writes the files below a folder.
 
     Args:
-        folder: created if it is not there.
+        folder: folder; created if it does not exist.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._files: dict[Transaction, Path] = {}
-        self._names: Counter[tuple[Path, bool]] = Counter()  # how many more files have one
+        self._names: Counter[tuple[Path, bool]] = Counter()  # number of further files with a name
         self._open = folder / ".edoras.part"
         check_folder(folder)
         try:
@@ -179,7 +179,7 @@ class _Spool:
                 raise CaptureError(f"{folder}: is not empty; name a new folder")
             self._open.mkdir(mode=0o700, exist_ok=True)
             self._lock = lock_older(self._open)
-            for leftover in self._open.iterdir():  # by a program that was killed
+            for leftover in self._open.iterdir():  # from a program that was killed
                 leftover.unlink()
         except OSError as error:
             raise self._failed(error) from error
@@ -232,14 +232,14 @@ class _Spool:
         try:
             try:
                 file.path = self._free(path or own, item.complete)
-            except (FileExistsError, NotADirectoryError):  # a file is where a folder is needed
+            except (FileExistsError, NotADirectoryError):  # a file is in the place of a folder
                 file.path = self._free(own, item.complete)
             place.rename(file.path)
         except OSError as error:
             raise self._failed(error) from error
 
     def _free(self, name: Path, complete: bool) -> Path:
-        """Return a path where nothing is, and make its folder."""
+        """Return an unused path, and create its folder."""
         path = self._folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         suffix = "" if complete else ".incomplete"

@@ -1,11 +1,11 @@
-"""Messages that CFDP transferred: files of ``data_transfer``, each a ROS message in an EDORAS envelope.
+"""Messages from CFDP: files of ``data_transfer``, each a ROS message in an EDORAS envelope.
 
-The rules that this file keeps:
+Rules:
 
-1. A file belongs to the topic whose ``store_filename`` ends with the same name. It is written when its
-   transaction has finished, at that time, if every byte was captured and its checksum is not wrong.
-2. It is a message only if it is an envelope with a whole message of the topic's type.
-3. At most ``MOST_BYTES`` of unfinished files are kept; files beyond are left out.
+1. A file belongs to the topic whose ``store_filename`` ends with the same name. It becomes a message when its
+   transaction has finished, with that time, if every byte was captured and its checksum is not wrong.
+2. It is a message only if it is an envelope with a complete message of the topic's type.
+3. At most ``MOST_BYTES`` of unfinished files are kept; further files are left out.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ MOST_BYTES: Final = 64 << 20
 
 
 class FileTopics:
-    """Follows CFDP transactions, and makes a message of each file that is one.
+    """Follows CFDP transactions, and makes messages of their files.
 
     Args:
-        space: its mission says which files belong to which topics.
+        space: topic space whose mission assigns files to topics.
     """
 
     def __init__(self, space: TopicSpace) -> None:
@@ -66,7 +66,7 @@ class FileTopics:
         content[offset : offset + len(piece)] = piece
 
     def _finish(self) -> None:
-        """Take what has finished out of what is kept."""
+        """Remove finished transactions from those that are kept."""
         for item in [item for item in self._open if item.finished_ns is not None]:
             content = bytes(self._open.pop(item))
             self._bytes -= len(content)
@@ -77,10 +77,10 @@ class FileTopics:
                 self._finished.append((item, topic, cdr))
 
     def offer(self) -> None:
-        """Do nothing: a topic comes with its first file."""
+        """Do nothing: a topic is added with its first file."""
 
     def messages(self, batch: PacketBatch, columns: Columns) -> list[Messages]:
-        """Take a batch; return the messages of the files whose transactions finished in it."""
+        """Add a batch; return the messages of the files whose transactions finished in it."""
         self._follower.add(batch, columns)
         self._finish()
         finished, self._finished = self._finished, []
@@ -93,7 +93,7 @@ class FileTopics:
     def _of_topic(
         self, batch: PacketBatch, topic: StoredTopic, items: list[tuple[Transaction, bytes]]
     ) -> Messages | None:
-        """Return the messages of one topic's files that hold one each; None if none does."""
+        """Return the messages in one topic's files; None if no file contains one."""
         data = np.frombuffer(b"".join(cdr for _, cdr in items) + bytes(PADDING), np.uint8)
         length = np.array([len(cdr) for _, cdr in items], np.int32)
         offset = np.cumsum(length, dtype=np.int64) - length

@@ -1,16 +1,16 @@
-"""CFDP transactions, followed from what a capture has of them: what came, what was missing, how it ended.
+"""CFDP transactions, followed in a capture: received and missing pieces, and the end.
 
-The rules that this file keeps:
+Rules:
 
-1. A transaction is known by the sender's entity ID, its sequence number and the two endpoints: on both sides
-   of a relay it is two. Metadata after its end begins another one: numbers start again with the sender.
-2. The first copy of a byte counts, and only it is handed on. A piece of the file without a new byte was sent
-   again; one with new bytes in front of the last one that is known was lost before, or overtaken.
-3. Memory does not grow with files: bytes are handed on, not kept. Transactions, and the ranges that are known
-   of a file, are limited in number; what is beyond is left out, and the file stays incomplete.
-4. A PDU whose CRC is wrong is counted and not taken: its receiver drops it, and its IDs may be wrong, too.
-5. PDUs in space packets travel there by one link and back by another: their endpoints are the addresses
-   without the ports.
+1. A transaction is identified by the sender's entity ID, its sequence number and the two endpoints: on both
+   sides of a relay it is two. Metadata after its end begins another one: the numbers of a sender start again.
+2. Only the first copy of a byte counts, and is passed on. A piece of the file without a new byte was sent
+   again; one with new bytes in front of the last known one was lost before, or overtaken.
+3. Memory does not grow with files: bytes are passed on, not kept. The numbers of transactions, and of known
+   ranges of a file, are limited; everything beyond is left out, and the file stays incomplete.
+4. A PDU with a wrong CRC is counted and ignored: its receiver drops it, and its IDs may be wrong, too.
+5. PDUs in space packets travel on one link, and back on another: so their endpoints are the addresses without
+   ports.
 """
 
 from __future__ import annotations
@@ -50,35 +50,35 @@ if TYPE_CHECKING:
 
 MOST_TRANSACTIONS: Final = 1 << 14
 LARGEST_OFFSET: Final = 1 << 40
-"""In a file; pieces beyond are left out."""
+"""Largest offset in a file; pieces beyond are left out."""
 
 
 class Transaction(msgspec.Struct, eq=False):
-    """One file on its way; None: not captured.
+    """The transfer of one file; a value of None was not captured.
 
     Attributes:
-        source_entity_id: of the sender of the file.
-        transaction_sequence_number: the sender's.
-        destination_entity_id: of the receiver of the file.
-        acknowledged: of class 2: what is missing is asked for.
-        first_ns: time of its first PDU.
-        last_ns: time of its last PDU.
-        silence_ns: the longest time between two of its PDUs.
-        source_file_name: as Metadata says.
-        destination_file_name: as Metadata says.
-        checksum_type: as Metadata says.
-        file_size: bytes, as EOF says, or Metadata before it.
-        file_checksum: as EOF says.
-        received: the bytes that were captured.
-        sums: the checksums of these by type: of every type, until Metadata says which it is.
-        segments: pieces of the file.
-        resent: pieces without a byte that was new.
-        filled: pieces with new bytes in front of the last one that was known.
-        naks: NAKs that ask for something.
+        source_entity_id: entity ID of the sender of the file.
+        transaction_sequence_number: sequence number of the sender.
+        destination_entity_id: entity ID of the receiver of the file.
+        acknowledged: whether it is of class 2: missing pieces are requested.
+        first_ns: time of its first PDU, ns since 1970.
+        last_ns: time of its last PDU, ns since 1970.
+        silence_ns: longest time between two of its PDUs, ns.
+        source_file_name: name in Metadata.
+        destination_file_name: name in Metadata.
+        checksum_type: type in Metadata.
+        file_size: size in EOF, or in Metadata before it, bytes.
+        file_checksum: checksum in EOF.
+        received: ranges of captured bytes.
+        sums: checksums of these bytes by type: of every type, until Metadata gives the type.
+        segments: number of pieces of the file.
+        resent: number of pieces without a new byte.
+        filled: number of pieces with new bytes in front of the last known one.
+        naks: number of NAKs with requests.
         eof: condition code of EOF.
         finished: condition code of Finished.
-        incomplete: whether Finished says that the receiver does not have the whole file.
-        finished_ns: time of the PDU with which it was ``finished``.
+        incomplete: whether Finished states that the receiver does not have the whole file.
+        finished_ns: time of the PDU with which it was ``finished``, ns since 1970.
     """
 
     source_entity_id: int
@@ -112,18 +112,18 @@ class Transaction(msgspec.Struct, eq=False):
 
     @property
     def name(self) -> str:
-        """How it is called: ``SOURCE:NUMBER``."""
+        """Name: ``SOURCE:NUMBER``."""
         return f"{self.source_entity_id}:{self.transaction_sequence_number}"
 
     @property
     def title(self) -> str:
-        """What people are told: the file's name, as far as it is known, and the transaction."""
+        """Title for people: the file's name, as far as known, and the transaction."""
         name = self.destination_file_name or self.source_file_name or "a file"
         return f"{name} (CFDP {self.name})"
 
     @property
     def hop(self) -> str:
-        """From which entity to which."""
+        """Sending and receiving entity, as text."""
         return f"CFDP entity {self.source_entity_id} to {self.destination_entity_id}"
 
     @property
@@ -146,12 +146,12 @@ class Transaction(msgspec.Struct, eq=False):
 
     @property
     def condition(self) -> int:
-        """The condition code that it ended with; 0 for none."""
+        """Condition code of the end; 0 for none."""
         return self.finished or self.eof or 0
 
     @property
     def state(self) -> str:
-        """How it ended: ``finished``, ``cancelled``, the name of another condition, or ``not finished``."""
+        """State at the end: ``finished``, ``cancelled``, another condition's name, or ``not finished``."""
         if self.condition:
             cancelled = self.condition == ConditionCode.CANCEL_REQUEST_RECEIVED
             return "cancelled" if cancelled else CONDITION_NAMES.get(self.condition, str(self.condition))
@@ -160,20 +160,20 @@ class Transaction(msgspec.Struct, eq=False):
 
 
 class FileEvidence(LinkEvidence):
-    """Follows every transaction.
+    """Follows all transactions.
 
     Args:
-        keep: gets each byte of each file once: the transaction, the offset in the file, the bytes.
-        msg_ids: of space packets that hold a PDU each.
+        keep: called once with each byte of each file: the transaction, the offset in the file, the bytes.
+        msg_ids: MsgIds of space packets that contain a PDU.
 
     Attributes:
-        transactions: in order of their first PDU.
-        datagrams: PDUs that were a datagram each.
-        pdus: how many were taken.
-        packets: how many of them were in space packets.
-        corrupt: how many of them had a wrong CRC.
-        corrupt_ns: time of the first and of the last of these.
-        left_out: PDUs of transactions beyond the limit.
+        transactions: transactions in order of their first PDU.
+        datagrams: number of PDUs in datagrams of their own.
+        pdus: number of all PDUs.
+        packets: number of PDUs in space packets.
+        corrupt: number of PDUs with a wrong CRC.
+        corrupt_ns: times of the first and the last of these, ns since 1970.
+        left_out: number of PDUs of transactions beyond the limit.
     """
 
     def __init__(self, keep: Keep | None = None, msg_ids: Collection[int] = ()) -> None:
@@ -185,7 +185,7 @@ class FileEvidence(LinkEvidence):
         self._open: dict[tuple[int, ...], Transaction] = {}
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take all PDUs of a batch: those of the CFDP link, and those in space packets."""
+        """Add all PDUs of a batch: those of the CFDP link, and those in space packets."""
         self.take(batch, np.flatnonzero(columns.link == CFDP))
         if len(self._msg_ids):
             rows = np.flatnonzero(holds_pdu(partial(getattr, columns), self._msg_ids))
@@ -197,7 +197,7 @@ class FileEvidence(LinkEvidence):
         self.datagrams = self.pdus - self.packets
 
     def spans(self) -> list[tuple[int, int]]:
-        """Return from when to when transactions were captured."""
+        """Return the first and last time of each transaction."""
         return [(item.first_ns, item.last_ns) for item in self.transactions]
 
     def take(
@@ -206,11 +206,11 @@ class FileEvidence(LinkEvidence):
         rows: NDArray[np.intp],
         place: tuple[NDArray[np.int64], NDArray[np.int32]] | None = None,
     ) -> None:
-        """Take the PDUs in some rows of a batch, in order; nothing in them can make this raise.
+        """Add the PDUs in some rows of a batch, in order; no contents can raise an error.
 
         Args:
-            rows: those that hold a PDU.
-            place: where each PDU begins, and the bytes that are there, in space packets (rule 5); None for
+            rows: indices of rows with a PDU.
+            place: start of each PDU in a space packet, and number of bytes that exist (rule 5); None for
                 datagrams that are PDUs.
         """
         if not len(rows):
@@ -272,7 +272,7 @@ class FileEvidence(LinkEvidence):
         return transaction
 
     def _file_data(self, transaction: Transaction, data: NDArray[np.uint8], pdus: Pdus, rows: slice) -> None:
-        """Take pieces that follow each other in the file."""
+        """Add pieces that follow each other in the file."""
         offset, begin = pdus.file_offset[rows].tolist(), pdus.data[rows]
         sizes = pdus.end[rows] - begin
         start, end = offset[0], offset[-1] + int(sizes[-1])
@@ -299,7 +299,7 @@ class FileEvidence(LinkEvidence):
 
 
 def _runs(pdus: Pdus, which: NDArray[np.integer[Any]]) -> Iterator[tuple[int, int]]:
-    """Yield directives one by one, and pieces of a file as long as they follow each other."""
+    """Yield directives one by one, and pieces of a file in runs that follow each other."""
     end = pdus.file_offset + (pdus.end - pdus.data).astype(np.uint64)
     follows = (pdus.kind[1:] == Directive.FILE_DATA) & (pdus.kind[:-1] == Directive.FILE_DATA)
     follows &= ~(pdus.corrupt[1:] | pdus.corrupt[:-1])

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Directive(IntEnum):
-    """What a PDU is: the directive code; ``FILE_DATA``, which has none, is 0."""
+    """Kinds of PDUs: the directive code; 0 for ``FILE_DATA``, which has none."""
 
     FILE_DATA = 0
     EOF = 4
@@ -53,7 +53,7 @@ class ConditionCode(IntEnum):
 
 
 class Checksum(IntEnum):
-    """Checksum types that this package computes, of SANA's registry."""
+    """Checksum types that this package computes, from SANA's registry."""
 
     MODULAR = 0
     CRC_32C = 2
@@ -86,7 +86,7 @@ PDU_HEADER: Final = Layout(
     Field("segment_metadata_flag", 1, "metadata is in front of each piece of the file"),
     Field("sequence_number_length", 3, "bytes of the transaction sequence number, less 1"),
 )
-"""The part of the header that always has one length; the IDs and the sequence number follow."""
+"""Part of the header with a fixed length; the IDs and the sequence number follow."""
 """What a packet that holds a PDU is called."""
 NEWEST_VERSION: Final = 1
 DIRECTIVE: Final = Layout(
@@ -98,7 +98,7 @@ _STATUS: Final = {0: "undefined", 1: "active", 2: "terminated", 3: "unrecognised
 
 
 def _layouts(bits: int, prefix: str) -> dict[int, Layout]:
-    """Return the layout of each kind's parameters; offsets and sizes have so many bits."""
+    """Return the layout of each kind's parameters; offsets and sizes have this number of bits."""
     parameters = {
         Directive.FILE_DATA: (Field("offset", bits, "place of the first byte in the file"),),
         Directive.EOF: (
@@ -149,7 +149,7 @@ _LARGE: Final = {
     for kind, layout in _layouts(64, "cfdp_large").items()
 }
 PDU_LAYOUTS: Final = _USUAL, _LARGE
-"""The parameters of each kind, by the large-file flag."""
+"""Layouts of the parameters of each kind, by the large-file flag."""
 EVERY_PDU_LAYOUT: Final = (
     PDU_HEADER,
     DIRECTIVE,
@@ -160,37 +160,37 @@ _SIZES: Final = np.array(
     [[layouts[kind].size if kind in layouts else -1 for kind in range(256)] for layouts in PDU_LAYOUTS],
     np.int16,
 )
-"""Bytes of the parameters by the large-file flag and the kind; -1 for kinds that do not exist."""
+"""Size of the parameters by the large-file flag and the kind, bytes; -1 for kinds that do not exist."""
 CONTENT_FIELDS: Final = {
     "data_length": "bytes of the piece",
     "source_file_name": "name at the sender",
     "destination_file_name": "name at the receiver",
     "segment_requests": "parts that are missing: first byte, and one past the last",
 }
-"""What lies behind the parameters of fixed size, as :func:`parameters` reads it."""
+"""Fields behind the parameters of fixed size, as :func:`parameters` reads them."""
 UNREAD: Final = -1
-"""``Pdus.kind`` where the kind does not exist, or the PDU is cut."""
+"""Value of ``Pdus.kind`` if the kind does not exist, or the PDU is cut."""
 
 
 class Pdus(msgspec.Struct, frozen=True, eq=False):
-    """PDUs in columns, one element each; positions point into the data that they were read from.
+    """PDUs in columns, one element each; positions are those in the data that was read.
 
     Attributes:
-        kind: i16, a ``Directive``; ``UNREAD`` where there is none.
-        truncated: bool, it needs more bytes than there are.
-        corrupt: bool, the CRC at its end is wrong: its receiver drops it.
-        directive: bool, it has a directive code.
-        toward_sender: bool, it travels from the receiver to the sender of the file.
-        acknowledged: bool, of class 2.
-        large: u8, the large-file flag.
-        source_entity_id: u64, of the sender of the file.
-        transaction_sequence_number: u64.
-        destination_entity_id: u64, of the receiver of the file.
-        code: i64, position behind the header; of a header that is cut, where it would be.
-        start: i64, position of the parameters.
-        data: i64, position behind the parameters: of the piece of the file, of names, of requests.
-        end: i64, one past the last byte; a CRC is left out.
-        file_offset: u64, place in the file; 0 for directives.
+        kind: i16 (n,), a ``Directive``; ``UNREAD`` if it is none.
+        truncated: bool (n,), whether it needs more bytes than exist.
+        corrupt: bool (n,), whether the CRC at its end is wrong: its receiver drops it.
+        directive: bool (n,), whether it has a directive code.
+        toward_sender: bool (n,), whether it travels from the receiver to the sender of the file.
+        acknowledged: bool (n,), whether it is of class 2.
+        large: u8 (n,), large-file flag.
+        source_entity_id: u64 (n,), entity ID of the sender of the file.
+        transaction_sequence_number: u64 (n,), sequence number of the transaction.
+        destination_entity_id: u64 (n,), entity ID of the receiver of the file.
+        code: i64 (n,), position behind the header; for a cut header, the position where it would be.
+        start: i64 (n,), position of the parameters.
+        data: i64 (n,), position behind the parameters: of the piece of the file, of names, of requests.
+        end: i64 (n,), one past the last byte, without a CRC.
+        file_offset: u64 (n,), offset in the file; 0 for directives.
     """
 
     kind: NDArray[np.int16]
@@ -211,12 +211,12 @@ class Pdus(msgspec.Struct, frozen=True, eq=False):
 
 
 def read_pdus(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> Pdus:
-    """Read many PDUs; nothing in them can make this raise.
+    """Read many PDUs; no contents can raise an error.
 
     Args:
-        data: u8, contiguous.
-        offset: i64 (n,), where each begins.
-        length: (n,), bytes that are there.
+        data: u8, contiguous buffer.
+        offset: i64 (n,), first byte of each.
+        length: (n,), number of bytes that exist.
     """
     head = PDU_HEADER.columns(gather(data, offset, PDU_HEADER.size))
     ids = head["entity_id_length"].astype(np.int64) + 1
@@ -226,7 +226,7 @@ def read_pdus(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArra
     whole = (length >= PDU_HEADER.size) & (code <= limit)
     claimed = code + head["pdu_data_field_length"]
     end = np.minimum(claimed - CRC16_BYTES * head["crc_flag"], limit)
-    # Positions past the end of the data are not read: those of a cut PDU are those of its first byte.
+    # Positions beyond the data are not read: for a cut PDU those of its first byte are read instead.
     first = gather(data, np.where(whole, code, offset), 1)[:, 0]
     piece = head["pdu_type"] == 1
     metadata = np.where(head["segment_metadata_flag"] == 1, 1 + (first & 0x3F).astype(np.int64), 0)
@@ -261,7 +261,7 @@ def read_pdus(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArra
 def _corrupt(
     data: NDArray[np.uint8], offset: NDArray[np.int64], end: NDArray[np.int64], ended: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Tell which PDUs have a wrong CRC, of those that are whole and ``ended`` by one."""
+    """Return which PDUs have a wrong CRC, among those that are complete and ``ended`` by one: bool (n,)."""
     rows = np.flatnonzero(ended)
     if len(rows):
         size = (end[rows] - offset[rows]).astype(np.int32)
@@ -279,17 +279,17 @@ def _numbers(
 
 
 def parameters(kind: int, large: int, data: bytes) -> dict[str, Any]:
-    """Read the parameters of a PDU, leniently: what lies behind the first ones is read as far as it goes.
+    """Read the parameters of a PDU leniently: later ones are read as far as possible.
 
     Args:
         kind: a ``Directive``.
-        data: from the first parameter to the end of the PDU.
+        data: bytes from the first parameter to the end of the PDU.
 
     Returns:
-        the fields of its layout, and those of ``CONTENT_FIELDS`` that the kind has.
+        The fields of its layout, and those of ``CONTENT_FIELDS`` that the kind has.
 
     Raises:
-        TruncatedError: the fields of the layout are not whole.
+        TruncatedError: the fields of the layout are incomplete.
     """
     layout = PDU_LAYOUTS[large][kind]
     values = layout.parse(data)
@@ -302,7 +302,7 @@ def parameters(kind: int, large: int, data: bytes) -> dict[str, Any]:
             values[name], rest = rest[1 : 1 + size].decode("utf-8", "replace"), rest[1 + size :]
     elif kind == Directive.NAK:
         width = layout.size // 2
-        ends = [  # a request that is cut is left out
+        ends = [  # without a request that is cut
             int.from_bytes(rest[at : at + width], "big")
             for at in range(0, len(rest) // layout.size * layout.size, width)
         ]
@@ -321,16 +321,16 @@ class ModularSum:
         self._sum = (self._sum + modular_checksum(piece, offset)) & 0xFFFFFFFF
 
     def of_file(self, size: int) -> int:
-        """Return the checksum of the whole file, all of which was added."""
+        """Return the checksum of the whole file, after all its bytes were added."""
         return self._sum
 
 
 def modular_checksum(piece: bytes, offset: int) -> int:
-    """Return what a piece of a file adds to its modular checksum (727.0-B 4.2.2), modulo 2^32.
+    """Return the contribution of a piece to the modular checksum of its file (727.0-B 4.2.2), modulo 2^32.
 
     Args:
-        piece: the bytes.
-        offset: of the first of them in the file.
+        piece: bytes of the piece.
+        offset: offset of the first byte in the file.
     """
     front = offset % 4
     words = np.frombuffer(bytes(front) + piece + bytes(-(front + len(piece)) % 4), ">u4")
