@@ -96,7 +96,7 @@ def structs(
 
 
 def _sorted_out(words: Sequence[str]) -> tuple[list[str], list[Path]]:
-    """Return the names among words, and the data sheets."""
+    """Split words into names and data sheets (``.xml``)."""
     sheets = [word for word in words if word.lower().endswith(".xml")]
     return [word for word in words if word not in sheets], list(map(Path, sheets))
 
@@ -105,7 +105,7 @@ def listing(items: Sequence[Listed], bound: dict[str, str]) -> Iterator[str]:
     """Yield one line for each struct, first those that begin with a cFE header or are bound to a packet.
 
     Args:
-        bound: the packets that some lie in, by name.
+        bound: the packets that contain structs, by the struct's name.
     """
     width = max([6, *(len(item.name) for item in items)])
     yield f"{'struct':<{width}}  {'bytes':>6}  {'members':>7}  packet"
@@ -115,10 +115,10 @@ def listing(items: Sequence[Listed], bound: dict[str, str]) -> Iterator[str]:
 
 
 def layout(structs: StructLayout, struct: Struct, message: str) -> Iterator[str]:
-    """Yield where the members of a struct lie, what fills up between them, and its message's fields.
+    """Yield lines with the offsets of a struct's members, its padding, and the fields of its message.
 
     Args:
-        message: the message's type in full.
+        message: full name of the message type.
     """
     packets = [str(key) for key, name in structs.bindings.items() if name == struct.name]
     kind = "union" if struct.union else "struct"

@@ -54,9 +54,9 @@ def compiled(source: Path, include: Sequence[Path], flags: Sequence[str]) -> Deb
     its target.
 
     Args:
-        source: the header, or a source that includes some.
-        include: where the headers that it includes are.
-        flags: further options, as ``-m32`` or ``-DX=1``.
+        source: the header, or a source file that includes headers.
+        include: folders of the headers that it includes.
+        flags: further compiler options, e.g. ``-m32`` or ``-DX=1``.
 
     Raises:
         ConfigError: there is no compiler, or it fails; with the first line of its output.
@@ -107,10 +107,10 @@ class Listed:
     """A struct or union that a file describes.
 
     Attributes:
-        name: a typedef's where it has one, else its own tag.
-        size: in bytes.
-        header: bytes of the cFE header that it begins with; 0 where it begins with none.
-        members: how many it has.
+        name: name of its typedef if it has one, else its own tag.
+        size: size in bytes.
+        header: size in bytes of the cFE header at its beginning; 0 without one.
+        members: number of members.
     """
 
     __slots__ = ("header", "members", "name", "size")
@@ -134,12 +134,12 @@ class DebugInfo:
 
     Args:
         path: an ELF file: ``.o``, ``.so`` or a program.
-        source: its name in messages, if not the path.
+        source: name of the file in messages, if not the path.
 
     Attributes:
-        path: its name in messages.
-        byte_order: of the machine.
-        warnings: one line each, for types with two different descriptions.
+        path: name of the file in messages.
+        byte_order: byte order of the machine.
+        warnings: one line for each type with two different descriptions.
 
     Raises:
         ConfigError: the file cannot be read, is not ELF, or was stripped.
@@ -206,7 +206,7 @@ class DebugInfo:
         """List the names of types; their members are read on demand."""
         self._found: dict[str, Die] = {}
         self._named: dict[int, str] = {}
-        self._others: dict[str, list[Die]] = {}  # another struct has the name
+        self._others: dict[str, list[Die]] = {}  # other structs of the same name
         tags: dict[str, Die] = {}
         for unit in dwarf.iter_CUs():
             if unit.header.get("unit_type") == "DW_UT_type" or dwarf.debug_types_sec is not None:
@@ -242,7 +242,7 @@ class DebugInfo:
             self._others.setdefault(name, []).append(die)
 
     def list(self) -> list[Listed]:
-        """Return every struct and union that has a name, in the order of their names.
+        """Return every struct and union that has a name, sorted by name.
 
         Raises:
             ConfigError: the debug information is damaged.
@@ -251,21 +251,21 @@ class DebugInfo:
             return [
                 Listed(name, number_attribute(die, "DW_AT_byte_size"), self.header(die), len(members_of(die)))
                 for name, die in sorted(self._found.items())
-                if not name.startswith("__")  # the C library's own
+                if not name.startswith("__")  # those of the C library
             ]
 
     def layout(
         self, names: Iterable[str], bindings: Mapping[Key, str], package: str
     ) -> tuple[StructLayout, dict[str, str]]:
-        """Return some structs and all that they use, and the names that the given ones have in the result.
+        """Return structs with all that they use, and the names of the requested ones in the result.
 
         Args:
-            names: of structs; the tag instead of a typedef, or a name without ``_t``, is accepted.
-            bindings: the packets that some of them lie in.
+            names: names of structs; the tag of a typedef, or a name without ``_t``, is accepted, too.
+            bindings: packets that contain some of them.
             package: ROS package of their messages.
 
         Raises:
-            ConfigError: there is no such struct, or it cannot be read.
+            ConfigError: a struct is not found, or cannot be read.
         """
         maker = Maker(self)
         with self._reading():
@@ -294,7 +294,7 @@ class DebugInfo:
         """Return the entry of a struct.
 
         Raises:
-            ConfigError: there is none of that name; with similar names.
+            ConfigError: no struct has that name; the error lists similar names.
         """
         for spelling in (name, f"{name}_t", name.removesuffix("_t"), spelled(name)):
             if spelling in self._found:
@@ -304,11 +304,11 @@ class DebugInfo:
         raise ConfigError(f"{self.path}: no struct {name!r}; {hint}")
 
     def called(self, die: Die) -> str:
-        """Return the name of a struct or an enumeration; nothing where it has none."""
+        """Return the name of a struct or an enumeration; empty if it has none."""
         return self._named.get(die.offset) or name_of(die)
 
     def header(self, die: Die) -> int:
-        """Return the size of the cFE header that a struct begins with."""
+        """Return the size in bytes of the cFE header at the beginning of a struct; 0 without one."""
         members = members_of(die)
         if not members or die.tag not in STRUCTS or STRUCTS[die.tag] or offset_of(members[0]):
             return 0
@@ -334,16 +334,16 @@ _WORDS: Final = {
     "EM_MICROBLAZE": {1: 4},
     "EM_RISCV": {1: 4, 2: 8},
 }
-"""By machine the relocation types that write a whole word (R_PPC_ADDR32, R_SPARC_UA32 and so on), and its
-bytes; others are of code addresses, which say nothing of types."""
+"""Relocation types that write a whole word (R_PPC_ADDR32, R_SPARC_UA32 and so on), with its size in bytes,
+by machine; the other types belong to code addresses, which have nothing to do with types."""
 
 
 def relocated(elf: Any, data: bytes) -> bytes | None:
-    """Return the file with the relocations of its debug sections applied; None: pyelftools can do it.
+    """Return the file with the relocations of its debug sections applied; None if pyelftools can apply them.
 
     Args:
         elf: the file, as pyelftools opened it.
-        data: its bytes.
+        data: the file's bytes.
     """
     words = _WORDS.get(elf["e_machine"])
     if words is None:

@@ -41,7 +41,7 @@ DWARF_ENCODINGS: Final = {
 BYTE_ORDERS: Final[Mapping[int, ByteOrder]] = {1: "big", 2: "little"}
 """DW_END_big, little: the byte order of a type that states one."""
 _ADD: Final = 0x23
-"""DW_OP_plus_uconst: how DWARF 2 writes a member's place."""
+"""DW_OP_plus_uconst: the operation with which DWARF 2 states a member's offset."""
 DEEPEST: Final = 64
 _NO_NAME: Final = re.compile(r"\W|^(?=\d)", re.ASCII)
 
@@ -91,7 +91,7 @@ def children(die: Die) -> Iterator[Die]:
 
 
 def types_in(die: Die, depth: int) -> Iterator[Die]:
-    """Yield the types inside an entry, those in name spaces too."""
+    """Yield the types inside an entry, including those in name spaces."""
     for item in children(die):
         if item.tag == "DW_TAG_typedef" or item.tag in STRUCTS:
             yield item
@@ -155,7 +155,7 @@ def dimensions(die: Die) -> Iterator[int]:
             yield number_attribute(item, "DW_AT_count")
         elif "DW_AT_upper_bound" in item.attributes:
             bound = item.attributes["DW_AT_upper_bound"].value
-            # A zero-length array's is -1, written as the largest number.
+            # The upper bound of a zero-length array is -1, written as the largest number.
             size = bound + 1 if isinstance(bound, int) else OPEN
             yield size if size < 1 << 31 else OPEN
         else:

@@ -34,16 +34,16 @@ if TYPE_CHECKING:
 _Kept = TypeVar("_Kept", Struct, Enumeration)
 
 _LARGEST_STRUCT: Final = 1 << 24
-"""Bytes that a struct is smaller than."""
+"""Size in bytes that a struct must stay below."""
 
 
 class File(Protocol):
     """Properties of the file that holds the entries.
 
     Attributes:
-        path: for messages.
-        byte_order: of the machine.
-        pointer: bytes of an address.
+        path: name of the file in messages.
+        byte_order: byte order of the machine.
+        pointer: size of an address in bytes.
     """
 
     path: Path
@@ -51,19 +51,19 @@ class File(Protocol):
     pointer: int
 
     def called(self, die: Die) -> str:
-        """Return the name of a type; nothing where it has none."""
+        """Return the name of a type; empty if it has none."""
 
     def header(self, die: Die) -> int:
-        """Return the size of the cFE header that a struct begins with."""
+        """Return the size in bytes of the cFE header at the beginning of a struct; 0 without one."""
 
 
 class Maker:
-    """Turns entries into structs, and those that they use.
+    """Turns entries into structs, together with the structs and enumerations that they use.
 
     Attributes:
-        structs: what was made, by name.
-        enums: the enumerations that they use, by name.
-        warnings: one line each, of what is declared in more than one way.
+        structs: structs that were made, by name.
+        enums: enumerations that they use, by name.
+        warnings: one line for each type that is declared in more than one way.
     """
 
     def __init__(self, info: File) -> None:
@@ -83,7 +83,7 @@ class Maker:
         self._open.add(die.offset)
         name = self._info.called(die) or wish or "Anonymous"
         listed = list(self._members(die, 0, name))
-        # Only the last extends to the end of the packet; elsewhere an array without a size is empty.
+        # Only the last member may extend to the end of the packet; another array without a size is empty.
         members = [item for at, item in enumerate(listed, 1) if OPEN not in item.dims[at == len(listed) :]]
         struct = Struct(
             name,
@@ -98,10 +98,10 @@ class Maker:
         return name
 
     def check(self) -> None:
-        """Check that every member lies inside its struct.
+        """Check that every member lies inside its struct, and that no struct is too large.
 
         Raises:
-            ConfigError: one lies outside: the debug information is damaged; or the struct is too large.
+            ConfigError: a member lies outside, so the debug information is damaged; or a struct is too large.
         """
         for item in self.structs.values():
             if item.size >= _LARGEST_STRUCT:
@@ -123,7 +123,7 @@ class Maker:
 
     @staticmethod
     def _keep(declared: _Kept, alike: dict[str, _Kept], others: Mapping[str, object]) -> str:
-        """Keep a type under its name, or under one with a number where that is another's; return that."""
+        """Keep a type under its name, or, if another type has that name, with a number; return the name."""
         name, copy = declared.name, 2
         while name in BASIC or name in others or alike.get(name) not in (None, replace(declared, name=name)):
             name, copy = f"{declared.name}_{copy}", copy + 1
@@ -144,14 +144,14 @@ class Maker:
             for part in inner:
                 member = part if before is None or STRUCTS[die.tag] else self._behind(before, part)
                 before = member
-                name = unique(member.name, names)  # C++: a class may have one that its base has, too
+                name = unique(member.name, names)  # C++: a base class may have a member of that name
                 yield replace(member, name=name) if name != member.name else member
 
     def _member(self, item: Die, base: int, owner: str) -> Iterator[Member]:
         name, at = name_of(item), base + offset_of(item)
         kind = underlying_type(type_of(item))
         if not name and kind is not None and kind.tag in STRUCTS:
-            yield from self._members(kind, at, owner)  # C11: its members are those of the struct around it
+            yield from self._members(kind, at, owner)  # C11: an anonymous struct's members
             return
         if not name:
             return
@@ -160,7 +160,7 @@ class Maker:
         if width:
             size = number_attribute(item, "DW_AT_byte_size") or self._size(member)
             place = bit_place(item, at, base, size, width, self._info.byte_order)
-            if member.dims:  # of __int128, which no ROS type holds: the bytes that have some of it
+            if member.dims:  # of __int128, which no ROS type holds: the bytes that contain part of it
                 place = {"offset": place["offset"], "dims": ((place["bit"] + width + 7) // 8,)}
                 yield replace(member, **place)
                 return
@@ -172,9 +172,9 @@ class Maker:
         yield member
 
     def _behind(self, before: Member, member: Member) -> Member:
-        """Return a member that begins within the bit-field before it as the bit-field that it must be.
+        """Return a member as a bit-field if it begins inside the last byte of the bit-field before it.
 
-        Clang does not say so of one that is as wide as its type.
+        Clang does not mark a bit-field as one if it is as wide as its type.
         """
         bit = 8 * before.offset + before.bit + before.bits
         whole = not before.bits or member.bits or member.dims or member.type in self.structs
@@ -184,7 +184,7 @@ class Maker:
         return replace(member, type=kind, offset=bit // 8, bit=bit % 8, bits=8 * self._size(member))
 
     def extent(self, item: Die) -> int:
-        """Return the bytes of a member."""
+        """Return the size of a member in bytes."""
         members = list(self._member(item, 0, ""))
         return max((self._size(member) * count_of(member) for member in members), default=0)
 
@@ -196,7 +196,7 @@ class Maker:
         return self.structs[member.type].size
 
     def _typed(self, die: Die | None, member: Member, wish: str) -> Member:
-        """Return a member with what its type says."""
+        """Return a member with the properties of its type."""
         if die is None:
             return replace(member, dims=(OPEN,))
         if die.tag in STRUCTS:
@@ -224,7 +224,7 @@ class Maker:
         basic = BASIC.get(str(Basic(kind, size))) if kind else None
         turned = BYTE_ORDERS.get(number_attribute(die, "DW_AT_endianity"), self._info.byte_order)
         if basic is None or turned != self._info.byte_order:
-            # No ROS type holds it, as a long double, or one struct has both byte orders.
+            # No ROS type holds it (e.g. a long double), or its byte order is not that of the file.
             return replace(member, type=BASIC["byte"], dims=(size,))
         return replace(member, type=basic)
 
@@ -247,7 +247,7 @@ class Maker:
 
 
 def count_of(member: Member) -> int:
-    """Return the elements of a member in all."""
+    """Return the number of elements of a member, over all dimensions."""
     count = 1
     for size in member.dims:
         count *= size

@@ -29,7 +29,7 @@ class LayoutFile:
     """A layout file as a source of structs.
 
     Attributes:
-        warnings: what was not read, a line each.
+        warnings: one line for each part of the file that was not read.
     """
 
     def __init__(self, layout: StructLayout) -> None:
@@ -92,10 +92,10 @@ def open_types(
     """Open a source of structs: an ELF file, a C header, a layout file; None: the built-in layouts.
 
     Args:
-        more: files that make one layout with the first, as data sheets do.
+        more: files that make one layout together with the first, as data sheets do.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: a file cannot be read.
     """
     if path is None or (str(path) == cfe.LAYOUT_NAME and not path.exists()):
         return LayoutFile(cfe.shipped_layout())
@@ -152,7 +152,7 @@ class Taken(msgspec.Struct, frozen=True):
 def take(
     source: DebugInfo | LayoutFile, names: Sequence[str], bindings: Mapping[Key, str], package: str | None
 ) -> Taken:
-    """Take structs from a source; if none is named, all that start with a cFE header or are in a packet.
+    """Take structs from a source; if none is named, all that begin with a cFE header or are in a packet.
 
     Raises:
         ConfigError: a struct is not found, or cannot become a message.
@@ -178,8 +178,8 @@ def take(
 def write_definitions(definitions: Taken, folder: Path, *, force: bool = False) -> list[Path]:
     """Write the definitions, ``PACKAGE/msg/NAME.msg``, and the layout, ``structs.yaml``.
 
-    A dictionary is a layout itself, so of one only the definitions are written. Nothing is written
-    if a file exists with other contents.
+    The layout of a dictionary is the dictionary itself: of it, only the definitions are written. Nothing is
+    written if a file exists with other contents.
 
     Raises:
         ConfigError: such a file exists, and ``force`` was not given; or a file cannot be written.

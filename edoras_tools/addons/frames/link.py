@@ -1,7 +1,7 @@
-"""CCSDS transfer frames, one a datagram or one behind the other in TCP streams: they carry packets of a link.
+"""CCSDS transfer frames, one per datagram or end to end in TCP streams, which carry the packets of a link.
 
-A mission says which ports carry them. The packets in them are rows of their own, of the link that the mission
-names; see :mod:`edoras_tools.addons.frames.unframer`.
+A mission says which ports carry frames. The packets in them become rows of their own, of the link that the
+mission names; see :mod:`edoras_tools.addons.frames.unframer`.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class TransferFraming(Framing):
     def lengths(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
     ) -> NDArray[np.int64]:
-        """Return the bytes of the frame that starts at each position."""
+        """Return the size in bytes of the frame that starts at each position."""
         layout = self.form.layout
         head = gather(data, at, layout.size)
         size = _stated_length(self.form, head)
@@ -62,7 +62,7 @@ class TransferFraming(Framing):
     def likely(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
     ) -> NDArray[np.bool_]:
-        """Ask for a whole frame: with a right CRC, or the last, or with a count that goes on behind."""
+        """Find whole frames: with a correct CRC; without CRCs, the last one, or before a matching one."""
         size = self.lengths(data, at, end)
         likely = (size > 0) & (at + size <= end)
         rows = np.flatnonzero(likely)
@@ -81,7 +81,7 @@ class TransferFraming(Framing):
         behind: NDArray[np.int64],
         end: NDArray[np.int64],
     ) -> NDArray[np.bool_]:
-        """Tell where the next of its spacecraft, or the end, follows a frame; of AOS, another channel may."""
+        """Return where the end or a frame that matches follows: next count, or, in AOS, another channel."""
         layout, count = self.form.layout, _COUNTS[self.form.kind]
         followed = behind + layout.size <= end
         one, other = (
@@ -99,9 +99,9 @@ class TransferFraming(Framing):
 
 
 class TransferFramesLink(LinkProtocol):
-    """The layer of frames below a link; its ports are those of the mission, whatever other links claim.
+    """The layer of frames below a link; it has the ports of the mission, whatever other links claim.
 
-    What is wrong with a frame is judged where its packets are taken out, once.
+    The errors of a frame are judged once, where its packets are extracted.
     """
 
     code = 6
@@ -116,11 +116,11 @@ class TransferFramesLink(LinkProtocol):
     sends = True
 
     def recognise(self, facts: Seen) -> Any:
-        """Recognise nothing by the datagram alone: a mission has to say what it is."""
+        """Recognise nothing: a datagram alone does not show that it is a frame; the mission has to say so."""
         return 0 * facts.length
 
     def claims(self, datagram: Datagram, site: Site) -> bool:
-        """Tell whether a datagram is a frame: the mission says which ports have them."""
+        """Return whether a datagram is a frame: the mission says which ports carry frames."""
         return is_frame(datagram, site.frames)
 
     def claimed(self, batch: PacketBatch, site: Site) -> NDArray[np.intp]:
@@ -128,18 +128,18 @@ class TransferFramesLink(LinkProtocol):
         return frame_rows(batch, site.frames)[0]
 
     def framing_of(self, carried: Link, form: Any) -> Framing:
-        """Return how a TCP stream of frames is cut."""
+        """Return the framing that cuts a TCP stream into frames."""
         return TransferFraming(form)
 
     def unwrapper(self, site: Site) -> Unwrapper | None:
-        """Return what takes packets out of frames; None where the mission has none."""
+        """Return the object that extracts packets from frames; None if the mission has no frames."""
         return self.part("unframer:Unframer")(site.frames) if site.frames else None
 
     def send(self, site: Site, *, up: bool) -> LinkSending:
-        """Return how packets go in frames of the mission's first port with TC frames, or with others.
+        """Return what sends packets in frames of the first TC port (up), or TM or AOS port (down).
 
         Raises:
-            ConfigError: it has none.
+            ConfigError: the mission has no such port.
         """
         kinds = "TC" if up else "TM or AOS"
         port, form = next(
@@ -211,11 +211,12 @@ def frame_rows(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> tuple[
     """Find the frames of a batch, by port, version and length.
 
     Args:
-        batch: of captured datagrams, and of packets that were taken out of frames.
-        formats: of the frames that come to a port.
+        batch: captured datagrams, and packets extracted from frames.
+        formats: format of the frames of each port.
 
     Returns:
-        the rows, and how many other datagrams came to these ports; what else a stream holds is not counted.
+        the rows of frames, and the number of other datagrams to these ports; other pieces of a stream are not
+        counted.
     """
     ports = framed_ports(batch, formats)
     rows = np.flatnonzero((ports != 0) & (batch.original_length >= 0))
@@ -229,9 +230,10 @@ def frame_rows(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> tuple[
 
 
 def framed_ports(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> NDArray[np.uint16]:
-    """Return the port that says what frames each row may be; 0 for none.
+    """Return the port that determines the format of each row as a frame, u16 (n,); 0 for none.
 
-    It is the destination's, and in a stream, which may carry frames either way, that of either end.
+    It is the destination port; in a stream, which may carry frames in both directions, the port of either
+    end.
     """
     streams = False if batch.streams is None else batch.streams
     return _framed_ports(batch.destination_port, batch.source_port, streams, formats)
@@ -254,14 +256,14 @@ def _framed_ports(
 
 
 def format_of(datagram: Datagram, formats: Mapping[int, FrameFormat]) -> FrameFormat | None:
-    """Return the format of the frames that a datagram may be one of: by the same port as ``framed_ports``."""
+    """Return the format that a datagram has if it is a frame: by the same port as ``framed_ports``."""
     ends = (datagram.destination, datagram.source) if datagram.stream else (datagram.destination,)
     candidates = (formats.get(end.port) for end in ends)
     return next((form for form in candidates if form is not None and form.stream == datagram.stream), None)
 
 
 def _stated_length(form: FrameFormat, head: NDArray[np.uint8]) -> Any:
-    """Return the bytes of frames with these headers."""
+    """Return the length in bytes that these frame headers state."""
     if form.kind == "tc":
         return form.layout.column("frame_length", head).astype(np.int64) + headers.TC_LENGTH_BIAS
     return np.full(len(head), form.length, np.int64)
@@ -278,7 +280,7 @@ def _are_frames(batch: PacketBatch, rows: NDArray[np.intp], form: FrameFormat) -
 
 
 def is_frame(datagram: Datagram, formats: Mapping[int, FrameFormat]) -> bool:
-    """Tell whether a datagram is a frame: the same answer as :func:`frame_rows`."""
+    """Return whether a datagram is a frame: the same answer as :func:`frame_rows`."""
     form = format_of(datagram, formats)
     if form is None or datagram.original_length < 0 or len(datagram.payload) < form.layout.size:
         return False

@@ -1,4 +1,4 @@
-"""Many transfer frames read at once."""
+"""Reads many transfer frames at once."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
 
 
 class FrameFields(msgspec.Struct, frozen=True, eq=False):
-    """What frames say, (n,) each; positions are in the data that was read.
+    """Fields of frames, (n,) each; positions are indices into the data that was read.
 
     Attributes:
-        fits: bool, headers, first header pointer and trailers fit the frame.
-        error: bool, the CRC at its end is not that of the frame.
+        fits: bool, headers, first header pointer and trailers fit into the frame.
+        error: bool, the CRC at the end is wrong.
         spacecraft_id: u32.
         virtual_channel_id: u8.
-        map_id: u8, of a TC segment; else 0.
-        has_count: bool, it has a count of its channel; TC frames of Type-B have none.
-        count: u32, of the virtual channel.
-        master_count: u8, of the master channel; 0 where the kind has none.
-        start: i64, first byte of the data.
-        end: i64, one past its last byte; that of ``start`` where there are no packets.
-        first: i64, where the first packet starts; ``NO_FIRST`` for none.
-        idle: bool, sent without packets.
+        map_id: u8, MAP of a TC segment; else 0.
+        has_count: bool, the frame has a count of its virtual channel; TC frames of Type-B have none.
+        count: u32, count of the virtual channel.
+        master_count: u8, count of the master channel; 0 if the kind of frame has none.
+        start: i64, position of the first byte of the data field.
+        end: i64, one past the last byte of the data field; equal to ``start`` if there are no packets.
+        first: i64, position where the first packet starts; ``NO_FIRST`` for none.
+        idle: bool, the frame was sent without packets.
     """
 
     fits: NDArray[np.bool_]
@@ -61,13 +61,13 @@ class FrameFields(msgspec.Struct, frozen=True, eq=False):
 def read_frames(
     data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], form: FrameFormat
 ) -> FrameFields:
-    """Read many frames of one kind; nothing in them can make this raise.
+    """Read many frames of one kind; no content of theirs can make this raise.
 
     Args:
         data: u8, contiguous.
-        offset: i64 (n,), where each begins.
-        length: i32 (n,), bytes of each; at least those of the primary header.
-        form: of all of them.
+        offset: i64 (n,), position where each frame begins.
+        length: i32 (n,), size of each frame in bytes; at least that of the primary header.
+        form: format of all of the frames.
     """
     head = form.layout.columns(gather(data, offset, form.layout.size))
     none = np.zeros(len(offset), np.uint8)

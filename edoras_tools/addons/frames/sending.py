@@ -1,4 +1,4 @@
-"""How packets are sent in transfer frames: made anew, with the mission's settings and counts of their own."""
+"""Sends packets in transfer frames: new frames with the mission's settings and new counts."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, Link, PacketBatch
 
 _TOGETHER_NS: Final = 50 * MILLISECOND
-"""A packet waits so long for others in its TM or AOS frame; then the rest of the frame is idle."""
+"""Longest time to the next packet for the same TM or AOS frame; else the rest of the frame is idle."""
 _LARGEST_TC: Final = 1024
 _GENERATOR: Final = (3, 1, 3, 0)
 """The code's generator x^4 + a^3 x^3 + a x^2 + a^3 x + 1, as powers of a."""
@@ -48,7 +48,7 @@ class _Channel(NamedTuple):
 
 
 class _Content(NamedTuple):
-    """A frame: when it leaves, in which channel, its data, and where in it the first packet starts."""
+    """Content of a frame: its time, its channel, its data, and the offset of the first packet that starts."""
 
     time_ns: int
     channel: _Channel
@@ -60,14 +60,14 @@ _USUAL: Final = _Channel(0x42, 0)
 
 
 class FrameSending(LinkSending):
-    """The virtual channels at a port: a packet goes in that in which it was recorded, at this port.
+    """The virtual channels at a port: a packet goes in the channel in which it was recorded at this port.
 
-    Others go in that of the first recorded frame there with packets, if there is one.
+    Other packets go in the channel of the first recorded frame with packets at this port, if there is one.
 
     Args:
-        link: of the frames.
-        port: of the mission's ``frames``.
-        form: what is there.
+        link: link of the frames.
+        port: port in the mission's ``frames``.
+        form: format of the frames at this port.
     """
 
     renews = packets = True
@@ -82,7 +82,7 @@ class FrameSending(LinkSending):
         self._counts: Counter[_Channel | int] = Counter()
 
     def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
-        """Tell which rows have packets that go this way."""
+        """Return which rows hold packets that are sent in this direction, bool (n,)."""
         frames = np.flatnonzero(super().outgoing_rows(batch, columns))
         up = self.form.kind == "tc"
         way = among(columns.link, lambda link: link.packets and link.to_cfs == up and link.from_cfs != up)
@@ -91,13 +91,13 @@ class FrameSending(LinkSending):
         return way
 
     def keep(self, batch: PacketBatch) -> None:
-        """Note in which channel each packet that is sent was recorded."""
+        """Note the channel in which each packet to be sent was recorded."""
         self._channels += [self._in_batch.get(place) for place in batch.offset.tolist()]
 
     def _recorded_channels(
         self, batch: PacketBatch, frames: NDArray[np.intp], packets: NDArray[np.intp]
     ) -> dict[int, _Channel]:
-        """Return the channel of packets that came out of frames at the port, by their place in the data."""
+        """Return the channel of packets from frames at the port, by the packet's offset in the data."""
         inbound = frames[batch.destination_port[frames] == self.port]
         if not len(inbound):
             return {}
@@ -108,7 +108,7 @@ class FrameSending(LinkSending):
             self._usual = channels[int(np.argmin(read.idle))]
         packets = packets[batch.original_length[packets] == -1]
         packets = packets[packets > frames[0]]
-        frame = frames[np.searchsorted(frames, packets) - 1]  # a packet stands behind its frame
+        frame = frames[np.searchsorted(frames, packets) - 1]  # a packet's row is behind its frame's
         inside = np.isin(frame, inbound)
         which = np.searchsorted(inbound, frame[inside]).tolist()
         places = batch.offset[packets[inside]].tolist()
@@ -134,7 +134,7 @@ class FrameSending(LinkSending):
         )
 
     def _segments(self, packets: Sequence[tuple[int, _Channel, bytes]]) -> Iterator[_Content]:
-        """Yield a packet a TC frame; of a longer one a segment a frame, where the mission has segments."""
+        """Yield the content of TC frames: a packet each; a long one in segments, if the mission has them."""
         form, too_long = self.form, 0
         room = _LARGEST_TC - form.smallest + 1
         for at, channel, packet in packets:
@@ -152,7 +152,7 @@ class FrameSending(LinkSending):
     def _filled(
         self, channel: _Channel, packets: Sequence[tuple[int, _Channel, bytes]]
     ) -> Iterator[_Content]:
-        """Yield what TM or AOS frames hold: packets behind each other, an idle one where none comes soon."""
+        """Yield the content of TM or AOS frames: packets end to end, an idle one if no other comes soon."""
         room = self.form.length - self.form.smallest + 1
         data, starts = b"", []
         for number, (at, _, packet) in enumerate(packets):
@@ -160,7 +160,7 @@ class FrameSending(LinkSending):
             data += packet
             ends = number == len(packets) - 1 or packets[number + 1][0] - at > _TOGETHER_NS
             while len(data) >= room or ends:
-                if len(data) < room:  # what an idle packet has too much begins the next frame
+                if len(data) < room:  # the surplus of an idle packet begins the next frame
                     starts.append(len(data))
                     data += _idle(max(room - len(data), ccsds.PRIMARY.size + 1))
                     ends = False
@@ -170,7 +170,7 @@ class FrameSending(LinkSending):
                 ends = ends and len(data) > 0
 
     def _frame(self, content: _Content) -> bytes:
-        """Return a frame of its channel's next count, with its CRC where the mission has one."""
+        """Return a frame with the next count of its channel, and with a CRC if the mission has one."""
         form, kind, channel, data = self.form, self.form.kind, content.channel, content.data
         count, of_all = self._counts[channel], self._counts[channel.spacecraft_id]
         self._counts.update([channel, channel.spacecraft_id])
@@ -203,7 +203,7 @@ class FrameSending(LinkSending):
 def header_check(head: bytes) -> bytes:
     """Return the error control of an AOS header: a Reed-Solomon code (10,6) over 4 bits (732.0-B 4.1.2.6).
 
-    It is of the identifications, bytes 0 and 1, and of the signaling field, byte 5.
+    It covers the identifications, bytes 0 and 1, and the signaling field, byte 5.
     """
     symbols = [part for octet in (head[0], head[1], head[5]) for part in (octet >> 4, octet & 15)]
     rest = [0, 0, 0, 0]
@@ -221,7 +221,7 @@ def _times(power: int, symbol: int) -> int:
 
 
 def _idle(size: int) -> bytes:
-    """Return an idle packet."""
+    """Return an idle packet of a given size in bytes."""
     values = {
         "apid": ccsds.IDLE_APID,
         "sequence_flags": ccsds.UNSEGMENTED,

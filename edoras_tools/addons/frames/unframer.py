@@ -1,22 +1,22 @@
-"""Takes space packets out of CCSDS transfer frames: rows of frames in; these and rows of packets out.
+"""Extracts space packets from CCSDS transfer frames: adds rows of packets to the rows of frames.
 
-The rules that this file keeps:
+Rules that this file keeps:
 
-1. A row of a frame stays as it is: it is what was captured. A packet is a row of its own behind the frame in
-   which it ends, with that frame's time, number and endpoints; its ``original_length`` is -1.
-2. The frames of one virtual channel, from one endpoint to another, carry one stream of bytes. A frame goes on
-   where the one before ended if its count is the next, or if the sender does not count. Where it does not, a
-   packet across that border is cut: the frame behind the border has ``STREAM_GAP``, and what is known of the
-   packet is left out. No other packet is touched.
-3. A packet starts where a first header pointer says so, or behind another packet. Where the two contradict
+1. The row of a frame stays as it was captured. A packet becomes a row of its own behind the frame in which
+   it ends, with that frame's time, number and endpoints; its ``original_length`` is -1.
+2. The frames of one virtual channel, from one endpoint to another, carry one stream of bytes. A frame
+   continues the one before if its count is the next one, or if the sender does not count. If it does not, a
+   packet across that border is cut: the frame behind the border gets ``STREAM_GAP``, and the bytes of that
+   packet are left out. No other packet is touched.
+3. A packet starts where a first header pointer points, or behind another packet. If the two contradict
    each other, the pointer is right and the packet is cut.
-4. A damaged frame (its CRC is wrong, its header does not fit, the capture cut it) counts as lost; one that
-   came before with the same bytes is left out. One that comes late is read, but joined to no other.
-5. Idle packets, idle frames and packets that are no space packets are counted and left out.
-6. Memory does not grow: of a channel at most one packet that is not complete is kept, and channels are
-   limited in number.
+4. A damaged frame (its CRC is wrong, its header does not fit, or the capture cut it) counts as lost. A frame
+   that repeats an earlier one with the same bytes is left out. A late frame is read, but joined to no other.
+5. Idle packets, idle frames and packets that are not space packets are counted and left out.
+6. Memory is bounded: at most one incomplete packet of each channel is kept, and the number of channels is
+   limited.
 
-All frames of a batch are laid out in one buffer, stream by stream, and packets are found in steps: each step
+All frames of a batch are laid out in one buffer, stream by stream. Packets are found in steps: each step
 takes the next packet behind every pointer at once.
 """
 
@@ -46,9 +46,9 @@ if TYPE_CHECKING:
 
 
 MOST_NOTES: Final = 8
-"""Channels that notes tell of."""
+"""Most channels in the notes."""
 MOST_CHANNELS: Final = 1 << 10
-"""Random bytes could name any number of channels; frames of more than these are left alone."""
+"""Most channels that are followed, because random bytes could name any number; others are left out."""
 _UNSOUND: Final = np.uint32(Finding.TRUNCATED | Finding.CHECKSUM_BAD | Finding.CAPTURE_CUT)
 _NONE: Final = -1
 
@@ -60,16 +60,16 @@ class FrameChannel(msgspec.Struct, eq=False):
         kind: ``tm``, ``aos`` or ``tc``.
         source: address and port, as text.
         destination: address and port, as text.
-        spacecraft_id: of the frames.
-        virtual_channel_id: of the frames; None of a master channel.
+        spacecraft_id: spacecraft in the frames' headers.
+        virtual_channel_id: channel in the frames' headers; None for a master channel.
         has_count: whether its frames have a count; those of Type-B have none.
-        frames: that were read; without damaged ones.
+        frames: frames that were read, without damaged ones.
         idle: frames without packets.
-        packets: that were taken out.
-        idle_packets: that were left out.
-        other_packets: stretches that are no space packets.
+        packets: packets that were extracted.
+        idle_packets: idle packets, which were left out.
+        other_packets: stretches of data that are not space packets.
         cut: borders between frames at which a packet was cut.
-        counts: what the frame counts say; None before the second frame that has one.
+        counts: result of following the frame counts; None before the second frame that has one.
     """
 
     kind: str
@@ -92,7 +92,7 @@ class FrameChannel(msgspec.Struct, eq=False):
 
     @property
     def name(self) -> str:
-        """How people call it: ``TM channel 1 of spacecraft 0x02a``."""
+        """Name for people: ``TM channel 1 of spacecraft 0x02a``."""
         which = "all channels" if self.virtual_channel_id is None else f"channel {self.virtual_channel_id}"
         return f"{self.kind.upper()} {which} of spacecraft 0x{self.spacecraft_id:03x}"
 
@@ -108,23 +108,24 @@ class FrameChannel(msgspec.Struct, eq=False):
 
     @property
     def lost(self) -> int:
-        """Frames that never came, or came damaged."""
+        """Frames that never arrived, or arrived damaged."""
         return self.counts.gaps if self.counts else 0
 
     def unwrapped(self, count: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
-        """Return counts that go on where the count of frames begins anew, modulo ``MODULUS``; u16 (n,)."""
+        """Return counts without the wrap of the frame count, modulo ``MODULUS``; u16 (n,)."""
         modulus = count_modulus(self.kind) if self.virtual_channel_id is not None else 1 << 8
         late = LATE if modulus == 1 << 8 else modulus // 2
         before = np.concatenate([[count[0] if self._last == _NONE else self._last], count[:-1]])
         step = (count.astype(np.int64) - before + late) % modulus - late
-        # A leap of half of what the follower counts to is a new beginning to it; so is a greater one.
+        # The follower takes a leap of half its modulus as a new beginning; greater leaps are cut to that
+        # size.
         step[np.abs(step) > MODULUS // 2] = MODULUS // 2
         position = (self._position + np.cumsum(step)) % MODULUS
         self._last, self._position = int(count[-1]), int(position[-1])
         return position.astype(np.uint16)
 
     def runs(self, count: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
-        """Number the runs of frames that go on where the one before ended; i64 (n,)."""
+        """Return each frame's run number, i64 (n,): within a run, each frame continues the one before."""
         if not self.has_count:
             return np.full(len(count), self._run)
         before = np.concatenate([[self._joined], count[:-1].astype(np.int64)])
@@ -141,8 +142,8 @@ class _Stream(msgspec.Struct, eq=False):
     """The bytes of one channel, or of one MAP of it.
 
     Attributes:
-        rest: of the packet that is not complete.
-        run: the run of frames that it belongs to; ``_NONE`` before the first frame.
+        rest: bytes of the last packet, if it is incomplete.
+        run: number of the run of frames that ``rest`` belongs to; ``_NONE`` before the first frame.
     """
 
     rest: bytes = b""
@@ -150,10 +151,10 @@ class _Stream(msgspec.Struct, eq=False):
 
 
 class _Frames(NamedTuple):
-    """Sound frames, those of one stream side by side, as they came; i64 (n,) each.
+    """Sound frames, those of one stream side by side in order of arrival; i64 (n,) each.
 
-    ``row`` is of the batch, ``channel`` and ``stream`` are indices into what ``Unframer`` has; ``run``,
-    ``start``, ``end`` and ``first`` are as in ``FrameChannel.runs`` and ``FrameFields``.
+    ``row`` is the row in the batch; ``channel`` and ``stream`` are indices into the lists of ``Unframer``;
+    ``run``, ``start``, ``end`` and ``first`` are as in ``FrameChannel.runs`` and ``FrameFields``.
     """
 
     row: NDArray[np.int64]
@@ -166,13 +167,13 @@ class _Frames(NamedTuple):
 
 
 class Unframer(msgspec.Struct):
-    """Takes the packets out of the frames of batches, in the order they were captured.
+    """Extracts the packets from the frames of batches, in the order of their capture.
 
     Attributes:
-        formats: of the frames that come to a port.
+        formats: format of the frames of each port.
         channels: virtual channels, in order of their first frame.
         masters: master channels of TM frames.
-        damaged: frames whose header does not fit, or whose CRC is wrong, or that the capture cut.
+        damaged: frames whose header does not fit, whose CRC is wrong, or that the capture cut.
         strange: datagrams to these ports that are no such frames.
         left_out: frames of channels beyond the limit.
     """
@@ -191,7 +192,7 @@ class Unframer(msgspec.Struct):
     _master_counts: SequenceCounts = msgspec.field(default_factory=SequenceCounts)
 
     def take(self, batch: PacketBatch) -> PacketBatch:
-        """Return a batch with the packets that end in it; the same one where no frames are in it."""
+        """Return a batch with the packets that end in it; the same batch if it has no frames."""
         rows, strange = frame_rows(batch, self.formats)
         self.strange += strange
         if not len(rows):
@@ -214,7 +215,7 @@ class Unframer(msgspec.Struct):
         return sum(item.frames for item in self.channels)
 
     def notes(self) -> list[str]:
-        """Return what came, a line for each port's kind of trouble and each channel, for users."""
+        """Return lines for users: one for each channel, and one for each kind of error."""
         notes = [f"transfer frames: {item}" for item in self.channels[:MOST_NOTES]]
         more = len(self.channels) - len(notes)
         notes += [f"transfer frames: {plural(more, 'channel')} more"] * (more > 0)
@@ -226,7 +227,7 @@ class Unframer(msgspec.Struct):
         return notes + [f"transfer frames: {number:,} {trouble}" for number, trouble in counts if number]
 
     def _read(self, batch: PacketBatch, rows: NDArray[np.int64], form: FrameFormat) -> _Frames | None:
-        """Read the frames of one port, and follow their counts."""
+        """Read the frames of one port and follow their counts."""
         read = read_frames(batch.data, batch.offset[rows], batch.length[rows], form)
         batch.capture_findings[rows[~read.fits]] |= np.uint32(Finding.TRUNCATED)
         batch.capture_findings[rows[read.error]] |= np.uint32(Finding.CHECKSUM_BAD)
@@ -257,7 +258,7 @@ class Unframer(msgspec.Struct):
     def _channels(
         self, batch: PacketBatch, rows: NDArray[np.int64], read: FrameFields, form: FrameFormat
     ) -> NDArray[np.int64]:
-        """Return the channel of each frame, ``_NONE`` where there are too many; i64 (n,)."""
+        """Return the index of the channel of each frame, ``_NONE`` beyond the limit; i64 (n,)."""
         if not len(rows):
             return rows
         ends = (
@@ -284,7 +285,7 @@ class Unframer(msgspec.Struct):
         return np.array(numbers, np.int64)[which]
 
     def _master(self, channel: FrameChannel) -> int:
-        """Return the master channel of a new virtual channel."""
+        """Return the index of the master channel of a new virtual channel."""
         for index, item in enumerate(self.masters):
             same = item.source, item.destination, item.spacecraft_id
             if same == (channel.source, channel.destination, channel.spacecraft_id):
@@ -295,7 +296,7 @@ class Unframer(msgspec.Struct):
     def _follow(
         self, frames: PacketBatch, read: FrameFields, channel: NDArray[np.int64]
     ) -> NDArray[np.bool_]:
-        """Follow the counts of both levels; tell which frames came before with the same bytes."""
+        """Follow the counts of both levels; return which frames repeat an earlier one, bool (n,)."""
         again = _followed(
             self._counts, frames, self.channels, np.where(read.has_count, channel, _NONE), read.count
         )
@@ -307,7 +308,7 @@ class Unframer(msgspec.Struct):
         return again
 
     def _join(self, batch: PacketBatch, frames: _Frames) -> PacketBatch:
-        """Lay the frames out stream by stream, and take the packets out of them."""
+        """Lay the frames out stream by stream, and extract the packets."""
         if not len(frames.row):
             return batch
         laid = _Laid(batch, frames, self._states)
@@ -330,18 +331,18 @@ class Unframer(msgspec.Struct):
 class _Laid:
     """Frames laid out in one buffer, stream by stream, and the packets in it.
 
-    A segment is a stretch of the buffer that frames of one run of one stream fill, behind what the batch
-    before left of it. A pointer is a place where a packet is known to start.
+    A segment is a stretch of the buffer with the frames of one run of one stream, behind the rest of the
+    batch before. A pointer is a position where a packet is known to start.
 
     Args:
-        batch: the frames are in it.
-        frames: at least one.
+        batch: the batch that holds the frames.
+        frames: at least one frame.
         states: the streams.
 
     Attributes:
-        buffer: u8, with ``PADDING`` behind it.
-        start: i64 (packets,), where each starts, rising.
-        length: i64 (packets,).
+        buffer: u8, with ``PADDING`` behind the frames.
+        start: i64 (packets,), position in the buffer of each packet, rising.
+        length: i64 (packets,), size of each packet in bytes.
     """
 
     def __init__(self, batch: PacketBatch, frames: _Frames, states: list[_Stream]) -> None:
@@ -372,7 +373,7 @@ class _Laid:
         self._walk()
 
     def _point(self, rests: NDArray[np.bool_], segment: NDArray[np.int64]) -> None:
-        """Gather the pointers: one for each rest, one for each frame that has one; all rise."""
+        """Collect the pointers, rising: one for each rest, one for each frame that has one."""
         pointed = np.flatnonzero(self._frames.first >= 0)
         inside = self._frames.first[pointed] - self._frames.start[pointed]
         of_rests = np.flatnonzero(rests)
@@ -409,7 +410,7 @@ class _Laid:
         self.start, self.length = start[order], length[order]
 
     def settle(self) -> NDArray[np.bool_]:
-        """Keep what is not complete for the next batch; tell at which frames a packet is cut, bool (n,)."""
+        """Keep incomplete packets for the next batch; return at which frames a packet is cut, bool (n,)."""
         cut = np.zeros(len(self._frames.row), bool)
         inner = np.flatnonzero(self._open & ~self._last)
         cut[self._pointing[inner + 1]] = True
@@ -422,7 +423,7 @@ class _Laid:
         for index, (state, head) in enumerate(zip(self._states, self._heads.tolist(), strict=True)):
             run = int(self._frames.run[head])
             if self._begin[index] == self._end[index]:
-                continue  # idle frames alone: nothing that could go on
+                continue  # idle frames alone: there are no bytes to continue
             if state.run not in {run, _NONE}:
                 cut[filled[np.searchsorted(filled, head)]] |= bool(state.rest) or bool(
                     first_pointer[index] > self._begin[index]
@@ -440,7 +441,7 @@ class _Laid:
         return np.searchsorted(self._at, self.start + self.length - 1, side="right") - 1
 
     def others(self) -> NDArray[np.int64]:
-        """Return the frames in which something starts that is no space packet."""
+        """Return the frames in which something starts that is not a space packet."""
         return np.searchsorted(self._at, self._stop[self._other], side="right") - 1
 
 
@@ -455,14 +456,14 @@ def _followed(
     which: NDArray[np.int64],
     count: NDArray[np.integer[Any]],
 ) -> NDArray[np.bool_]:
-    """Follow a count of frames; tell which of them came before with the same bytes, bool (n,).
+    """Follow a count of frames; return which frames repeat an earlier one with the same bytes, bool (n,).
 
     Args:
-        counts: the follower, which takes each channel for a sender of its own.
-        frames: in the order they were captured.
-        channels: their counts are set.
+        counts: the follower, which treats each channel as a sender of its own.
+        frames: frames in the order of their capture.
+        channels: channels whose ``counts`` are set.
         which: i64 (n,), index into ``channels``; ``_NONE`` for a frame that has no count.
-        count: (n,).
+        count: (n,), the frame counts.
     """
     size = len(frames)
     sequence, none = np.zeros(size, np.uint16), np.zeros(size, np.int64)

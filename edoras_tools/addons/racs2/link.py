@@ -38,7 +38,7 @@ _NO_ASCII: Final = 0x80808080
 
 
 class RacsBridgeFraming(Framing):
-    """WebSocket whose messages have the header of RACS2; what reads it is loaded with the first stream."""
+    """WebSocket whose messages have the header of RACS2; its reader is loaded with the first stream."""
 
     head = 14
     largest = 1 << 20
@@ -53,22 +53,22 @@ class RacsBridgeFraming(Framing):
     def lengths(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
     ) -> NDArray[np.int64]:
-        """Return the bytes of a frame, or of a side of the handshake."""
+        """Return the size in bytes of the frame, or of the side of the handshake, at each position."""
         return self._reader.lengths(data, at, end)
 
     def likely(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
     ) -> NDArray[np.bool_]:
-        """Tell where a message in one frame begins with a header of RACS2, or where a handshake begins."""
+        """Return where a one-frame message with a header of RACS2 begins, or a handshake; bool (n,)."""
         return self._reader.likely(data, at, end)
 
     def state(self) -> StreamState | None:
-        """Return what is known of a new connection."""
+        """Return the state of a new connection."""
         return self._reader.state()
 
 
 def _has(word: Any, character: str) -> Any:
-    """Return bits that are set where a word of four characters has one that no topic's name has.
+    """Return bits that are set where a word of four characters contains a character that no topic's name has.
 
     Every handshake has spaces, every JSON object quotation marks.
     """
@@ -77,7 +77,7 @@ def _has(word: Any, character: str) -> Any:
 
 
 class RacsBridgeLink(LinkProtocol):
-    """The link of the RACS2 bridges; the header of a message says which way it goes."""
+    """The link of the RACS2 bridges; the header of a message determines its direction."""
 
     code = 10
     name = "RACS2"
@@ -93,11 +93,11 @@ class RacsBridgeLink(LinkProtocol):
     sends = True
 
     def send(self, site: Site, *, up: bool) -> LinkSending:
-        """Return how its messages go to the ROS side, the server; or, as that server, to the cFS side."""
+        """Return what sends messages to the ROS side, a server; or (up), as that server, to the cFS side."""
         return self.part(f"sending:{'Server' if up else 'Bridge'}Sending")(self)
 
     def recognise(self, facts: Seen) -> Any:
-        """Recognise the 32 bytes of a header; pings and handshakes are not of the link."""
+        """Recognise the 32 bytes of a header; pings and handshakes are not recognised."""
         first, second = (facts.field(_WORDS, item) for item in ("first", "second"))
         letter = first >> 8
         to_cfs = (first > 0) & (first < cfe.HIGHEST_MSG_ID + 1) & (second == 0)
@@ -137,7 +137,7 @@ class RacsBridgeLink(LinkProtocol):
         return owner[present], offset[present]
 
     def engine_values(self) -> Mapping[str, Any]:
-        """Return what ``engine/racs2.lua`` reads: the fields of a body by number."""
+        """Return the table that ``engine/racs2.lua`` reads: the fields of a body, with their numbers."""
         kinds = {
             number: {"name": name, "kind": kind, "array": array or None}
             for name, (number, kind, array) in racs2.BODY_KINDS.items()
@@ -145,11 +145,11 @@ class RacsBridgeLink(LinkProtocol):
         return {"subprotocol": racs2.SUBPROTOCOL, "largest": racs2.LARGEST_BODY, "values": kinds}
 
     def topics(self, space: TopicSpace) -> OwnTopics:
-        """Return what makes messages of it; loaded with the first."""
+        """Return the maker of the link's messages; its code is loaded with the first."""
         return self.part("topics:BridgeTopics")(space)
 
     def summary(self, decoded: Decoded) -> str:
-        """Return where the message goes, and what it holds."""
+        """Return the destination of the message and its content."""
         if not decoded.layers:
             return ""
         values = decoded.layers[0].values()

@@ -1,4 +1,4 @@
-"""How messages of RACS2 are sent again: as the cFS side, the client of a WebSocket, or as its server."""
+"""Sends messages of RACS2 again: as the cFS side (the WebSocket client), or as the ROS side (its server)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _NORMAL: Final = (1000).to_bytes(2, "big")
 
 
 def frame(opcode: Opcode, payload: bytes) -> bytes:
-    """Return a frame of a server, which is not masked (section 5.2)."""
+    """Return a frame from a server, which is not masked (section 5.2)."""
     size = len(payload)
     if size < 126:
         head = bytes([size])
@@ -51,20 +51,20 @@ def frame(opcode: Opcode, payload: bytes) -> bytes:
 
 
 def masked_frame(opcode: Opcode, payload: bytes) -> bytes:
-    """Return a frame of a client, which is masked (section 5.3)."""
+    """Return a frame from a client, which is masked (section 5.3)."""
     bare, key = frame(opcode, payload), os.urandom(4)
     at = len(bare) - len(payload)
     return bytes([bare[0], 0x80 | bare[1]]) + bare[2:at] + key + mask(payload, key)
 
 
 def mask(payload: bytes, key: bytes) -> bytes:
-    """Return a payload with its mask, or without it."""
+    """Mask a payload, or remove its mask: both are XOR with the 4-byte key."""
     octets = np.frombuffer(payload, np.uint8)
     return (octets ^ np.resize(np.frombuffer(key, np.uint8), len(octets))).tobytes()
 
 
 class BridgeClient(SendingSession):
-    """The cFS side's connection: the handshake, answers to pings, the end."""
+    """The cFS side's connection: the handshake, answers to pings, the closing frame."""
 
     def __init__(self) -> None:
         self.connected = False
@@ -72,16 +72,16 @@ class BridgeClient(SendingSession):
         self._refusal = ""
 
     def due(self, *, now: int) -> Iterable[bytes]:
-        """Ask for the connection to become a WebSocket, once."""
+        """Return the request that makes the connection a WebSocket."""
         self.next_ns = SendingSession.next_ns
         return (f"{_REQUEST}{base64.b64encode(os.urandom(16)).decode()}\r\n\r\n".encode(),)
 
     def answer(self, data: bytes, *, now: int) -> Iterable[bytes]:
-        """Take the server's answer, or a frame of its."""
+        """Take the server's answer to the request, or one of its frames."""
         if data.startswith(b"HTTP/"):
             self.connected = data.split(b" ", 2)[1] == b"101"
             self._refusal = "" if self.connected else data.partition(b"\r\n")[0].decode("ascii", "replace")
-        elif data[0] & 15 == Opcode.PING:  # a server's frames are not masked, and a ping's length is a byte
+        elif data[0] & 15 == Opcode.PING:  # a server's frames are unmasked; a ping's length is one byte
             return (masked_frame(Opcode.PONG, data[2:]),)
         return ()
 
@@ -90,22 +90,22 @@ class BridgeClient(SendingSession):
         return (masked_frame(Opcode.CLOSE, _NORMAL),) if self.connected else ()
 
     def notes(self) -> Iterable[str]:
-        """Return why the server did not become one."""
+        """Return why the server refused the WebSocket."""
         return (f"the server refused: {self._refusal}",) if self._refusal else ()
 
 
 class BridgeServer(SendingSession):
-    """The ROS side's connection: the answer to the handshake, and to pings, the end.
+    """The ROS side's connection: the answer to the handshake and to pings, the closing frame.
 
     Attributes:
-        place: where it listens.
+        place: address and port where it listens, as text.
     """
 
     def __init__(self) -> None:
         self.connected, self.place, self._refusal = False, "", ""
 
     def answer(self, data: bytes, *, now: int) -> Iterable[bytes]:
-        """Take the client's handshake, or a frame of its."""
+        """Take the client's handshake, or one of its frames."""
         if data.startswith(b"GET "):
             head = {name.strip().lower(): value.strip() for name, value in _HEADER.findall(data)}
             if head.get(b"upgrade", b"").lower() != b"websocket" or b"sec-websocket-key" not in head:
@@ -116,12 +116,12 @@ class BridgeServer(SendingSession):
             offered = head.get(b"sec-websocket-protocol", b"").partition(b",")[0].strip()
             protocol = b"Sec-WebSocket-Protocol: " + offered + b"\r\n" if offered else b""
             return (_SWITCH + base64.b64encode(proof) + b"\r\n" + protocol + b"\r\n",)
-        if data[0] & 15 == Opcode.PING:  # a client's frames are masked, and a ping's length is a byte
+        if data[0] & 15 == Opcode.PING:  # a client's frames are masked; a ping's length is one byte
             return (frame(Opcode.PONG, mask(data[6:], data[2:6])),)
         return ()
 
     def absence(self) -> str:
-        """Return who is missing."""
+        """Return why no cFS side is connected."""
         return self._refusal or f"no cFS side connected to the WebSocket server at {self.place}"
 
     def goodbye(self) -> Iterable[bytes]:
@@ -142,7 +142,7 @@ class _Sending(LinkSending):
         self._other_way = 0
 
     def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
-        """Tell which messages go this way: those to ROS name a topic, those to cFS have a MsgId."""
+        """Return which messages go in this direction: to ROS with a topic's name, to cFS with a MsgId."""
         own = super().outgoing_rows(batch, columns)
         this_way: NDArray[np.bool_] = own & (
             (gather(batch.data, batch.offset, 1)[:, 0] <= cfe.HIGHEST_MSG_ID >> 8) == self.up
@@ -170,7 +170,7 @@ class BridgeSending(_Sending):
 
 
 class ServerSending(_Sending):
-    """Messages to cFS, whose side connects to us."""
+    """Messages to cFS, whose side connects to this program."""
 
     own_transport = up = True
 

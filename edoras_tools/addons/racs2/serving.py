@@ -1,4 +1,4 @@
-"""One TCP connection to send messages on, of a client that comes: as a ``StreamTransmitter`` has its own."""
+"""A TCP connection from a client, to send messages on: the server counterpart of ``StreamTransmitter``."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 
 class ServerTransmitter(StreamTransmitter):
-    """A server of one client: the first that connects; others wait in vain. It is a context manager.
+    """A server of one client: the first that connects; later ones get no answer. It is a context manager.
 
     Args:
-        place: where it listens.
-        framing: cuts what the client sends.
+        place: endpoint to listen at.
+        framing: framing that cuts the data of the client.
 
     Raises:
         CaptureError: it cannot listen there.
@@ -50,11 +50,11 @@ class ServerTransmitter(StreamTransmitter):
         self._socket.close()
 
     def fileno(self) -> int:
-        """Return a descriptor that is readable when a client comes, and when it sends something."""
+        """Return a descriptor that becomes readable when a client connects, and when it sends data."""
         return self._selector.fileno()
 
     def receive(self) -> list[tuple[bytes, Endpoint]]:
-        """Take the client, or return its messages that came whole.
+        """Accept the client, or return its complete messages.
 
         Raises:
             CaptureError: it closed the connection, or sends something else.
@@ -74,7 +74,7 @@ class ServerTransmitter(StreamTransmitter):
         return super().send(payload)
 
     def _accept(self) -> None:
-        """Go on with the client's socket in place of the one that listened."""
+        """Accept the client, and use its socket in place of the listening one."""
         listener, (self._socket, address) = self._socket, self._socket.accept()
         self._selector.unregister(listener)
         listener.close()

@@ -1,9 +1,9 @@
-"""What links over TCP need besides their messages; loaded with the first stream.
+"""Framing and state of WebSocket streams; loaded with the first stream.
 
 WebSocket: the handshake, then frames. One row is one frame (RFC 6455) or one side of the handshake. A
 message in several frames has its content in the row of the last one; the rows before it are parts. Compressed
-messages (permessage-deflate, RFC 7692) are read where the capture has them from the start, because a message
-may refer to earlier ones; others are parts.
+messages (permessage-deflate, RFC 7692) are read if the capture has the stream from its start, because a
+message may refer to earlier ones; otherwise they are parts.
 
 RACS2: which WebSocket connections are its own, and where a message probably starts.
 """
@@ -37,7 +37,7 @@ _HTTP: Final = (b"GET ", b"HTTP/1.1 ")
 _BLANK_LINE: Final = b"\r\n\r\n"
 _LONGEST_HANDSHAKE: Final = 8192
 _TAIL: Final = b"\0\0\xff\xff"
-"""What a sender leaves out at the end of a compressed message (RFC 7692 section 7.2.1)."""
+"""Bytes that a sender omits at the end of a compressed message (RFC 7692 section 7.2.1)."""
 _PROTOCOL: Final = re.compile(rb"(?im)^sec-websocket-protocol:[ \t]*([^\r\n]*)")
 _EXTENSIONS: Final = re.compile(rb"(?im)^sec-websocket-extensions:[ \t]*([^\r\n]*)")
 
@@ -46,7 +46,7 @@ class WebSocketFraming(Framing):
     """Cuts a stream into the handshake and frames.
 
     Args:
-        longest: bytes of the longest message.
+        longest: size in bytes of the longest message.
     """
 
     def __init__(self, longest: int) -> None:
@@ -55,32 +55,32 @@ class WebSocketFraming(Framing):
     def lengths(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
     ) -> NDArray[np.int64]:
-        """Return the bytes of a frame, or of a handshake up to its blank line."""
+        """Return the size in bytes of a frame, or of a handshake up to and including its blank line."""
         room = np.broadcast_to(np.asarray(end - at), at.shape)
         headers = read_headers(data, at, end)
         size = headers.size + headers.length
         fits = headers.valid & (headers.length <= self.longest - LARGEST_HEADER)
         lengths = np.where(headers.complete, np.where(fits, size, NOT_A_MESSAGE), NOT_YET)
         first = data[np.minimum(at, len(data) - 1)]
-        for text in _HTTP:  # the first byte of neither can begin a frame
+        for text in _HTTP:  # no frame can begin with the first byte of either
             for row in np.flatnonzero((first == text[0]) & (room > 0)).tolist():
                 start = int(at[row])
                 lengths[row] = _handshake_length(data[start : start + int(room[row])], text)
         return lengths.astype(np.int64)
 
     def state(self) -> WebSocketState:
-        """Return what is known of a new connection."""
+        """Return the state of a new connection."""
         return WebSocketState(self.longest)
 
 
 class WebSocketState:
-    """One connection: its handshake, messages of which more frames are to come, and how they are compressed.
+    """State of one connection: its handshake, its incomplete messages, and how they are compressed.
 
     Args:
-        largest: bytes of the longest message that is put together.
+        largest: size in bytes of the longest message that is assembled.
 
     Attributes:
-        foreign: whether it carries another protocol than the link's.
+        foreign: whether the connection carries another protocol than the link's.
     """
 
     foreign_protocols: ClassVar[tuple[bytes, ...]] = ()
@@ -129,7 +129,7 @@ class WebSocketState:
         return MessageContents(np.concatenate(parts), start, content_bytes, part)
 
     def _handshake(self, text: bytes) -> None:
-        """Learn what a request or a response says."""
+        """Note the protocol and the compression that a request or a response states."""
         protocols = b",".join(_PROTOCOL.findall(text))
         if any(name.strip().startswith(self.foreign_protocols) for name in protocols.split(b",") if name):
             self.foreign = True
@@ -137,7 +137,7 @@ class WebSocketState:
             self._takeover = b"no_context_takeover" not in b",".join(_EXTENSIONS.findall(text))
 
     def _put_together(self, content: bytes, forward: bool, headers: FrameHeaders, row: int) -> bytes | None:
-        """Add a frame to its message; return the message when it is complete and could be read."""
+        """Add a frame to its message; return the message if it is complete and can be read, else None."""
         compressed = bool(headers.compressed[row])
         if headers.opcode[row] == Opcode.CONTINUATION:
             partial = self._partial.get(forward)
@@ -166,7 +166,7 @@ class WebSocketState:
 
 
 def _handshake_length(data: NDArray[np.uint8], text: bytes) -> int:
-    """Return the bytes of a request or response that begins with ``text``, its blank line included."""
+    """Return the size in bytes of a request or response that begins with ``text``, with its blank line."""
     head = data[:_LONGEST_HANDSHAKE].tobytes()
     if head[: len(text)] != text[: len(head)]:
         return NOT_A_MESSAGE
@@ -187,7 +187,7 @@ class RacsBridgeStreams(WebSocketFraming):
     def likely(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
     ) -> NDArray[np.bool_]:
-        """Ask for a message in one frame that begins with a header, or for a handshake."""
+        """Return where a one-frame message with a header of RACS2 begins, or a handshake; bool (n,)."""
         headers = read_headers(data, at, end)
         room = np.broadcast_to(np.asarray(end - at), at.shape)
         holds = headers.valid & headers.complete & headers.final & (headers.length >= racs2.BRIDGE_HEADER)
@@ -199,12 +199,12 @@ class RacsBridgeStreams(WebSocketFraming):
         return np.asarray(handshake | (holds & (_names_topic(head) | _names_msg_id(head))))
 
     def state(self) -> RacsBridgeState:
-        """Return what is known of a new connection."""
+        """Return the state of a new connection."""
         return RacsBridgeState(self.longest)
 
 
 class RacsBridgeState(WebSocketState):
-    """One connection: another protocol's, if the handshake or the first message says so."""
+    """State of one connection; foreign if the handshake or the first message shows another protocol."""
 
     foreign_protocols = (b"foxglove.",)
 
@@ -219,7 +219,7 @@ class RacsBridgeState(WebSocketState):
         length: NDArray[np.int64],
         forward: NDArray[np.bool_],
     ) -> MessageContents:
-        """Return the payloads of frames, and judge by the first message whose connection it is."""
+        """Return the payloads of frames; the first whole message shows whether the connection is foreign."""
         payloads = super().contents(data, offset, length, forward)
         headers = read_headers(data, offset, offset + length)
         whole = headers.valid & (headers.opcode < Opcode.CLOSE) & ~payloads.part
@@ -234,13 +234,13 @@ class RacsBridgeState(WebSocketState):
 
 
 def _names_topic(head: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Tell which headers are a topic's name and zeros, bool (n,); the first byte is no digit."""
+    """Return which headers hold a topic's name and zeros, bool (n,); the first byte is no digit."""
     ended = np.logical_or.accumulate(head == 0, axis=1)
     fits = np.where(ended, head == 0, _NAME_BYTES[head]).all(axis=1)
     return np.asarray(fits & (head[:, 0] > ord("9")) | fits & (head[:, 0] == ord("/")))
 
 
 def _names_msg_id(head: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Tell which headers are a valid MsgId and zeros, bool (n,)."""
+    """Return which headers hold a valid MsgId and zeros, bool (n,)."""
     msg_id = head[:, 0].astype(np.int32) << 8 | head[:, 1]
     return np.asarray((msg_id > 0) & (msg_id <= cfe.HIGHEST_MSG_ID) & ~head[:, 2:].any(axis=1))

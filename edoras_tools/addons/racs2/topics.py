@@ -1,13 +1,13 @@
-"""RACS2: its messages as its ROS side has them, and the values in their bodies.
+"""Makes the messages of RACS2, in the form of its ROS side, and messages with the values in their bodies.
 
-The rules that this file keeps:
+Rules that this file keeps:
 
-1. ``racs2_msg/msg/RACS2UserMsg`` is what the public ROS side publishes on the topic that a header names, and
-   what it takes from ``/RACS2Bridge`` to send to cFS.
-2. A body that is a ``RACS2Bridge_std_msgs`` has its values on topics of ours below ``/racs2``, each field as
+1. ``racs2_msg/msg/RACS2UserMsg`` is the type that the public ROS side publishes on the topic that a header
+   names, and that it takes from ``/RACS2Bridge`` to send to cFS.
+2. If a body is a ``RACS2Bridge_std_msgs``, its values get topics of ours below ``/racs2``, each field with
    the type of ``std_msgs`` that the public ``.proto`` file names beside it.
-3. Names come from the network: one that is no name of ROS, or is used otherwise, has no topic, and there are
-   at most ``MOST_TOPICS``. Whole datagrams are recorded all the same.
+3. Names come from the network: a name that is no valid ROS name, or that has another use, gets no topic, and
+   there are at most ``MOST_TOPICS`` topics. Whole datagrams are recorded all the same.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ TO_CFS_TOPIC: Final = "/RACS2Bridge"
 USER_TYPE: Final = "racs2_msg/msg/RACS2UserMsg"
 VALUES_PREFIX: Final = "/racs2"
 _RESERVED: Final = ("/edoras/", "/cfs/", "/fprime/", f"{VALUES_PREFIX}/", "/tf/")
-"""Beginnings of names of ours, and of `/tf`."""
+"""Beginnings of topic names that this package uses, and ``/tf``."""
 _NAME: Final = re.compile(rb"/?(?!.*__)[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _TYPES: Final = {
     "bool_data": "Bool",
@@ -71,13 +71,13 @@ _USER: Final = np.dtype(
 
 
 class _Target(NamedTuple):
-    """Where messages go, and which they are.
+    """Where messages go, and the rows of these messages.
 
     Attributes:
-        topic: where the messages themselves are.
-        values: the topics of values start with it.
-        msg_id: of cFS; 0 where they come from it.
-        rows: i64, of the batch.
+        topic: topic of the messages themselves.
+        values: prefix of the topics of their values.
+        msg_id: MsgId in cFS; 0 for messages from cFS to ROS.
+        rows: i64, rows of the batch.
     """
 
     topic: str
@@ -97,7 +97,7 @@ class BridgeTopics:
         """Do nothing: the messages themselves name the topics."""
 
     def messages(self, batch: PacketBatch, columns: Columns) -> Iterator[Messages]:
-        """Yield the messages of a batch; they do not refer to its data."""
+        """Yield the messages of a batch; they hold no references to its data."""
         for target in _targets(batch, columns):
             if self._may_have(target.topic):
                 yield _user_messages(target, batch, self._place(target.topic, USER_TYPE))
@@ -109,7 +109,7 @@ class BridgeTopics:
         return self._space.place(topic, type_name, {"link": RACS2.label})
 
     def _may_have(self, topic: str) -> bool:
-        """Tell whether a topic is known, or may still become one."""
+        """Return whether a topic is kept; there are at most ``MOST_TOPICS``, and none of another maker."""
         if topic not in self._known and topic not in self._other_topics and len(self._known) < MOST_TOPICS:
             self._known.add(topic)
         return topic in self._known
@@ -117,7 +117,7 @@ class BridgeTopics:
     def _value_messages(
         self, type_name: str, values: list[tuple[int, Any]], batch: PacketBatch, channel_id: int
     ) -> Messages:
-        """Return a message of ``std_msgs`` for each value; one that its type cannot hold is left out."""
+        """Return a ``std_msgs`` message for each value; a value that the type cannot hold is left out."""
         bodies, rows = [], []
         for row, value in values:
             try:
@@ -131,7 +131,7 @@ class BridgeTopics:
 
 
 def _targets(batch: PacketBatch, columns: Columns) -> Iterator[_Target]:
-    """Yield the whole messages of a batch, by where they go; those without a name of ROS are left out."""
+    """Yield the whole messages of a batch, by destination; messages without a valid ROS name are left out."""
     rows = np.flatnonzero((columns.link == RACS2) & (columns.findings & _CUT == 0))
     headers = gather(batch.data, batch.offset[rows], racs2.BRIDGE_HEADER)
     names, which = np.unique(headers.view(f"S{racs2.BRIDGE_HEADER}")[:, 0], return_inverse=True)
@@ -148,7 +148,7 @@ def _targets(batch: PacketBatch, columns: Columns) -> Iterator[_Target]:
 
 
 def _user_messages(target: _Target, batch: PacketBatch, channel_id: int) -> Messages:
-    """Return a ``RACS2UserMsg`` for each message; its length is that of the body that crossed."""
+    """Return a ``RACS2UserMsg`` for each message; its length is that of the transferred body."""
     rows, log_time = target.rows, batch.time_ns[target.rows]
     size = batch.length[rows].astype(np.int64) - racs2.BRIDGE_HEADER
     start = np.cumsum(size) - size
@@ -161,7 +161,7 @@ def _user_messages(target: _Target, batch: PacketBatch, channel_id: int) -> Mess
 
 
 def _values(target: _Target, batch: PacketBatch) -> Iterator[tuple[str, str, list[tuple[int, Any]]]]:
-    """Yield the topic, the type, and (row, value) of each field that bodies have."""
+    """Yield the topic, the type, and the (row, value) pairs of each field in the bodies."""
     by_name: dict[str, list[tuple[int, Any]]] = {}
     for row in target.rows.tolist():
         start = int(batch.offset[row])

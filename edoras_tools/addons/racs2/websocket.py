@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Opcode(IntEnum):
-    """What a frame holds (section 5.2)."""
+    """The type of a frame (section 5.2)."""
 
     CONTINUATION = 0
     TEXT = 1
@@ -28,7 +28,7 @@ LARGEST_HEADER: Final = 14
 """Bytes of a header with an 8-byte length and a masking key."""
 _KNOWN: Final = np.isin(np.arange(16), list(Opcode))
 _CONTROL: Final = 8
-"""Opcodes from here on are of control frames, which are never split and hold at most ``_LARGEST_CONTROL``."""
+"""First opcode of control frames, which are never split and hold at most ``_LARGEST_CONTROL`` bytes."""
 _LARGEST_CONTROL: Final = 125
 _KEY_BYTES: Final = 4
 
@@ -40,10 +40,10 @@ class FrameHeaders(NamedTuple):
         final: bool, whether the frame ends its message.
         compressed: bool, RSV1: the message is compressed (RFC 7692).
         opcode: u8.
-        masked: bool.
-        size: i64, bytes of the header.
-        length: i64, bytes of the payload.
-        valid: bool, whether a frame can begin so.
+        masked: bool, whether the payload is masked.
+        size: i64, size of the header in bytes.
+        length: i64, size of the payload in bytes.
+        valid: bool, whether a frame can begin like this.
         complete: bool, whether the header is complete.
     """
 
@@ -64,8 +64,8 @@ def read_headers(
 
     Args:
         data: u8.
-        at: i64 (n,), positions.
-        end: one past the last byte that is there.
+        at: i64 (n,), positions in ``data``.
+        end: one past the last byte that is available.
     """
     head = gather(data, at, LARGEST_HEADER)
     first, second = head[:, 0], head[:, 1]
@@ -92,9 +92,9 @@ def unmask(
 
     Args:
         data: u8, the payloads end to end.
-        start: i64 (n,), first byte of each.
-        length: i64 (n,), bytes of each.
-        keys: u8 (n, 4), of those that are not masked zeros.
+        start: i64 (n,), first byte of each payload.
+        length: i64 (n,), size of each payload in bytes.
+        keys: u8 (n, 4), masking keys; zeros for payloads that are not masked.
     """
     row = np.repeat(np.arange(len(start)), length)
     place = np.arange(len(row)) - np.repeat(np.cumsum(length) - length, length)

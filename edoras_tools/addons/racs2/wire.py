@@ -1,9 +1,9 @@
 """RACS2: messages between ROS 2 and cFS as JAXA's public bridge sends them in WebSocket frames.
 
-Read in its sources (racs2_bridge 1.1, https://github.com/jaxa/racs2_bridge): a header of 32 bytes, then the
-body. To ROS 2 the header is a topic's name; to cFS it starts with a MsgId. **No length crosses the wire**
-but that of the frame, and the cFS side always sends 128 bytes of body, with zeros behind the content. The
-body is anything; the public examples put a Protocol Buffers message of ``std_msgs`` there.
+Taken from its sources (racs2_bridge 1.1, https://github.com/jaxa/racs2_bridge): a header of 32 bytes, then
+the body. To ROS 2 the header is a topic's name; to cFS it starts with a MsgId. **The only length on the
+wire** is that of the frame, and the cFS side always sends 128 bytes of body, with zeros behind the content.
+The body can be anything; the public examples put a Protocol Buffers message of ``std_msgs`` there.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 BRIDGE_WEBSOCKET_PORT: Final = 8765
 SUBPROTOCOL: Final = "example-protocol"
-"""What the cFS side asks for in the handshake; the public ROS side answers without one."""
+"""The subprotocol that the cFS side requests in the handshake; the public ROS side answers without one."""
 BRIDGE_HEADER: Final = 32
 LARGEST_BODY: Final = 128
-"""Bytes that the cFS side has room for; it copies longer ones over what follows its buffer."""
+"""Size in bytes of the cFS side's buffer for a body; it copies longer ones beyond the buffer's end."""
 TO_ROS: Final = Layout(
     "racs2_topic",
     "RACS2 to ROS 2",
@@ -63,13 +63,13 @@ BODY_KINDS: Final = {
     )
     for number, name in _NAMES.items()
 }
-"""Of each field its number, what its values are, and whether it has many."""
+"""Number of each field, the kind of its values, and whether it is an array."""
 _FIRST_ARRAY: Final = 9
 _VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5
 
 
 def std_msgs_values(body: bytes) -> dict[str, Any] | None:
-    """Return the values of a body that is a ``RACS2Bridge_std_msgs``; None where it is another.
+    """Return the values of a body that is a ``RACS2Bridge_std_msgs``; None if it is something else.
 
     Zeros at its end are padding. Field names are those of the public ``.proto`` file.
     """
@@ -88,10 +88,10 @@ def std_msgs_values(body: bytes) -> dict[str, Any] | None:
 
 
 def _fields(body: bytes) -> Iterator[tuple[int, Any]]:
-    """Yield number and content of each field: an int, or bytes.
+    """Yield the number and the content of each field: an int, or bytes.
 
     Raises:
-        ValueError: it is no Protocol Buffers message.
+        ValueError: the body is no Protocol Buffers message.
     """
     at = 0
     while at < len(body) and any(body[at:]):
