@@ -88,7 +88,7 @@ def learn(
 def _end(
     drafts: Mapping[str, MissionDraft], inputs: list[Path], output: Path | None, *, force: bool, quiet: bool
 ) -> None:
-    """Write the draft of each spacecraft, and say what is to be known of it."""
+    """Write the draft of each spacecraft, and print its summary and notes."""
     from edoras_tools.words import plural
 
     outputs = [

@@ -1,12 +1,12 @@
-"""What a capture shows of the constants of one cFS, each with its interval and what shows it.
+"""Finds the constants of one cFS that a capture shows, each with its interval and its evidence.
 
-The doctor goes by fewer of them, and where its own differ from the usual ones. Rules:
+The doctor uses fewer of them, and only where its own values differ from the usual ones. Rules:
 
-1. A round is the time between bursts of one sender, of which nearly all others are multiples, and for which
-   messages waited.
-2. How many of a MsgId a pipe keeps shows in the rounds behind which some are missing; a command that sets it
-   shows it better.
-3. What nothing shows is not there. Nothing is assumed.
+1. A round is a time between bursts of one sender; nearly all other times between bursts are multiples of it.
+   For an output, bursts must also contain messages that waited.
+2. The limit of a pipe for one MsgId shows in the rounds behind which messages are missing; a command that
+   sets the limit is better evidence.
+3. A constant without evidence is left out. Nothing is assumed.
 """
 
 from __future__ import annotations
@@ -36,26 +36,26 @@ if TYPE_CHECKING:
 
 _NEAR: Final = 0.15
 _LEAST: Final = 3
-"""Rounds that show a limit."""
+"""Least number of rounds that show a limit."""
 _OFTEN: Final = 0.25
-"""So many of them have to show the same."""
+"""Least share of these rounds that have to show the same value."""
 _MOSTLY: Final = 0.4
 _SOME: Final = 0.1
-"""So many steps from burst to burst have to be one round, and so many bursts have more than one message."""
+"""Least share of bursts with several messages; ``_MOSTLY`` is that of steps of one round between bursts."""
 _RANGE: Final = 0.05, 0.95
 _ALIKE: Final = 0.1
-"""Chapters whose values differ by no more show the same constant."""
+"""Largest relative difference between values of chapters that show the same constant."""
 
 
 class Interval(NamedTuple):
-    """What many rounds show.
+    """The values that many rounds show.
 
     Attributes:
-        usual: value of most.
-        low: least of nearly all.
-        high: largest of nearly all.
-        rounds: how many show it.
-        of: how many could.
+        usual: the most frequent or the median value.
+        low: least value of nearly all rounds.
+        high: largest value of nearly all rounds.
+        rounds: number of rounds that show it.
+        of: number of rounds that could show it.
     """
 
     usual: float
@@ -69,11 +69,11 @@ class LearnedConstant(NamedTuple):
     """A constant that a capture shows.
 
     Attributes:
-        name: as ``SimProfile`` has it.
-        value: of it.
-        form: what shows it, with the names of an interval's values in braces.
-        interval: what many rounds show; None of what is no count of rounds.
-        msg_id: of a limit at Telemetry Output.
+        name: name of the field in ``SimProfile``.
+        value: value of the constant.
+        form: text of the evidence, with the names of an interval's values in braces.
+        interval: values that many rounds show; None if the evidence does not come from rounds.
+        msg_id: MsgId of a limit at Telemetry Output.
     """
 
     name: str
@@ -84,14 +84,14 @@ class LearnedConstant(NamedTuple):
 
     @property
     def evidence(self) -> str:
-        """Its interval, and what shows it."""
+        """The interval, and the evidence for it."""
         return self.form.format(**self.interval._asdict()) if self.interval else self.form
 
 
 def joined_constants(chapters: Sequence[Sequence[LearnedConstant]]) -> list[LearnedConstant]:
-    """Return the constants of one cFS that several chapters show: one interval of those that agree.
+    """Return the constants of one cFS that several chapters show: values that agree become one interval.
 
-    Where they do not, somebody changed it, and the last holds.
+    If the values differ, somebody changed the constant, and the last value is returned.
     """
     by_name: dict[tuple[str, int | None], list[LearnedConstant]] = {}
     for item in (item for chapter in chapters for item in chapter):
@@ -121,7 +121,7 @@ def _joined(items: Sequence[LearnedConstant]) -> LearnedConstant:
 
 
 class _Round(NamedTuple):
-    """A round, ns: the usual one, and the interval of nearly all."""
+    """A round, in ns: the usual time, and the interval of nearly all rounds."""
 
     period_ns: int
     low_ns: int
@@ -130,18 +130,18 @@ class _Round(NamedTuple):
 
     @property
     def value(self) -> int:
-        """In whole milliseconds: how long the work takes beside the wait is not part of it."""
+        """The round in ns, a whole number of ms: the time of the work beside the wait is not part of it."""
         return round(self.period_ns / MILLISECOND) * MILLISECOND
 
     def constant(self, name: str, text: str) -> LearnedConstant:
-        """Return the constant that it is; ``text`` says of what these are rounds."""
+        """Return this round as a constant; ``text`` says what these are the rounds of."""
         usual, low, high = (item / MILLISECOND for item in (self.period_ns, self.low_ns, self.high_ns))
         form = f"{{usual:.2f}} ms ({{low:.2f}} to {{high:.2f}}): {{rounds}} rounds {text}"
         return LearnedConstant(name, self.value, form, Interval(usual, low, high, self.rounds, self.rounds))
 
 
 def shown_constants(case: Case) -> dict[str, list[LearnedConstant]]:
-    """Return what a capture shows of each cFS, by its name: that which sends the ground the most first."""
+    """Return the constants that a capture shows, by name of the cFS, the main sender to the ground first."""
     sent = Counter[int]()
     for stream in case.streams:
         owner = case.owner(stream)
@@ -152,7 +152,7 @@ def shown_constants(case: Case) -> dict[str, list[LearnedConstant]]:
 
 
 def clean_rates(case: Case) -> dict[tuple[str, int], float]:
-    """Return the highest rate, Hz, at which messages lost nothing for ten seconds, by link and MsgId."""
+    """Return the highest rate in Hz without a loss for ten seconds, by link and MsgId."""
     rates: dict[tuple[str, int], float] = {}
     for stream in case.streams:
         fate = case.commands.fates.get(stream)
@@ -164,7 +164,7 @@ def clean_rates(case: Case) -> dict[tuple[str, int], float]:
 
 
 class _Learner:
-    """Learns from a case what it shows of one cFS."""
+    """Finds the constants of one cFS that a case shows."""
 
     def __init__(self, case: Case, instance: int) -> None:
         self._case, self._own = case, instance
@@ -176,7 +176,7 @@ class _Learner:
         ]
 
     def constants(self) -> Iterator[LearnedConstant]:
-        """Yield them, application by application."""
+        """Yield the constants, application by application."""
         case, own = self._case, self._case.instances.items[self._own]
         spacecraft, _, processor = own.name.partition(":")
         if processor:
@@ -184,7 +184,7 @@ class _Learner:
                 yield LearnedConstant(name, int(value), f"{own.name} in its events, or on SBN")
         yield from self._ports({item.kind for item in case.mission.links})
         yield from self._housekeeping()
-        # The doctor asks that nothing waits for longer than a round; in a socket that was full all do.
+        # The doctor requires that no message waits longer than a round; in a full socket all do.
         is_full = any(loss.cause == "socket" for item in case.ingests for loss in item.losses)
         if self._hops and (is_full or "ci_wake_ns" in case.constants.rounds):
             yield from self._ingest(is_full=is_full)
@@ -200,7 +200,7 @@ class _Learner:
         return self._case.rows.time_ns[stream.rows]
 
     def _ports(self, bridges: Container[str]) -> Iterator[LearnedConstant]:
-        """Yield the ports that no bridge of the mission has."""
+        """Yield the ports that no bridge of the mission names."""
         case = self._case
         into = [item for item in case.streams if case.goes_to(item, self._own)]
         out = [item for item in case.streams if self._is_own(item)]
@@ -274,7 +274,7 @@ class _Learner:
         yield from limits.values()
 
     def _limit(self, stream: Stream, period_ns: int) -> Iterator[LearnedConstant]:
-        """Yield how many of a MsgId may wait at Telemetry Output."""
+        """Yield the limit of messages of a MsgId at Telemetry Output."""
         case = self._case
         command = told_limit(case, stream)
         known_id = case.context.msg_ids.of_known(stream.known_id)
@@ -313,12 +313,12 @@ def _at_pipe(loss: Loss, kind: str, pipe: str) -> bool:
 
 
 def _round(times: NDArray[np.int64], *, waiting: bool = False) -> _Round | None:
-    """Return the round in which bursts come; None where they show none.
+    """Return the round in which bursts come; None if there is none.
 
     Args:
         times: ns, in order.
-        waiting: whether messages have to be seen that waited for a round, several in a burst: what is only
-            published or let through at even times shows no round of what sends it.
+        waiting: whether bursts must show messages that waited for a round: even times of messages that are
+            only published or forwarded are not the round of their sender.
     """
     period = find_round(times)
     if period is None:
@@ -338,9 +338,9 @@ def _limit(name: str, interval: Interval, text: str = "", msg_id: int | None = N
 
 
 def _round_limit(times: NDArray[np.int64], missing: NDArray[Any], pause_ns: int) -> Interval | None:
-    """Return how many a round has behind which some are missing; None where they differ.
+    """Return the size of rounds behind which messages are missing; None if these rounds differ.
 
-    One more may come with a round that is read while it comes in, so the fewest count that are met often.
+    A round that is read while messages arrive may have one more, so the low end counts, if it is frequent.
     """
     begins, sizes = bursts(times, pause_ns)
     full = sizes[np.flatnonzero(np.add.reduceat(missing, begins))]

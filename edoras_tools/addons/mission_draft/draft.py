@@ -1,6 +1,6 @@
-"""Drafts a mission file from a capture: which MsgIds carry EDORAS messages, and of which types they could be.
+"""Drafts a mission file from a capture: which MsgIds carry EDORAS messages, and their possible types.
 
-What a capture cannot tell is marked in the draft: names of topics never, types only where one alone fits.
+The draft marks its guesses: all names of topics, and types if several fit.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
     OpenInput = Callable[[Settings], tuple[Source, Workbench]]
 
 _SAMPLES: Final = 64
-"""Most different messages of a MsgId that types are tried on."""
+"""Most different messages of a MsgId that types are tested on."""
 _OF_A_BATCH: Final = 64
-"""Most messages of a MsgId that are looked at in a batch, and as many of different lengths."""
+"""Most messages of a MsgId that are examined in a batch, and as many of different lengths."""
 _ENOUGH: Final = 3
-"""Envelopes that show that a MsgId carries EDORAS messages, whatever else it carries."""
+"""Envelopes that are enough to show that a MsgId carries EDORAS messages, whatever else it carries."""
 _SECONDARY_HEADER: Final = 0x0800
 _HEADER: Final = """\
 # Drafted from {name}.
@@ -55,10 +55,10 @@ class _Stream(msgspec.Struct):
     """The messages of one MsgId of one sender on one link.
 
     Attributes:
-        count: packets.
+        count: number of packets.
         samples: CDR of some of them, each once.
-        formats: of the envelopes of those looked at.
-        bare: those looked at that hold no whole envelope.
+        formats: envelope formats of the examined messages.
+        bare: number of examined messages without a whole envelope.
     """
 
     link: Link
@@ -70,7 +70,7 @@ class _Stream(msgspec.Struct):
     bare: int = 0
 
     def look(self, payload: bytes) -> None:
-        """Take the bytes behind a cFE header."""
+        """Examine the bytes behind a cFE header."""
         envelope = detect(payload)
         if envelope is None:
             self.bare += 1
@@ -82,21 +82,21 @@ class _Stream(msgspec.Struct):
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Name of the stream for people."""
         return f"0x{self.msg_id:04x} ({self.link.name})"
 
 
 class _Traffic(msgspec.Struct):
-    """What a capture says of the bridges.
+    """The traffic of the bridges in a capture.
 
     Attributes:
-        streams: by link, MsgId and processor.
-        ways: of each link how many datagrams went from where to where.
-        peers: of each SBN peer how many datagrams came from where.
-        orders: byte orders of the events, as their types show them.
-        flight: peers that are cFS, as its events or its own messages on SBN show.
+        streams: messages by link, MsgId and processor.
+        ways: number of datagrams of each link by source and destination.
+        peers: number of datagrams of each SBN peer by source.
+        orders: number of events by the byte order that their types show.
+        flight: number of packets that show that a peer is cFS: its events, or its own messages on SBN.
         configured: MsgIds that the missions name, which are not drafted.
-        msg_ids: their version.
+        msg_ids: version of the MsgIds.
     """
 
     msg_ids: MsgIds
@@ -109,7 +109,7 @@ class _Traffic(msgspec.Struct):
     configured: set[int] = msgspec.field(default_factory=set)
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch."""
+        """Add a batch."""
         bridged = among(columns.link, lambda link: bool(link.bridge))
         carries = bridged & (columns.msg_id != NO_MSG_ID)
         self.configured.update(np.unique(columns.msg_id[carries & (columns.route != NO_ROUTE)]).tolist())
@@ -117,7 +117,7 @@ class _Traffic(msgspec.Struct):
         standard = cfe.known_ids(columns.msg_id, columns.headers)
         events = np.flatnonzero(carries & (standard == cfe.EVENT_MSG_ID))[:_OF_A_BATCH]
         for payload in (_payload(batch, columns, row) for row in events.tolist()):
-            if len(payload) >= cfe.EVENT.size - 2:  # some builds leave the last two bytes away
+            if len(payload) >= cfe.EVENT.size - 2:  # some builds omit the last two bytes
                 event = cfe.EVENT.parse(payload.ljust(cfe.EVENT.size, b"\0"))
                 is_big = event["event_type"] > 0xFF and not event["event_type"] & 0xFF
                 self.orders["big" if is_big else "little"] += 1
@@ -170,12 +170,12 @@ class MissionDraft(msgspec.Struct, frozen=True):
     """A mission file from a capture.
 
     Attributes:
-        text: of the file.
-        topics: how many it has.
-        sure: how many of them one type only fits.
-        notes: what it does not have, a line each.
-        failure: why the capture ended early, if it did; the draft is of what is before.
-        constants: how many of cFS it has.
+        text: text of the file.
+        topics: number of topics in it.
+        sure: number of topics that only one type fits.
+        notes: one line for each thing that was left out.
+        failure: error that ended the capture early, if any; the draft covers what was read before.
+        constants: number of constants of cFS in it.
     """
 
     text: str
@@ -187,15 +187,15 @@ class MissionDraft(msgspec.Struct, frozen=True):
 
 
 class CapturedTraffic(msgspec.Struct, frozen=True):
-    """What was read of a spacecraft.
+    """The traffic that was read of one spacecraft.
 
     Attributes:
-        name: of the capture, behind that of the spacecraft where there are several.
-        number: of the spacecraft.
-        bench: what it was read with.
-        traffic: what it says of the bridges.
-        flows: its conversations.
-        failure: why it ended early, if it did.
+        name: name of the capture, behind that of the spacecraft if there are several.
+        number: number of the spacecraft.
+        bench: workbench with which it was read.
+        traffic: traffic of the bridges.
+        flows: flows of the capture.
+        failure: error that ended the capture early, if any.
     """
 
     name: str
@@ -209,7 +209,7 @@ class CapturedTraffic(msgspec.Struct, frozen=True):
         """Draft a mission file.
 
         Args:
-            rates: highest clean rate, Hz, by label of the link and MsgId, which comments name.
+            rates: highest clean rates in Hz, by label of the link and MsgId, for the comments.
 
         Raises:
             CaptureError: there is nothing to draft.
@@ -220,18 +220,18 @@ class CapturedTraffic(msgspec.Struct, frozen=True):
 def read_traffic(
     opened: OpenInput, settings: Settings, progress: Progress | None = None, *, again: bool = True
 ) -> tuple[Sequence[CapturedTraffic], Sequence[tuple[Link, int]]]:
-    """Read a source to its end; once more where ports look like a link's that no option names.
+    """Read a source to its end; read it again if unnamed ports have traffic that looks like that of a link.
 
     Args:
-        opened: opens it anew.
+        opened: opens the source anew.
         settings: missions, types, and how packets are decoded.
-        again: whether it can be opened twice.
+        again: whether the source can be opened twice.
 
     Returns:
-        what was read of each spacecraft, and those ports.
+        the traffic of each spacecraft, and those ports.
 
     Raises:
-        CaptureError: it cannot be read.
+        CaptureError: the source cannot be read.
     """
     captured = _read(*opened(settings), progress)
     ports = _unnamed_ports(captured[0].flows) if again else []
@@ -247,7 +247,7 @@ def each_draft(
     """Return the file of each spacecraft that has one, by the prefix of its topics.
 
     Raises:
-        CaptureError: none has.
+        CaptureError: no spacecraft has one.
     """
     drafts: dict[str, MissionDraft] = {}
     errors = []
@@ -299,7 +299,7 @@ def _read(source: Source, bench: Workbench, progress: Progress | None) -> list[C
 
 
 class _Writer:
-    """Writes the file."""
+    """Writes the mission file."""
 
     def __init__(self, captured: CapturedTraffic, rates: Mapping[tuple[str, int], float]) -> None:
         self._name, self._rates = captured.name, rates
@@ -361,7 +361,7 @@ class _Writer:
         )
 
     def _usual_way(self, link: Link) -> tuple[str, Endpoint]:
-        """Return where from and where to most datagrams of a link went; the usual port if there are none."""
+        """Return source and destination of most datagrams of a link; the usual port if there are none."""
         ways = self._traffic.ways.get(link, Counter()).most_common()
         targets = list(dict.fromkeys(str(target) for (_, target), _ in ways))
         if len(targets) > 1:
@@ -370,7 +370,7 @@ class _Writer:
         return ways[0][0] if ways else ("127.0.0.1", Endpoint("127.0.0.1", ports[0]))
 
     def _flight(self, streams: list[_Stream]) -> Iterator[str]:
-        """Yield the node of the flight bridge: the peer of cFS that sent or got the most."""
+        """Yield the node of the flight bridge: its peer is the cFS with most packets."""
         peers = {item.processor_id: item for item in self._traffic.peers}
         if not streams:
             return
@@ -411,7 +411,7 @@ class _Writer:
     def _node(
         self, communication: dict[str, int | str], command: list[_Stream], telemetry: list[_Stream]
     ) -> Iterator[str]:
-        """Yield what stands below the name of a node."""
+        """Yield the lines below the name of a node."""
         groups = [("command", "to cFS", command), ("telemetry", "from cFS", telemetry)]
         written = {
             item.msg_id: lines for _, _, some in groups for item in some if (lines := self._topic(item))
@@ -431,7 +431,7 @@ class _Writer:
             yield from lines
 
     def _topic(self, stream: _Stream) -> list[str]:
-        """Return the lines of a topic; none where no type fits."""
+        """Return the lines of a topic; none if no type fits."""
         samples = list(stream.samples)
         fits = types_that_fit(self._types, samples) or types_that_fit(
             self._types, samples, self._types.types()
@@ -461,5 +461,5 @@ class _Writer:
 
 
 def _key(stream: _Stream) -> str:
-    """Return the name of a mapping and its topic: link and MsgId."""
+    """Return the name of a topic, which is also the key of its mapping: link and MsgId."""
     return f"{stream.link.label}_{stream.msg_id:04x}"

@@ -1,4 +1,4 @@
-"""Learns a system from its captures: a mission file with what they show of its cFS, and by what."""
+"""Learns a system from its captures: a mission file with the constants that they show, and the evidence."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ _APPS: Final = {
     "to_": "Telemetry Output",
     "sbn_": "the Software Bus Network",
 }
-"""Whose constants they are, by how their names begin."""
+"""Application that a constant belongs to, by the beginning of the constant's name."""
 _PAUSE_NS: Final = 60 * SECOND
-"""Captures that lie so far apart are learned from one by one: cFS may be another in each."""
+"""Pause between captures from which on each is learned separately: cFS may differ in each."""
 _HEADER: Final = """\
 # Learned from {name}.
 # Each constant has its interval and what shows it; what the captures cannot show is not here. Names of topics
@@ -54,10 +54,10 @@ def learn_mission(
 
     Args:
         opened: opens the same input anew.
-        settings: missions, types, and how packets are decoded; what is learned is added.
+        settings: missions, types, and how packets are decoded; the learned ports are added.
 
     Raises:
-        CaptureError: they cannot be read, or hold nothing of cFS.
+        CaptureError: the captures cannot be read, or contain nothing of cFS.
     """
     every, ports = read_traffic(opened, settings, progress)
     options = settings.options
@@ -72,10 +72,10 @@ def _learned(
     """Return the file of one spacecraft.
 
     Raises:
-        CaptureError: nothing of a cFS is in it.
+        CaptureError: the capture contains nothing of a cFS.
     """
     draft = MissionDraft("", 0, 0, ())
-    with suppress(CaptureError):  # nothing of EDORAS, but perhaps cFS
+    with suppress(CaptureError):  # no EDORAS messages, but perhaps cFS
         draft = captured.draft()
     types, msg_ids = bench.types, bench.mission.msg_ids
     if draft.topics:
@@ -113,8 +113,8 @@ class _Study(Examination):
     """An examination that learns from each chapter of a spacecraft while it is judged.
 
     Attributes:
-        rates: the highest clean rate, Hz, by link and MsgId.
-        datagrams: how many were examined in chapters whose telemetry has a time.
+        rates: the highest clean rate in Hz, by link and MsgId.
+        datagrams: number of examined datagrams in chapters whose telemetry has a time.
     """
 
     def __init__(self, context: Context, number: int) -> None:
@@ -126,7 +126,7 @@ class _Study(Examination):
         self._last_ns: int | None = None
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch; one long after the others is of another capture, and so of another chapter."""
+        """Add a batch; after a long pause it belongs to another capture, and so to another chapter."""
         if len(batch):
             if self._last_ns is not None and int(batch.time_ns[0]) > self._last_ns + _PAUSE_NS:
                 self.separate()
@@ -147,11 +147,11 @@ class _Study(Examination):
         return diagnosis
 
     def systems(self) -> dict[str, list[LearnedConstant]]:
-        """Return the constants of each cFS, by its name: that which sends the ground the most first."""
+        """Return the constants of each cFS, by its name, the main sender to the ground first."""
         names = dict.fromkeys(name for constants in self._chapters for name in constants)
         real_names = [name for name in names if name]
         for constants in self._chapters:
-            # A chapter in which no event and no peer names its cFS, where others name a single one.
+            # A chapter may have no event and no peer that names its cFS, while the others name exactly one.
             if len(real_names) == 1 and real_names[0] not in constants and "" in constants:
                 constants[real_names[0]] = constants.pop("")
         return {
@@ -162,7 +162,7 @@ class _Study(Examination):
 
 
 def _keys(study: _Study, ports: Sequence[tuple[Link, int]], orders: Counter[str]) -> Iterator[str]:
-    """Yield the lines about how packets are built and which ports they have."""
+    """Yield lines about the form of packets, and about ports."""
     headers, packets = study.context.headers, plural(study.datagrams, "datagram")
     if study.datagrams:  # telemetry with a time, whose lengths are known
         yield f"      extended_header: {str(headers.extended).lower()} # {headers.name}, in {packets}"
@@ -179,7 +179,7 @@ def _keys(study: _Study, ports: Sequence[tuple[Link, int]], orders: Counter[str]
 
 
 def _app(name: str) -> str:
-    """Return how the names of an application's constants begin."""
+    """Return the prefix of the names of an application's constants, from the name of one."""
     return next((begin for begin in _APPS if begin and name.startswith(begin)), "")
 
 
@@ -202,7 +202,7 @@ def _constants(constants: Sequence[LearnedConstant]) -> Iterator[str]:
 
 
 def _others(systems: Sequence[tuple[str, Sequence[LearnedConstant]]]) -> Iterator[str]:
-    """Yield comments about the other cFS: a file has one."""
+    """Yield comments about the other cFS, because a file has only one."""
     for name, constants in systems:
         yield f"# Of cFS {name or 'of no name'}, for a file of its own:"
         yield from (f"# {line}" for line in _constants(constants))

@@ -12,7 +12,7 @@ from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.terminal.text import clean
 
 _COLUMNS: Final = 4000
-"""Columns of long lines: what zooming can show."""
+"""Columns of long lines: the detail that zooming can show."""
 _HOW: Final = (
     "Drag: zoom in. Double click: all. Keys: + - to zoom, arrows to move, 0 for all. "
     "Click a name: hide its line, or show it."

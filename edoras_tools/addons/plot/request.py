@@ -1,4 +1,4 @@
-"""What a plot is asked to draw: ``/cmd_vel.linear.*``, ``/imu.covariance[4]``, ``rate:/cmd_vel``."""
+"""Requests of a plot: ``/cmd_vel.linear.*``, ``/imu.covariance[4]``, ``rate:/cmd_vel``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _USE: Final = "write /topic.field, rate:/topic or loss:/topic"
 
 
 class Quantity(StrEnum):
-    """What is drawn of a topic."""
+    """The quantity that is drawn of a topic."""
 
     FIELD = "field"
     RATE = "rate"
@@ -40,11 +40,11 @@ class PlotRequest(msgspec.Struct, frozen=True):
     """One request.
 
     Attributes:
-        text: as given.
-        quantity: what is drawn.
-        topic: a shell pattern.
+        text: text as given.
+        quantity: the quantity that is drawn.
+        topic: a shell pattern of topics.
         field: a shell pattern of fields, which includes the fields inside them; empty for all.
-        index: of an element in a list; None for all elements.
+        index: index of an element in a list; None for all elements.
     """
 
     text: str
@@ -54,10 +54,10 @@ class PlotRequest(msgspec.Struct, frozen=True):
     index: int | None = None
 
     def topics(self, source: TopicSource, narrowed: Sequence[str]) -> list[str]:
-        """Return its topics among those of an input.
+        """Return the topics of an input that this request means.
 
         Args:
-            narrowed: patterns; if there are any, a topic must match one of them, too.
+            narrowed: patterns; if there are any, a topic must also match one of them.
 
         Raises:
             RouteError: there is none, or none is left.
@@ -73,7 +73,7 @@ class PlotRequest(msgspec.Struct, frozen=True):
         return selection
 
     def fields(self, source: TopicSource, topics: Sequence[str]) -> dict[str, list[str]]:
-        """Return the fields with numbers that are meant, by topic.
+        """Return the fields with numbers that this request means, by topic.
 
         Raises:
             ConfigError: there is none, or the index does not fit.
@@ -115,7 +115,7 @@ def parse_request(text: str) -> tuple[PlotRequest, ...]:
     """Read a request; parts with commas between them share a panel.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: the request cannot be read.
     """
     parts = tuple(_parse_one(part.strip()) for part in text.split(",") if part.strip())
     if not parts:
@@ -139,7 +139,7 @@ def _parse_one(text: str) -> PlotRequest:
 
 
 def _columns(source: TopicSource, topic: str, pattern: str) -> dict[str, TableColumn]:
-    """Return a topic's columns by name; those that this package adds, only if they are named."""
+    """Return a topic's columns by name; columns that this package adds, only if the pattern names them."""
     block = source.empty(topic)
     columns = TableForm().columns(block, 0)[1:]
     return {item.name: item for item in columns if item.name in {*block.message.fields, pattern}}

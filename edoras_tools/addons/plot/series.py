@@ -1,4 +1,4 @@
-"""Reads what a plot shows: fields over time, and beneath them rates, losses and events."""
+"""Reads the data of a plot: fields over time, and beneath them rates, losses and events."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
     from edoras_tools.ros.cdr.columns import TopicBlock
 
 LARGE: Final = 16 << 20
-"""Bytes of a capture from which on an examination takes longer than people wait for a plot."""
+"""Size of a capture in bytes from which on an examination takes too long to wait for."""
 MOST_LINES: Final = 24
 _OF_CFS: Final = re.compile(r"(/sc_\d+)?/cfs/(?!robot_)")
-"""The topics of what cFS itself sends and takes."""
+"""Matches the topics that cFS itself sends and receives."""
 MOST_MARKS: Final = 500
-"""Events of a recording that are drawn."""
+"""Most events of a recording that are drawn."""
 _ERROR: Final = 40
 """Level of an error in a ``Log``."""
 _LOG: Final = "rcl_interfaces/msg/Log"
@@ -51,18 +51,18 @@ _PER_SECOND: Final = "messages/s"
 
 
 class _Recording(msgspec.Struct):
-    """What is collected of one recording.
+    """The collected data of one recording.
 
     Attributes:
         source: the recording.
-        topics: of each request, its topics with the fields that are meant.
+        topics: topics of each request, with the requested fields of each.
         log_topics: topics of events.
-        fields: the values by topic, field and element.
+        fields: values by topic, field and element.
         rates: messages of topics.
         losses: lost messages of topics.
         marks: time, level and text of each event.
         first: time of the earliest message, s.
-        large: losses are only looked for if they are asked for.
+        large: whether the recording is large: losses are then searched only on request.
     """
 
     source: TopicSource
@@ -79,7 +79,7 @@ class _Recording(msgspec.Struct):
     def of(
         cls, source: TopicSource, requests: Sequence[PlotRequest], narrowed: Sequence[str], *, bare: bool
     ) -> _Recording:
-        """Find out what is to be read.
+        """Determine what has to be read.
 
         Raises:
             ConfigError: a field is not there, or holds no numbers.
@@ -104,7 +104,7 @@ class _Recording(msgspec.Struct):
         return recording
 
     def _add_background(self) -> None:
-        """Also read what stands behind the lines: rates, losses and events of the plotted topics."""
+        """Also read the rates, losses and events of the plotted topics."""
         source = self.source
         plotted = {topic for item in self.topics.values() for topic, names in item.items() if names}
         topics = sorted(topic for topic in plotted if not topic.startswith(_OWN))
@@ -154,7 +154,7 @@ class _Recording(msgspec.Struct):
                     self._values(block.topic, name, element).add(seconds[rows], values)
 
     def _take_new(self, topic: str) -> None:
-        """Take a topic that came in while it was read, as those of a second spacecraft."""
+        """Add a topic that appeared during reading, e.g. one of a second spacecraft."""
         for item in self.topics:
             if split_topic(topic)[1].startswith(_OWN) or not fits_topic(topic, item.topic):
                 continue
@@ -177,10 +177,10 @@ class _Recording(msgspec.Struct):
         return self.fields[key]
 
     def span(self, period: Period) -> tuple[float, float]:
-        """Return the begin and end of what was read, s.
+        """Return the begin and end of the data that was read, s.
 
         Args:
-            period: what was to be read, after the first datagram.
+            period: requested period, after the first datagram.
         """
         last = max(0.0, (self.source.last_ns - self.source.zero_ns) / 1e9)
         return period.start_ns / 1e9 or self.first, min(last, period.end_ns / 1e9) if period.end_ns else last
@@ -236,7 +236,7 @@ def _line_json(figure: Figure, line: PlotLine) -> dict[str, Any]:
 
 
 def open_recordings(paths: Sequence[Path], settings: Settings, scope: Scope) -> list[TopicSource]:
-    """Open the inputs of a plot, each for itself.
+    """Open each input of a plot as a separate source.
 
     Raises:
         CaptureError: one cannot be opened.
@@ -261,14 +261,15 @@ def read_plot(
     bare: bool = False,
     progress: Progress | None = None,
 ) -> PlotReport:
-    """Read what a plot shows; the inputs are closed.
+    """Read the data of a plot; the inputs are closed.
 
     Args:
         sources: the inputs; each is drawn from its own start on.
-        names: of the inputs, for legends.
+        names: names of the inputs, for legends.
         panels_requested: the requests of each panel; none for the rates of all topics.
-        scope: the topics to which requests are narrowed, and the time; all else the inputs apply themselves.
-        bare: without rates, losses and events beneath.
+        scope: the topics to which requests are narrowed, and the period; the inputs apply the rest
+            themselves.
+        bare: leave out the rates, losses and events beneath.
 
     Raises:
         CaptureError: there is nothing to draw.
@@ -290,7 +291,7 @@ def read_plot(
 
 
 class _Assembly(msgspec.Struct):
-    """Makes the figure of what was read."""
+    """Makes the figure of the data that was read."""
 
     read: Sequence[_Recording]
     names: Sequence[str]
@@ -302,7 +303,7 @@ class _Assembly(msgspec.Struct):
 
         Raises:
             CaptureError: there is nothing to draw.
-            ConfigError: no list has an element that is asked for.
+            ConfigError: no list has a requested element.
         """
         panels = [self._panel(panel) for panel in requested]
         requests = [item for panel in requested for item in panel]
@@ -311,7 +312,7 @@ class _Assembly(msgspec.Struct):
             if item.index is not None and lines and not any(line.read + line.not_finite for line in lines):
                 raise ConfigError(f"{item.text}: no list of {recording.source.name} has so many elements")
         lines_read = [line for panel in panels for line in panel.lines if line.read]
-        if all(item.quantity is not Quantity.LOSS for item in requests):  # no loss is a result, too
+        if all(item.quantity is not Quantity.LOSS for item in requests):  # no loss is also a result
             for recording in self.read:
                 topics = {topic for item in recording.topics.values() for topic in item}
                 recording.source.check_found(lines_read, topics)
@@ -327,7 +328,7 @@ class _Assembly(msgspec.Struct):
         )
 
     def _span(self, *read: _Recording) -> tuple[float, float]:
-        """Return the time that is drawn of some recordings."""
+        """Return the period that is drawn of some recordings, s."""
         ends = [item.span(self.scope.period.since(item.source.zero_ns)) for item in read]
         begin, end = min(begin for begin, _ in ends), max(end for _, end in ends)
         return begin, max(end, begin + 1e-3)
@@ -337,7 +338,7 @@ class _Assembly(msgspec.Struct):
         return bar_seconds(self._span(*self.read))
 
     def _panel(self, requests: Sequence[PlotRequest]) -> Panel:
-        """Return a panel that was asked for."""
+        """Return a requested panel."""
         lines: list[tuple[str, PlotLine]] = []
         for item in requests:
             for place, recording in enumerate(self.read):
@@ -366,7 +367,7 @@ class _Assembly(msgspec.Struct):
                     yield full if element is None else f"{full}[{element}]", values.line(place)
 
     def _rates(self, requests: Sequence[PlotRequest]) -> Panel:
-        """Return the rates and losses beneath."""
+        """Return the panel of rates and losses beneath the requested ones."""
         drawn = {
             (item.quantity, topic) for read in self.read for item in requests for topic in read.topics[item]
         }
@@ -384,7 +385,7 @@ class _Assembly(msgspec.Struct):
     def _name_lines(
         self, title: str, named_lines: Sequence[tuple[str, PlotLine]], unit: str, *, beneath: bool = False
     ) -> Panel:
-        """Return a panel; its legend leaves out what all lines share. No colour is twice in the figure."""
+        """Return a panel; its legend omits what all lines share. The figure gives each name its own colour."""
         full = list(dict.fromkeys(name for name, _ in named_lines))
         topics = {name.partition(".")[0] for name in full}
         same = f"{topics.pop()}." if len(topics) == 1 and all("." in name for name in full) else ""
@@ -401,7 +402,7 @@ class _Assembly(msgspec.Struct):
         return Panel(title, lines, unit, beneath)
 
     def _marks(self, place: int) -> Iterator[EventMark]:
-        """Yield the events of a recording; of many close to each other the most severe one."""
+        """Yield the events of a recording; of many close events, only the most severe."""
         recording = self.read[place]
         marks = sorted(recording.marks)
         if len(marks) > MOST_MARKS:

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.columns import TableColumn
 
 _MOST: Final = 1 << 20
-"""Values of a line from which on it is thinned."""
+"""Most values of a line; a line with more is thinned."""
 _COLUMNS: Final = 1 << 15
-"""Parts of its time that then keep their least and greatest value."""
+"""Parts of its time of which a thinned line keeps the least and the greatest value."""
 
 
 class Values(msgspec.Struct):
-    """The values of a field, as they come."""
+    """The values of a field, in order of arrival."""
 
     _seconds: list[NDArray[np.float64]] = msgspec.field(default_factory=list)
     _values: list[NDArray[np.float64]] = msgspec.field(default_factory=list)
@@ -55,7 +55,7 @@ class Values(msgspec.Struct):
         self._seconds, self._values = [seconds[order]], [values[order]]
 
     def line(self, recording: int) -> PlotLine:
-        """Return all of them."""
+        """Return all values as a line."""
         self._join()
         return PlotLine("", recording, self._seconds[0], self._values[0], self._read, self._not_finite)
 
@@ -66,7 +66,7 @@ def numbers(
     """Yield the numbers of a column: the element in its list, the rows that have it, their values.
 
     Args:
-        index: only this element of lists.
+        index: the only element of lists to yield; None for all.
     """
     values = column.values
     rows = np.arange(len(values)) if column.present is None else np.flatnonzero(column.present)
