@@ -109,8 +109,8 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
     if rates := [queue.rate_hz(most) for queue, most, measured in rounds if measured]:
         return round(max(rates), 1), "measured"
     assumed_hz, _, _ = limit(stream.link, stream.msg_id, case.profile, to_cfs=to_cfs)
-    if lost_at_pipe and assumed_hz and (shown_hz := case.shown_hz(stream, assumed_hz)):
-        return round(shown_hz, 1), "measured"
+    if lost_at_pipe and assumed_hz and (lossless_hz := case.lossless_hz(stream, assumed_hz)):
+        return round(lossless_hz, 1), "measured"
     fate = case.commands.fates.get(stream)
     arrives = fate.seen if fate is not None else stream.link.only_from_cfs
     fastest_hz = max((span.offered_hz for span in stream.spans), default=0.0)

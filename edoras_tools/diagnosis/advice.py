@@ -387,7 +387,7 @@ def _at_application(case: Case, loss: Loss) -> Advice:
             f"send at most {_safe(clean):g} Hz, or {_subscribed('a higher limit')}",
         )
     stream = loss.stream
-    if loss.kind != "socket" and (hz := case.shown_hz(stream, clean)):
+    if loss.kind != "socket" and (hz := case.lossless_hz(stream, clean)):
         return Advice(
             f"{hz:.0f} Hz got through here, {loss.offered_hz:.0f} Hz did not (measured)",
             f"send at most {_safe(hz):g} Hz, evenly",

@@ -31,7 +31,7 @@ from edoras_tools.diagnosis.accounting.claims import Counts
 from edoras_tools.diagnosis.accounting.commands import Commands
 from edoras_tools.diagnosis.accounting.content import judge_contents
 from edoras_tools.diagnosis.constants import Constants, learn_constants
-from edoras_tools.diagnosis.evidence.clocks.steady import steadied
+from edoras_tools.diagnosis.evidence.clocks.steady import without_steps
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.loss_reports import (
     LossEvents,
@@ -210,7 +210,9 @@ class Case:
         self.proxied: Mapping[RouteWay, Proxied] = proxied or {}
         self.prepared = prepare(recorder, self.proxied, capture.astray, shared=capture.shared > 0)
         payloads = self.prepared.payloads
-        rows, self.jumps, self.instances = steadied(self.prepared.rows, payloads.events, recorder.endpoints)
+        rows, self.jumps, self.instances = without_steps(
+            self.prepared.rows, payloads.events, recorder.endpoints
+        )
         if self.jumps:  # a step of a clock looked like a restart: follow the sequence counts again
             rows, payloads = followed(rows), payloads.timed(rows.time_ns)
         if (np.diff(rows.time_ns) < 0).any():  # a few ms out of order near a set clock
@@ -338,7 +340,7 @@ class Case:
         counts = ((item.endpoint, item.taken + item.not_captured, item.not_captured) for item in own)
         more = [Evidence("ci_counts", *item) for item in counts]
         once = len(self.rows) - (twice := self.prepared.copies)
-        if once < twice and not self.prepared.perhaps_astray.any():  # Lincoln-Petersen
+        if once < twice and not self.prepared.perhaps_undelivered.any():  # Lincoln-Petersen
             more.append(Evidence("copies", NOBODY, twice, once**2 // (4 * twice)))
         return replace(quality, evidence=(*quality.evidence, *more))
 
@@ -352,7 +354,7 @@ class Case:
         pieces = stream.rows[self.rows.has(Finding.FRAGMENT, stream.rows)]
         return max(1, -(-int(self.rows.length[pieces].max(initial=0)) // _FRAGMENT_BYTES))
 
-    def may_lack(self, size: int, number: int) -> int:
+    def perhaps_missed(self, size: int, number: int) -> int:
         """Return how many missing messages of a stream the capture itself may have missed, at most.
 
         Args:
@@ -496,7 +498,7 @@ class Case:
         return {(item.link, name(item.receiver), int(hosts[item.receiver])) for item in self.streams}
 
     @cached_property
-    def never_whole(self) -> dict[tuple[Endpoint, int], list[int]]:
+    def incomplete_ns(self) -> dict[tuple[Endpoint, int], list[int]]:
         """Sender and MsgId to the times, ns, of datagrams whose later fragments never came."""
         times: dict[tuple[Endpoint, int], list[int]] = {}
         for item in self.capture.lacking:
@@ -525,7 +527,7 @@ class Case:
         """Spans (start, end), ns, without any datagram, for whatever reason."""
         return sorted([*self.away, *self.quiet])
 
-    def is_away(self, starts: Integers, ends: Integers) -> Mask:
+    def overlaps_outage(self, starts: Integers, ends: Integers) -> Mask:
         """Return which spans overlap a time in which the capture could not record: bool (n,)."""
         return overlapping(starts, ends, self.away)
 
@@ -546,7 +548,7 @@ class Case:
             self._times[stream.way] = np.sort(np.concatenate(alike))
         return self._times[stream.way]
 
-    def done_to(self, stream: Stream) -> Proxied:
+    def faults_on(self, stream: Stream) -> Proxied:
         """Return the faults that a proxy injected into a stream's MsgId on its link."""
         to_cfs = stream.link.only_to_cfs or (stream.link.peers and not stream.counted)
         return self.proxied.get((stream.link.code, to_cfs, stream.msg_id), UNTOUCHED)
@@ -618,12 +620,12 @@ class Case:
         """Instance to the growth of its loss counters; each loss takes its share out of it."""
         items, profile = self.instances.items, self.profile
         return {
-            at: Counts.of(track, items[at].boot_ns(profile), self._told_later(at, track.times[-1]))
+            at: Counts.of(track, items[at].boot_ns(profile), self._later_events(at, track.times[-1]))
             for at, track in self.tracks.items()
             if len(track.times) > 1
         }
 
-    def _told_later(self, instance: int, last_ns: int) -> dict[PipeKind, list[int]]:
+    def _later_events(self, instance: int, last_ns: int) -> dict[PipeKind, list[int]]:
         """Return kind of loss at a pipe to the times, ns, of events after an instance's last 0x803."""
         times: dict[PipeKind, list[int]] = {}
         for item, events in self.reported_losses.items():
@@ -646,7 +648,7 @@ class Case:
         """Return the losses of a stream."""
         return self._losses_of.get(stream, [])
 
-    def shown_hz(self, stream: Stream, assumed_hz: float) -> float:
+    def lossless_hz(self, stream: Stream, assumed_hz: float) -> float:
         """Return the highest rate, Hz, at which a stream lost nothing for 10 s; 0 if none counts.
 
         A rate counts if it is above the assumed rate and below every rate at which the stream lost some.

@@ -491,9 +491,9 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
 def _sent(case: Case, fate: Fate) -> LedgerWay:
     """Return the way of a stream into cFS: CI or SBN, software bus, application."""
     stream, losses = fate.stream, list(case.losses_of(fate.stream))
-    faults, relayed = case.done_to(stream), case.commands.relayed.get(stream)
+    faults, relayed = case.faults_on(stream), case.commands.relayed.get(stream)
     # Several receivers may share a MsgId: the proxy's faults stand in the first stream only.
-    first = next(item for item in case.streams if case.done_to(item) is faults)
+    first = next(item for item in case.streams if case.faults_on(item) is faults)
     dropped, doubled = (faults.dropped, min(faults.doubled, len(stream))) if first is stream else ([], 0)
     traffic = LedgerTraffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
     entered = len(stream) + len(dropped) - doubled
@@ -506,7 +506,7 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     if dropped or doubled:
         _by_proxy(way, dropped, len(dropped), doubled)
     all_out = {"out": "all of them came out of cFS again"} if fate.seen and fate.arrived.all() else {}
-    _taken_in(case, fate, way, all_out, losses)
+    _add_reader(case, fate, way, all_out, losses)
     lost = {"lost": "0x803, and what cFS refuses by itself"} if case.tracks else all_out or {"lost": _NO_BUS}
     way.hop(BUS, {"in": way.counted_by, **lost})
     if not fate.seen:
@@ -574,7 +574,7 @@ def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
         way.end("uncertain", min(fate.ends["elsewhere"], max(0, way.left - fate.reached)))
         way.end("waiting", max(0, way.left - fate.reached))
     if fate.seen:
-        _applied(case, fate, way)
+        _add_application(case, fate, way)
 
 
 def _damaged(case: Case) -> Iterator[LedgerWay]:
@@ -597,7 +597,7 @@ def _lose_damaged(way: LedgerWay, rows: Rows) -> None:
         way.end("lost", 1, DAMAGED, text=CAUSES[DAMAGED].listed, times_ns=(when, when))
 
 
-def _taken_in(
+def _add_reader(
     case: Case, fate: Fate, way: LedgerWay, all_out: Mapping[str, str], losses: Sequence[Loss]
 ) -> None:
     """Add the hop of the reader: CI, or the SBN socket if SBN did not read every datagram."""
@@ -617,7 +617,7 @@ def _taken_in(
         _lose_damaged(way, case.damaged_of(stream))
 
 
-def _applied(case: Case, fate: Fate, way: LedgerWay) -> None:
+def _add_application(case: Case, fate: Fate, way: LedgerWay) -> None:
     """Add the hop of the application, where the capture shows its output."""
     outs = [hop.out for hop in fate.hops]
     ways = ", ".join("the robot link" if out.link.last_hop else case.name(out.msg_id) for out in outs)
@@ -643,7 +643,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     way.hop(case.pipe_of(stream), {"in": by, "lost": lost})
     way.lose(losses, _AT_PIPE)
     way.end("shared", telemetry.ended(stream, "shared"))
-    way.end("not_captured", max(0, telemetry.ended(stream, "closed") - _told_before(case, stream)))
+    way.end("not_captured", max(0, telemetry.ended(stream, "closed") - _lost_upstream(case, stream)))
     silenced = [(number, among) for of, number, among in telemetry.silenced if of is stream and number]
     if silenced:
         way.hop(telemetry_output.SOCKET, {"in": f"{_COUNT}, less what 0x803 counts", "out": SEEN})
@@ -651,7 +651,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
         for number, among in silenced:
             about = _span_of(case, among) | {"text": f"{telemetry_output.SOCKET} failed"}
             way.end("lost" if failed else "not_captured", number, TO_SOCKET if failed else "", **about)
-    faults, dropped = case.done_to(stream), telemetry.ended(stream, "proxied")
+    faults, dropped = case.faults_on(stream), telemetry.ended(stream, "proxied")
     doubled = min(faults.doubled, stream.duplicates if stream.counted else len(stream))
     if dropped or doubled:
         _by_proxy(way, faults.dropped, dropped, doubled)
@@ -660,16 +660,16 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     way.lose(losses, _BEHIND_PIPE)
     _lose_damaged(way, case.damaged_of(stream).take(slice(telemetry.ended(stream, "damaged"))))
     way.end("not_captured", telemetry.ended(stream, "away"))
-    way.end("uncertain", sum(telemetry.ends[stream][how] for how in ("uncertain", "untold", "astray")))
+    way.end("uncertain", sum(telemetry.ends[stream][how] for how in ("uncertain", "undecided", "astray")))
     # Losses of captured messages: they were lost on the way to the next capture.
-    undelivered = (case.rows.undelivered | case.prepared.perhaps_astray)[stream.rows]
+    undelivered = (case.rows.undelivered | case.prepared.perhaps_undelivered)[stream.rows]
     own = ((item.lost, item.among) for item in losses if item.among and item.among.stream is stream)
     astray = (lost for lost, of in own if of.missing is None and undelivered[of.rows].all())
     way.close(len(stream) - sum(astray) - telemetry.ended(stream, "astray"))
     return way
 
 
-def _told_before(case: Case, stream: Stream) -> int:
+def _lost_upstream(case: Case, stream: Stream) -> int:
     """Return the number of losses behind the bus that the input streams of this one already have."""
     made_of = {hop.into: hop.into for hop in case.hops if hop.out is stream}.values()
     losses = chain.from_iterable(map(case.losses_of, made_of))
@@ -721,7 +721,7 @@ def _by_proxy(way: LedgerWay, dropped: Sequence[tuple[int, bytes]], number: int,
 
 def _all_dropped(case: Case) -> Iterator[LedgerWay]:
     """Yield a way for each MsgId that a proxy dropped and that has no stream in the recording."""
-    streams = {id(case.done_to(stream)) for stream in case.streams}
+    streams = {id(case.faults_on(stream)) for stream in case.streams}
     for (code, _, msg_id), item in case.proxied.items():
         if item.dropped and id(item) not in streams:
             link = table.link(code)

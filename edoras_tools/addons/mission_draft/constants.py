@@ -157,7 +157,7 @@ def clean_rates(case: Case) -> dict[tuple[str, int], float]:
     for stream in case.streams:
         fate = case.commands.fates.get(stream)
         shows = fate.seen if fate is not None else stream.counted
-        if shows and (rate := case.shown_hz(stream, 0.0)):
+        if shows and (rate := case.lossless_hz(stream, 0.0)):
             key = stream.link.label, stream.msg_id
             rates[key] = max(rate, rates.get(key, 0.0))
     return rates

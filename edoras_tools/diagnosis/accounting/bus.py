@@ -26,11 +26,11 @@ from edoras_tools.cfs import executive_services, queues, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.claims import FAR_NS, Claim, Rank, claimed_alike, settle
 from edoras_tools.diagnosis.accounting.closed import (
     closed_at,
+    containing,
     enables_ns,
-    perhaps_taken_off,
+    perhaps_removed,
     routes_cut,
-    silenced_at,
-    unled_silences,
+    unexplained_silences,
 )
 from edoras_tools.diagnosis.accounting.losses import (
     BEHIND,
@@ -90,7 +90,7 @@ class Part(msgspec.Struct):
         outside: messages missing before the first sample of the counters or after the last.
         closed: whether the way out was closed, so that they would not have been sent.
         silenced: whether Telemetry Output sent nothing at all until it was enabled.
-        unled: whether nothing at all came, and the commands that would explain it are not captured.
+        unexplained: whether nothing at all came, and the commands that would explain it are not captured.
         cause: kind of loss, place and evidence, if a closed way out lost them; else None.
         among: the missing messages.
         evidence: lines that show the loss.
@@ -108,16 +108,16 @@ class Part(msgspec.Struct):
     outside: int = 0
     closed: bool = False
     silenced: bool = False
-    unled: bool = False
+    unexplained: bool = False
     cause: tuple[LossKind, str, str] | None = None
     evidence: list[str] = msgspec.field(default_factory=list)
 
 
-GapEnd = Literal["closed", "proxied", "damaged", "untold", "away", "uncertain", "astray", "shared"]
+GapEnd = Literal["closed", "proxied", "damaged", "undecided", "away", "uncertain", "astray", "shared"]
 """The fate of a missing message that is in no loss.
 
 ``closed``: published while the way out was closed, and not counted. ``proxied``: a proxy dropped it on
-purpose. ``damaged``: it came with a wrong checksum. ``untold``: cut frames hide which cFS it is of, or
+purpose. ``damaged``: it came with a wrong checksum. ``undecided``: cut frames hide which cFS it is of, or
 nothing shows whether Telemetry Output was to send it. ``away``: missing while the capturing interface was
 away. ``uncertain``: the capture may have missed it. ``astray``: it is captured here, and the next capture on
 its way may have missed it. ``shared``: it may be among counts of several kinds of traffic."""
@@ -198,7 +198,7 @@ class Telemetry:
                 counts[part.span.first] = 1
         return counts
 
-    def tell(self) -> None:
+    def make_losses(self) -> None:
         """Turn the missing messages into losses, once the claims are settled.
 
         Messages that SBN brought from another cFS, on a way that is not captured, may also be among the
@@ -232,29 +232,29 @@ class Telemetry:
         if hop is None and not (stream.counted and len(gaps.at)):
             return
         owner, times = case.owner(stream), stream.time_ns
-        away = case.is_away(times[gaps.at], times[np.minimum(gaps.at + 1, len(stream) - 1)])
+        away = case.overlaps_outage(times[gaps.at], times[np.minimum(gaps.at + 1, len(stream) - 1)])
         self.ends[stream]["away"] = int(gaps.number[away].sum())
         gaps = gaps.take(~away)
         closed = closed_at(case, stream, gaps.at)
         way = stream.sender, stream.receiver
         if hop is None and way not in self._unled:
-            self._unled[way] = unled_silences(case, stream)
-        unled_ns, retold_ns = self._unled[way] if hop is None else ([], [])
-        closed |= silenced_at(stream, gaps.at, retold_ns)
+            self._unled[way] = unexplained_silences(case, stream)
+        unexplained_ns, shrunk_ns = self._unled[way] if hop is None else ([], [])
+        closed |= containing(stream, gaps.at, shrunk_ns)
         silences = case.silences_of(stream.sender) if stream.link.only_from_cfs else ()
-        silenced = silenced_at(stream, gaps.at, silences) & ~closed
-        taken_off = perhaps_taken_off(case, stream, gaps.number) if hop is None else np.zeros_like(closed)
+        silenced = containing(stream, gaps.at, silences) & ~closed
+        taken_off = perhaps_removed(case, stream, gaps.number) if hop is None else np.zeros_like(closed)
         if owner in self._counts:
             taken_off &= self._counts[owner].between(gaps.low_ns, gaps.high_ns) < gaps.number
-        unled = (silenced_at(stream, gaps.at, unled_ns) | taken_off) & ~(closed | silenced)
-        closed |= silenced | unled
+        unexplained = (containing(stream, gaps.at, unexplained_ns) | taken_off) & ~(closed | silenced)
+        closed |= silenced | unexplained
         for index in np.flatnonzero(closed).tolist():
             own = gaps.take(np.array([index]))
             first, number = int(own.at[0]), int(own.number[0])
             last = min(first + 1, len(stream) - 1)
             span = Span(first, last, int(times[first]), int(times[last]), 0, number)
             part = Part(stream, span, owner, own.among(stream), number, closed=True)
-            part.silenced, part.unled = bool(silenced[index]), bool(unled[index])
+            part.silenced, part.unexplained = bool(silenced[index]), bool(unexplained[index])
             self._claim_closed(part, own, gaps)
         gaps, spans = gaps.take(~closed), stream.spans
         which = np.searchsorted([item.first for item in spans], gaps.at, "right") - 1
@@ -316,16 +316,16 @@ class Telemetry:
         """Count messages that a proxy dropped before a stream's first message or after its last."""
         rest: dict[int, int] = {}
         for stream in self._case.streams:
-            faults = self._case.done_to(stream)
+            faults = self._case.faults_on(stream)
             rest[id(faults)] = rest.get(id(faults), len(faults.dropped)) - self.ended(stream, "proxied")
         for stream in self._case.streams:
-            if more := rest.pop(id(self._case.done_to(stream)), 0):
+            if more := rest.pop(id(self._case.faults_on(stream)), 0):
                 self.ends[stream]["proxied"] += more
 
     def _dropped(self, stream: Stream) -> Integers:
         """Return how many missing messages after each row a proxy or damage explains, i64 (rows,)."""
         numbers = np.zeros(len(stream), np.int64)
-        dropped = self._case.done_to(stream).counts(peers=stream.link.peers)
+        dropped = self._case.faults_on(stream).counts(peers=stream.link.peers)
         damaged = self._case.damaged_of(stream).sequence_count.astype(np.int64).tolist()
         before = self._case.rows.sequence_count[stream.rows].astype(np.int64)
         both: tuple[tuple[GapEnd, list[int]], ...] = ("proxied", dropped), ("damaged", damaged)
@@ -347,7 +347,7 @@ class Telemetry:
             gap: the gap.
             gaps: all gaps of the stream.
         """
-        if not part.silenced and not part.unled:
+        if not part.silenced and not part.unexplained:
             part.cause = self._cause(part)
         if part.owner in self._counts and part.stream.link.only_from_cfs:
             rank, kinds = Rank.OWN_PACKETS if part.cause is None else Rank.CLOSED, tuple(COUNTERS)
@@ -423,7 +423,7 @@ class Telemetry:
         if part.silenced:
             self.silenced.append((part.stream, rest, part.among))
         else:
-            self.ends[part.stream]["untold" if part.unled else "closed"] += rest
+            self.ends[part.stream]["undecided" if part.unexplained else "closed"] += rest
 
     def _kinds(self, part: Part, gaps: Integers, *, via: bool) -> tuple[PipeKind, ...]:
         """Return the counters that surely compete for a part's messages (rule 2); adds to its evidence."""
@@ -528,7 +528,7 @@ class Telemetry:
         elif not is_counted and self._cut(part.stream):
             ends, twice = self.ends[part.stream], min(rest, self._missing_at_output(part.stream))
             ends["uncertain"] += twice
-            ends["untold"] += rest - twice
+            ends["undecided"] += rest - twice
         else:
             self._unexplained(part, rest, of, grown=any(grown))
 
@@ -575,11 +575,11 @@ class Telemetry:
 
     def _beginnings(self, stream: Stream) -> list[int]:
         case = self._case
-        if not case.never_whole:
+        if not case.incomplete_ns:
             return []
         senders = np.unique(case.rows.source[stream.rows]).tolist()
         keys = ((case.endpoints[place], stream.msg_id) for place in senders)
-        return [when for key in keys for when in case.never_whole.get(key, ())]
+        return [when for key in keys for when in case.incomplete_ns.get(key, ())]
 
     @cached_property
     def _fragmented(self) -> list[tuple[int, int]]:

@@ -122,7 +122,7 @@ def _commanded_ns(case: Case, stream: Stream, *codes: int) -> Integers:
     return np.array([item.time_ns for item in about], np.int64)
 
 
-def silenced_at(stream: Stream, at: Places, spans: Sequence[tuple[int, int]]) -> Mask:
+def containing(stream: Stream, at: Places, spans: Sequence[tuple[int, int]]) -> Mask:
     """Return which gaps of a stream contain one of some spans: a mask (gaps,).
 
     Args:
@@ -137,27 +137,27 @@ def silenced_at(stream: Stream, at: Places, spans: Sequence[tuple[int, int]]) ->
     return out
 
 
-def one_sided(case: Case, stream: Stream) -> bool:
+def lacks_control(case: Case, stream: Stream) -> bool:
     """Return whether the capture lacks the commands or subscriptions that decide whether a stream is sent.
 
     Commands to cFS control Telemetry Output; SBN sends to a peer that is connected and subscribes.
     """
     rows = case.rows
     if stream.link.peers:
-        said = (rows.source == stream.receiver) & (rows.destination == stream.sender)
+        from_peer = (rows.source == stream.receiver) & (rows.destination == stream.sender)
         lists = rows.has(Finding.CAPTURE_CUT) & np.isin(rows.sbn_msg_type, (MsgType.SUB, MsgType.UNSUB))
-        return not said.any() or bool((said & lists).any())
+        return not from_peer.any() or bool((from_peer & lists).any())
     return not rows.on(lambda link: link.only_to_cfs).any()
 
 
-def unled_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], ...]:
+def unexplained_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], ...]:
     """Return spans in which nothing came on a stream's way, and the capture does not show whether it should.
 
     Returns:
         Spans without any packet where the controlling commands are not captured; and spans without any packet
         after which fewer MsgIds came, so that Telemetry Output was commanded, captured or not.
     """
-    led, output = not one_sided(case, stream), stream.link.only_from_cfs
+    led, output = not lacks_control(case, stream), stream.link.only_from_cfs
     rows = case.rows
     own = (rows.source == stream.sender) & (rows.destination == stream.receiver)
     times = _sent_by(case, stream.sender) if output else rows.time_ns[own & (rows.msg_id != NO_MSG_ID)]
@@ -165,11 +165,11 @@ def unled_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], .
     spans = list(zip(times[silent].tolist(), times[silent + 1].tolist(), strict=True))
     ends = [item.time_ns[-1] for item in case.streams if item.sender == stream.sender and len(item) >= _FEW]
     late = [span for span in spans if output and case.end_ns - span[1] > _STOPS_NS]
-    retold = [span for span in late if sum(span[0] - _STOPS_NS < when <= span[0] for when in ends) > 1]
-    return ([], retold) if led else (spans, [])
+    shrunk = [span for span in late if sum(span[0] - _STOPS_NS < when <= span[0] for when in ends) > 1]
+    return ([], shrunk) if led else (spans, [])
 
 
-def perhaps_taken_off(case: Case, stream: Stream, missing: Integers) -> Mask:
+def perhaps_removed(case: Case, stream: Stream, missing: Integers) -> Mask:
     """Return which gaps are too long for chance, where the controlling commands are not captured.
 
     A command may have removed the MsgId from Telemetry Output's table and added it again.
@@ -181,7 +181,7 @@ def perhaps_taken_off(case: Case, stream: Stream, missing: Integers) -> Mask:
     """
     others = missing.sum() - missing
     share = (others + 1) / (len(stream) + others + 1)
-    return np.asarray(one_sided(case, stream) & (len(stream) * share**missing < 1 - CONFIDENCE))
+    return np.asarray(lacks_control(case, stream) & (len(stream) * share**missing < 1 - CONFIDENCE))
 
 
 def _sent_by(case: Case, sender: int) -> Integers:
@@ -481,10 +481,10 @@ class Stops:
         self._causes: dict[tuple[LossKind, str, str], int] = {}
         self.losses: list[Loss] = []
         self._fates = [fate for fate in fates if not fate.stream.is_housekeeping]
-        gone = [item for item in case.outages if item.app not in _LINKS]
+        stopped = [item for item in case.outages if item.app not in _LINKS]
         for fate in sorted(self._fates, key=lambda item: not item.seen):
             if fate.seen:
-                for item in gone:
+                for item in stopped:
                     # Without a scheduler an application is not woken: its pipe fills, or it keeps the newest.
                     if fate.keeps_newest or item.app not in executive_services.SCHEDULERS:
                         self._mark(fate, item)
@@ -493,7 +493,7 @@ class Stops:
                 self._mark_beside(fate)
                 continue
             self._mark_unread(fate)
-            own = [item for item in gone if item.app not in executive_services.SCHEDULERS]
+            own = [item for item in stopped if item.app not in executive_services.SCHEDULERS]
             own = [item for item in own if case.into_system(fate.stream, item.system)]
             if own:
                 self._unfollowed(fate, own)
@@ -516,7 +516,7 @@ class Stops:
         inside = fate.open & (fate.stop < 0)
         inside &= (times > max(item.start_ns - WAITS_NS, last_ns)) & (times < until_ns)
         if fate.keeps_newest:
-            inside = self._held(fate, item, inside, until_ns)
+            inside = self._surely_missed(fate, item, inside, until_ns)
             if item.end_ns is not None and last_ns > item.end_ns:  # it was back within a round
                 self._hold(fate, fate.open & (times > item.start_ns) & (times < item.end_ns))
         if item.app in executive_services.SCHEDULERS:
@@ -541,7 +541,7 @@ class Stops:
         fate.open |= never
         fate.waits &= ~never
 
-    def _held(self, fate: Fate, item: Outage, inside: Mask, until_ns: int) -> Mask:
+    def _surely_missed(self, fate: Fate, item: Outage, inside: Mask, until_ns: int) -> Mask:
         """Return which messages an application that keeps the newest surely did not receive.
 
         Messages that it received together when it was back were superseded. It may have received those that
@@ -655,12 +655,8 @@ class Stops:
             inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
             self.mark(fate, inside, "disabled", telemetry_output.NAME, text)
         last_ns = max((int(_sent_by(case, out.sender)[-1]) for out in outs), default=NEVER)
-        for item in case.outages:
-            if (
-                item.app in telemetry_output.NAMES
-                and item.end_ns is None
-                and last_ns < item.ended_ns + TAIL_NS
-            ):
+        for item in (item for item in case.outages if item.app in telemetry_output.NAMES):
+            if item.end_ns is None and last_ns < item.ended_ns + TAIL_NS:
                 inside = fate.open & (fate.stop < 0) & (times > max(item.start_ns, last_ns))
                 self.mark(fate, inside, "stopped", item.app, item.witness)
 
@@ -673,7 +669,7 @@ class Stops:
                 text = f"started at {self._case.at(boot_ns)} beside another one: it has CI's port"
                 self.mark(fate, inside, "beside", self._case.label(index), text)
 
-    def tell(self) -> None:
+    def make_losses(self) -> None:
         """Turn the marked messages into losses, but not those that may be lost behind the application."""
         causes = list(self._causes)
         for fate in self._fates:
@@ -715,8 +711,8 @@ class Stops:
             if fate.claim(lacking):
                 self.losses.append(fate.loss("stopped", lacking, [item.witness], hop=item.app))
         first = min(surely or own, key=lambda item: item.start_ns)
-        fate.unfollowed = times > first.start_ns
-        fate.unfollowed_since = first.witness
+        fate.undecidable = times > first.start_ns
+        fate.undecidable_since = first.witness
 
 
 def _newest(fate: Fate, hop: Hop, wake_ns: int) -> Mask:

@@ -32,7 +32,7 @@ from edoras_tools.diagnosis.accounting.claims import (
     share_open,
     shares,
 )
-from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, UDP_PORT, Stops, silenced_at
+from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, UDP_PORT, Stops, containing
 from edoras_tools.diagnosis.accounting.ingest import BeforeCi
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
@@ -47,7 +47,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     Fate,
     Loss,
     follow,
-    regroup,
+    mark_superseded,
 )
 from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes
 from edoras_tools.diagnosis.matching.streams import Stream, counted_gaps, full_rounds
@@ -128,18 +128,18 @@ class Commands:
         hold_back(case, claims)
         # All claims on the counters are settled together: first surely missing messages, then possible ones.
         leftover = Leftover(case, self.fates, pipes)
-        leftover.take_named()
+        leftover.take_reported()
         shared = settle_known(counts, claims, leftover.rivals())
         if case.quality.lacks_answered:  # a missing message may be lost, or only missed by the capture
             shared += share_open(counts, claims)
         open_ = Counter[Hashable]()
         for claim in claims:
             open_[claim.flow] += claim.open
-        settle_first(counts, claims, may_be_missed(case, open_))
+        settle_first(counts, claims, most_missed(case, open_))
         self._tails = {item.flow: sum(item.taken.values()) for item in claims if item.rank == Rank.POSSIBLE}
         # The counts become losses. What is still missing may be lost where no counter is, or before CI.
-        pipes.tell()
-        stops.tell()
+        pipes.make_losses()
+        stops.make_losses()
         self.losses += stops.losses
         for fate in fates:
             self._over_limit(fate)
@@ -153,19 +153,19 @@ class Commands:
         leftover.share(shared)
         settle_rest(counts, claims)
         settle_doubted(counts, claims)
-        leftover.trade(telemetry.claims)
-        telemetry.tell()
+        leftover.doubt_gaps(telemetry.claims)
+        telemetry.make_losses()
         self._name([item for item in case.refused if item.by_type])
         # Step 8, and what concerns few messages: refusals, streams that can only be compared by number.
         doubt(case, telemetry, fates, self.losses)
-        leftover.tell()
+        leftover.make_losses()
         self.uncaptured = leftover.uncaptured
         self.refused_of: dict[Stream, list[tuple[Verdict, int, Among]]] = {}
         for item in case.refused:
             if placed := self.placed.get(id(item)):
                 self.refused_of.setdefault(placed[1].stream, []).append((item, *placed))
-        self._spare_refused()
-        self._follow_on(fates)
+        self._take_back_refused()
+        self._mark_undecidable(fates)
         self._number(fates)
         self._relayed(fates)
         for fate in fates:
@@ -183,9 +183,8 @@ class Commands:
             for when in case.damaged_of(hop.out).time_ns.tolist():
                 at = int(np.searchsorted(out_ns, when))
                 inside = fate.open & (sent < when) & (sent > when - TAIL_NS)
-                inside[: into[at - 1] if at else 0] = inside[into[at] if at < len(into) else len(sent) :] = (
-                    False
-                )
+                first, last = into[at - 1] if at else 0, into[at] if at < len(into) else len(sent)
+                inside[:first] = inside[last:] = False
                 if fate.claim(rows := np.flatnonzero(inside)[:1]):
                     text, to = "it came out damaged: its checksum is wrong", case.endpoints[hop.out.receiver]
                     self.losses.append(fate.loss("damaged", rows, [text], hop=f"{UDP_PORT} {to}"))
@@ -206,7 +205,7 @@ class Commands:
             return
         at, accounts = np.flatnonzero(missing), case.ingests_at(stream.receiver)
         ends = stream.time_ns[[at[0], at[-1] + 1]].tolist()
-        may = case.may_lack(len(stream), number)
+        may = case.perhaps_missed(len(stream), number)
         evidence = [f"sequence count: {number:,} of {len(stream) + number:,} never came"]
         counted = [own.not_captured for own in accounts if own.first_ns < ends[0] and ends[1] < own.last_ns]
         if counted and not accounts[0].lost:
@@ -225,7 +224,7 @@ class Commands:
 
         Those that the next capture may only have missed become uncertain.
         """
-        masks = self._case.rows.undelivered, self._case.prepared.perhaps_astray
+        masks = self._case.rows.undelivered, self._case.prepared.perhaps_undelivered
         rows, perhaps = (np.flatnonzero(mask[stream.rows]) for mask in masks)
         if unheard := self._case.unheard_of(stream):
             rows, perhaps = (np.setdiff1d(own, unheard) for own in (rows, perhaps))
@@ -251,7 +250,7 @@ class Commands:
 
         That is so if CI's counts show exactly as many losses by a time as one capture point lacks by then.
         """
-        alone, rows = self._case.prepared.perhaps_astray, self._case.rows
+        alone, rows = self._case.prepared.perhaps_undelivered, self._case.rows
         up = rows.on(lambda link: link.only_to_cfs)
         last_ns = rows.time_ns[alone & up].max(initial=0)
         ends = [loss.end_ns for own in self._case.ingests for loss in own.losses if loss.end_ns >= last_ns]
@@ -296,7 +295,7 @@ class Commands:
             self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
             if stream.link.only_to_cfs:
                 fate.ends["crowded"] += fate.claim(perhaps)
-        regroup(case, fate)
+        mark_superseded(case, fate)
 
     def _uncounted(self, fate: Fate, stops: Stops) -> None:
         """Mark messages that were sent while CI did not run, if no counts are around that.
@@ -361,7 +360,7 @@ class Commands:
             number = len(item.lost_ns)
             # Datagrams that CI counted without a sign of them came out of the relay too.
             unseen = sum(own.not_captured for own in self._case.ingests)
-            number -= max(min(unseen, number), self._case.may_lack(item.of, number)) if number else 0
+            number -= max(min(unseen, number), self._case.perhaps_missed(item.of, number)) if number else 0
             if number:
                 span = int(item.lost_ns.min()), int(item.lost_ns.max())
                 text = f"{number:,} of {item.of:,} went into {item.relay} and did not come out of it"
@@ -424,16 +423,16 @@ class Commands:
             if first is not None:
                 fate, within = first
                 if within.sum() == 1 and item.confidence == "high":
-                    self._give_way(fate, np.flatnonzero(within & fate.arrived))
+                    self._swap_refused(fate, np.flatnonzero(within & fate.arrived))
                 rows = np.flatnonzero((fate.open | fate.blind) & within)
                 if number := min(rest, len(rows)) if (fate.arrived & within).any() else 0:
-                    rest = number - self._case.may_lack(int(within.sum()), number)  # some come out
+                    rest = number - self._case.perhaps_missed(int(within.sum()), number)  # some come out
                 self._place(item, fate, rows, rest)
                 rest = 0  # the others arrived, or are in another verdict
             self.unplaced[id(item)] = rest
 
     @staticmethod
-    def _give_way(fate: Fate, rows: Places) -> None:
+    def _swap_refused(fate: Fate, rows: Places) -> None:
         """Swap a refused message that seems to have come out with an equal one, or one without values."""
         for row in rows.tolist() if len(fate.hops) == 1 else ():
             prints = fate.hops[0].prints
@@ -442,7 +441,7 @@ class Commands:
                 fate.blind[other] = fate.arrived[row] = fate.open[other] = False
                 fate.arrived[other] = fate.open[row] = True
 
-    def _spare_refused(self) -> None:
+    def _take_back_refused(self) -> None:
         """Take back refusals of messages that a full pipe lost, or may have, before they were refused."""
         unknown = [loss for loss in self.losses if loss.stream is None and loss.kind == "unknown"]
         for key, placed in self.refused_of.items():
@@ -517,32 +516,34 @@ class Commands:
                 fate.passed[others[: int(room.sum()) - len(first)]] = True
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True
 
-    def _follow_on(self, fates: Sequence[Fate]) -> None:
+    def _mark_undecidable(self, fates: Sequence[Fate]) -> None:
         """Make messages unaccounted that were sent after their application stopped.
 
         Likewise if 0x803 may have counted all of them as messages without a subscriber, or if nothing comes
         from the address that they were sent to.
         """
-        self._leave_to_silence([fate for fate in fates if fate.stream.link.only_to_cfs])
+        self._mark_silent_address([fate for fate in fates if fate.stream.link.only_to_cfs])
         for fate in fates:
-            if fate.unfollowed is None and fate.stream.link.only_to_cfs:
-                self._leave_to_nobody(fate)
-            if fate.unfollowed is not None:
-                open_ = max(0, int((fate.open & fate.unfollowed).sum()) - fate.followed)
-                fate.ends["unaccounted"] = min(open_, self._untold(fate))
+            if fate.undecidable is None and fate.stream.link.only_to_cfs:
+                self._mark_unsubscribed(fate)
+            if fate.undecidable is not None:
+                open_ = max(0, int((fate.open & fate.undecidable).sum()) - fate.followed)
+                fate.ends["unaccounted"] = min(open_, self._without_fate(fate))
 
-    def _leave_to_nobody(self, fate: Fate) -> None:
+    def _mark_unsubscribed(self, fate: Fate) -> None:
         case, sent_ns = self._case, fate.stream.time_ns
-        known = fate.seen or fate.stream.is_housekeeping
-        for track in [own for at, own in case.tracks.items() if case.goes_to(fate.stream, at) and not known]:
+        is_known = fate.seen or fate.stream.is_housekeeping
+        for track in [
+            own for at, own in case.tracks.items() if case.goes_to(fate.stream, at) and not is_known
+        ]:
             grown, spread = track.beyond_steady("no_subscribers", sent_ns, TAIL_NS)
             inside = fate.open & (sent_ns >= track.times[0]) & (sent_ns < track.times[-1])
             more = int(grown[-1] - grown[max(0, np.searchsorted(track.times, sent_ns[0]) - 1)])
             if 2 * more <= 3 * inside.sum() <= 3 * more and inside.sum() > spread:
-                fate.unfollowed = fate.open.copy()
-                fate.unfollowed_since = f"0x803: {more:,} more messages without a subscriber meanwhile"
+                fate.undecidable = fate.open.copy()
+                fate.undecidable_since = f"0x803: {more:,} more messages without a subscriber meanwhile"
 
-    def _leave_to_silence(self, fates: Sequence[Fate]) -> None:
+    def _mark_silent_address(self, fates: Sequence[Fate]) -> None:
         """Mark streams to an address from which nothing comes, while other addresses answer the sender."""
         places, answers = self._case.endpoints, defaultdict[int, set[str]](set)
         heard = {places[at].address for at in distinct(self._case.rows.source).tolist()}
@@ -550,11 +551,11 @@ class Commands:
             answers[stream.sender] |= {places[stream.receiver].address} & heard
         for fate in fates:
             address, others = places[fate.stream.receiver].address, answers[fate.stream.sender]
-            if others and address not in heard and not fate.seen and fate.unfollowed is None:
-                fate.unfollowed, why = fate.open.copy(), " and ".join(sorted(others))
-                fate.unfollowed_since = f"nothing comes from {address}, as it does from {why}"
+            if others and address not in heard and not fate.seen and fate.undecidable is None:
+                fate.undecidable, why = fate.open.copy(), " and ".join(sorted(others))
+                fate.undecidable_since = f"nothing comes from {address}, as it does from {why}"
 
-    def _untold(self, fate: Fate) -> int:
+    def _without_fate(self, fate: Fate) -> int:
         """Return how many messages of a stream have no fate."""
         lost = sum(loss.lost for loss in self.losses if loss.stream is fate.stream)
         others = fate.refused.total() + sum(fate.ends[how] for how in ("queued", "crowded", "late"))
@@ -576,7 +577,7 @@ class Commands:
         (fate,) = own
         cut = rows.has(Finding.CAPTURE_CUT)
         if cut[robot].any() or cut[fate.stream.rows].any():
-            rest = self._untold(fate) + fate.ends["queued"] + fate.ends["late"]
+            rest = self._without_fate(fate) + fate.ends["queued"] + fate.ends["late"]
             fate.reached = min(rest, len(robot))
             rest -= fate.reached
             # CI had read what the robot got, counted or not.
@@ -585,11 +586,11 @@ class Commands:
             rest -= fate.ends["queued"] + fate.ends["late"]
             late = fate.stream.time_ns > self._case.end_ns - WAITS_NS
             bare = rows.packet_length[fate.stream.rows] <= rows.header_length[fate.stream.rows]
-            self._leave_open(fate, rest - int((late | bare).sum()))
+            self._make_unaccounted(fate, rest - int((late | bare).sum()))
             # A command without a message reaches no robot; some of these may be lost already.
             fate.ends["elsewhere"] += min(int(bare.sum()), max(0, rest))
 
-    def _leave_open(self, fate: Fate, number: int) -> None:
+    def _make_unaccounted(self, fate: Fate, number: int) -> None:
         """Make ``number`` messages of a stream unaccounted, less those that may have another explanation.
 
         That is: losses of an unknown MsgId, losses of telemetry that would not have been sent anyway or that
@@ -597,7 +598,7 @@ class Commands:
         """
         losses = [item for item in [*self.losses, *self.telemetry.losses] if item.kind in _COUNTED]
         others = sum(item.lost for item in losses if item.stream is None or item.closed)
-        others += self._case.may_lack(len(fate.stream), max(0, number)) + sum(self._tails.values())
+        others += self._case.perhaps_missed(len(fate.stream), max(0, number)) + sum(self._tails.values())
         fate.ends["unaccounted"] = max(0, number - others)
         fate.ends["elsewhere"] = max(0, number) - fate.ends["unaccounted"]
 
@@ -618,7 +619,7 @@ class Commands:
         fate.commanded = int(steps.sum())
         times, counted_ns = fate.stream.time_ns, samples["time_ns"]
         inside = int(((times > counted_ns[0]) & (times <= counted_ns[-1] - TAIL_NS)).sum())
-        self._leave_open(fate, inside - (len(times) - self._untold(fate)) - fate.commanded)
+        self._make_unaccounted(fate, inside - (len(times) - self._without_fate(fate)) - fate.commanded)
 
     def _end(self, fates: Sequence[Fate], shared: Sequence[Shared]) -> None:
         """Give a fate to the messages that are left (rules 6 and 7).
@@ -747,14 +748,14 @@ def _spans(fates: Sequence[Fate]) -> Integers:
     return np.array([[edge(fate.stream.time_ns) for fate in fates] for edge in (np.min, np.max)])
 
 
-def may_be_missed(case: Case, lacking: Counter[Hashable]) -> dict[Hashable, int]:
+def most_missed(case: Case, lacking: Counter[Hashable]) -> dict[Hashable, int]:
     """Return how many missing messages of each stream the capture may have missed.
 
     Args:
         case: the capture.
         lacking: stream to its number of missing messages.
     """
-    return {item: case.may_lack(len(item), lacking[item]) for item in case.streams if item in lacking}
+    return {item: case.perhaps_missed(len(item), lacking[item]) for item in case.streams if item in lacking}
 
 
 def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Sequence[Loss]) -> None:
@@ -769,7 +770,7 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
         fates: fates of messages into cFS; their unaccounted messages are reduced too.
         losses: losses of messages into cFS.
     """
-    _leave_quiet(case, telemetry)
+    _take_back_in_holes(case, telemetry)
     streamed = case.rows.streamed
     gaps: dict[Stream, list[tuple[Loss, int]]] = {}
     for loss in telemetry.losses:
@@ -778,7 +779,7 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
             gaps.setdefault(loss.stream, []).append((loss, number))
     missing = sum(number for own in gaps.values() for _, number in own)
     sent = sum(len(item) for item in case.streams if item.counted) + missing
-    spare = _mistaken(case, [*telemetry.losses, *losses])
+    spare = _counted_but_missed(case, [*telemetry.losses, *losses])
     for stream in case.streams if missing and not case.quality.excludes(missing / sent) else ():
         own = gaps.get(stream, [])
         for (loss, number), share in zip(own, _missed(case, stream, [many for _, many in own]), strict=True):
@@ -787,28 +788,28 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Seque
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
     for fate in (fate for fate in fates if fate.seen and fate.ends["unaccounted"]):
         absent = fate.ends["unaccounted"]
-        missed = case.may_lack(len(fate.stream), absent)
+        missed = case.perhaps_missed(len(fate.stream), absent)
         more = min(spare, absent - missed)
         fate.ends["missed"] += missed + more
         fate.ends["unaccounted"] -= missed + more
         spare -= more
 
 
-def _mistaken(case: Case, losses: Sequence[Loss]) -> int:
+def _counted_but_missed(case: Case, losses: Sequence[Loss]) -> int:
     """Return how many messages whose loss was counted may be others, because the capture missed these."""
     lost = Counter[Hashable]()
     for loss in losses if case.quality.lacks_answered else ():
         if loss.kind in COUNTERS and loss.stream is not None:
             lost[loss.stream] += loss.lost
-    return sum(may_be_missed(case, lost).values())
+    return sum(most_missed(case, lost).values())
 
 
-def _leave_quiet(case: Case, telemetry: Telemetry) -> None:
+def _take_back_in_holes(case: Case, telemetry: Telemetry) -> None:
     """Take back losses in intervals in which nothing at all was captured."""
     for loss in telemetry.losses if case.quiet else ():
         among = loss.among
         if loss.kind not in COUNTERS and among is not None and among.missing is not None:
-            inside = silenced_at(among.stream, among.rows, case.quiet)
+            inside = containing(among.stream, among.rows, case.quiet)
             _take_back(telemetry, loss, min(loss.lost, int(among.missing[inside].sum())))
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
 

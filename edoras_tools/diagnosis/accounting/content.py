@@ -297,4 +297,4 @@ def _expected(case: Case, hop: Hop) -> Integers:
 def _stood_still(case: Case, sent_ns: Integers, when: Integers) -> Mask:
     """Return which messages were under way while cFS, an application or the interface was down: a mask."""
     spans = [(span.start_lo, span.end_hi) for span in case.timeline.every(*NOT_RUNNING)]
-    return case.is_away(sent_ns, when) | overlapping(sent_ns, when, spans)
+    return case.overlaps_outage(sent_ns, when) | overlapping(sent_ns, when, spans)

@@ -787,10 +787,10 @@ class BeforeCi:
                 fate.ends["crowded"] += fate.claim(inside)
         for before in account.losses:
             self._before_ci(account, before)
-        self._leave_open([(fate, fate.open) for fate in fates], account.unsure)
+        self._make_unaccounted([(fate, fate.open) for fate in fates], account.unsure)
 
     @staticmethod
-    def _leave_open(may: Sequence[_May], number: int) -> None:
+    def _make_unaccounted(may: Sequence[_May], number: int) -> None:
         """Make the first ``number`` of messages that may be lost uncertain."""
         windows = [np.flatnonzero(own) for _, own in may]
         most = [len(inside) for inside in windows]
@@ -930,12 +930,12 @@ class BeforeCi:
         for before in account.losses if size and self._case.loss_counts else ():
             may = self._open(all_out, before, before.since_ns)
             number = sum(int((own & ~fate.unseen).sum()) for fate, own in may)
-            missed = quality.may_have_missed(size) if shows else self._case.may_lack(size, number)
+            missed = quality.may_have_missed(size) if shows else self._case.perhaps_missed(size, number)
             text = "so many did not come out, and its counts leave room for them"
             self._spread(may, before, min(max(0, number - missed), before.more), [text])
         for before in account.losses:
             may = self._open(self._to(account), before, before.since_ns)
-            self._leave_open(may, min(before.more, self._strange(account, before)))
+            self._make_unaccounted(may, min(before.more, self._strange(account, before)))
 
     def wait(self, account: Ingest) -> None:
         """Mark the latest messages without a fate as waiting in CI's socket at its last count.

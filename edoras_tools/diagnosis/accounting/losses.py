@@ -190,8 +190,8 @@ class Fate:
         unseen: bool (rows,), it may have come out while nothing was captured.
         ends: number of messages by their end, for messages in no loss.
         refused: rule to the number of messages that cFS refused for what they contain.
-        unfollowed: bool (rows,), it was sent after the capture could no longer show its fate; None for none.
-        unfollowed_since: fact from which on that is so, as text.
+        undecidable: bool (rows,), it was sent after the capture could no longer show its fate; None for none.
+        undecidable_since: fact from which on that is so, as text.
         followed: number of those that a counter has as lost, and none that was sent before them.
         reached: number of messages that came out, if cut frames hide which ones; else None.
         commanded: number of commands to Telemetry Output that 0x880 counts; None if unknown.
@@ -214,8 +214,8 @@ class Fate:
     ends: Counter[End] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
     counted_in_stop: Counter[int] = field(default_factory=Counter)
-    unfollowed: Mask | None = None
-    unfollowed_since: str = ""
+    undecidable: Mask | None = None
+    undecidable_since: str = ""
     followed: int = 0
     reached: int | None = None
     commanded: int | None = None
@@ -297,7 +297,7 @@ def follow(case: Case, stream: Stream) -> Fate:
     # A message that may have come out while nothing was captured is ``unseen``.
     leaving_ns = _leaving(hops, times, delay)
     unseen = overlapping(*leaving_ns, case.blind) & open_ & bool(hops)
-    waits |= unseen & case.is_away(*leaving_ns)
+    waits |= unseen & case.overlaps_outage(*leaving_ns)
     blind, newer = ~followed & ~arrived & bool(hops), _newer(case, hops, open_, times)
     return Fate(stream, hops, arrived, newer, open_ & ~waits, waits, blind, unseen)
 
@@ -328,7 +328,7 @@ def _longest(delays_ns: Integers) -> int:
     return min(int(np.quantile(delays_ns, 0.99)), 2 * int(delays_ns[-_LAST:].max()) + WAITS_NS)
 
 
-def regroup(case: Case, fate: Fate) -> None:
+def mark_superseded(case: Case, fate: Fate) -> None:
     """Mark messages that may also have been replaced, after losses in front of the application are known."""
     fate.newer |= _newer(case, fate.hops, fate.open, fate.stream.time_ns)
 

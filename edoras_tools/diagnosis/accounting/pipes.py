@@ -187,7 +187,7 @@ class Pipes:
         delay = max((hop.last_ns for hop in fate.hops), default=0)
         return np.maximum(times - LEAD_NS, self._taken_since(fate, times)), times + delay + LATE_NS
 
-    def tell(self) -> None:
+    def make_losses(self) -> None:
         """Turn the counts that the claims got into losses."""
         for claim in self.claims:
             own, at = self._whose[claim.key], 0
@@ -349,7 +349,7 @@ class _Candidate(msgspec.Struct, frozen=True):
         spans: spans of time in which it was sent.
         since_ns: counts until this time may be of messages from before the capture.
         sender: sending application, as events name it.
-        said: events that name it; None if there are none.
+        events: events that name it; None if there are none.
         sent_ns: i64, when its messages were sent; None if that is not captured.
         queue: model of the pipe; None if its size is not known.
         counted_ns: a loss is counted at most this long after its message was sent.
@@ -362,7 +362,7 @@ class _Candidate(msgspec.Struct, frozen=True):
     spans: Sequence[Span]
     since_ns: int
     sender: str = ""
-    said: LossEvents | None = None
+    events: LossEvents | None = None
     sent_ns: Integers | None = None
     queue: queues.Queue | None = None
     counted_ns: int = DRAINS_NS
@@ -372,7 +372,7 @@ class _Candidate(msgspec.Struct, frozen=True):
         if end_ns <= self.since_ns:
             return range(0)
         if not self.spans:
-            return range(self.said is not None and self.said.first_ns - TAIL_NS <= end_ns)
+            return range(self.events is not None and self.events.first_ns - TAIL_NS <= end_ns)
         # A datagram may wait in a socket for long before it is delivered, and counted.
         first = bisect_left(self.spans, start_ns - self.counted_ns, key=lambda item: item.end_ns)
         return range(first, bisect_right(self.spans, end_ns + LEAD_NS, key=lambda item: item.start_ns))
@@ -454,7 +454,7 @@ class Leftover:
 
         A message may have been sent up to a round of CI before it was counted.
         """
-        return self._case.is_away(counts.times[:-1] - WAITS_NS - LEAD_NS, counts.times[1:])
+        return self._case.overlaps_outage(counts.times[:-1] - WAITS_NS - LEAD_NS, counts.times[1:])
 
     def _absent(self) -> Iterator[tuple[ReportedLoss, LossEvents, PipeKind]]:
         """Yield losses that events name and whose traffic is not captured, such as a scheduler's wake-ups."""
@@ -470,7 +470,7 @@ class Leftover:
                 if fate is not None and fate.seen:
                     yield item, report, item.at_pipe, fate.stream
 
-    def take_named(self) -> None:
+    def take_reported(self) -> None:
         """Assign one count to every loss event, and make losses of those whose traffic is not captured."""
         for item, report, kind in self._absent():
             for claim in self._settled(item, report, kind):
@@ -548,7 +548,7 @@ class Leftover:
             if item.app in TICKS:
                 yield item, self._case.end_ns if item.end_ns is None else item.end_ns
 
-    def trade(self, claims: Sequence[Claim]) -> None:
+    def doubt_gaps(self, claims: Sequence[Claim]) -> None:
         """Count messages as uncertain that may have caused the counts which gaps were given.
 
         This is so where gaps show that telemetry was lost behind cFS, too: then a gap need not be a count.
@@ -569,7 +569,7 @@ class Leftover:
                     more = sum(max(0, min(most, item.beyond(sent, *span))) for span, most in spans)
                     fate.ends["earlier"] = min(len(sent), fate.ends["earlier"] + more)
 
-    def tell(self) -> None:
+    def make_losses(self) -> None:
         """Make losses of an unknown MsgId of the counts that nothing explains."""
         for instance, counts in self._counts.items():
             away, places = self._away(counts).tolist(), (own.taken.items() for own in self._pipes.claims)
@@ -597,7 +597,7 @@ class Leftover:
         groups: dict[tuple[tuple[int, range], ...], list[int]] = {}
         for second in np.flatnonzero(rest).tolist():
             times = counts.span([second])
-            own = [(index, item) for index, item in enumerate(candidates) if item.said or not old[second]]
+            own = [(index, item) for index, item in enumerate(candidates) if item.events or not old[second]]
             active = ((index, item.active(*times)) for index, item in own)
             groups.setdefault(tuple((index, spans) for index, spans in active if spans), []).append(second)
         for active_, seconds in groups.items():
@@ -607,7 +607,7 @@ class Leftover:
             share = min(number, most)
             if len(rivals) == 1:
                 if number > most:  # others lost some, too: nothing shows which are its own but events
-                    events, fate = rivals[0].said, self._fates.get(rivals[0].stream)
+                    events, fate = rivals[0].events, self._fates.get(rivals[0].stream)
                     share = min(share, events.within(times[0] - LEAD_NS, times[1]) if events else 0)
                     if fate is not None:
                         fate.ends["shared"] += most - share
@@ -683,7 +683,7 @@ class Leftover:
         full = any(loss.cause == "socket" for item in ingests for loss in item.losses)
         visible = stream.link.only_to_cfs and not (full or any(item.not_captured for item in ingests))
         fate = self._fates.get(stream)
-        visible &= fate is None or fate.unfollowed is None
+        visible &= fate is None or fate.undecidable is None
         queue = queues.application_pipe(case.profile) if visible else None
         late = [item for item in ingests if item.waiting or item.older_until_ns or item.lost]
         times, reads = self._came_ns(stream), case.profile.ci_datagrams_per_wake
@@ -755,16 +755,16 @@ class Leftover:
         among = None
         if cut is not None and item.stream is not None:  # the messages of the span without a fate
             rows, fate = np.arange(cut.first, cut.last + 1), self._fates.get(item.stream)
-            if fate is not None and fate.unfollowed is not None and len(spans) == 1:
-                fate.followed += number * bool(fate.unfollowed[rows].all())
+            if fate is not None and fate.undecidable is not None and len(spans) == 1:
+                fate.followed += number * bool(fate.undecidable[rows].all())
             among = Among(item.stream, rows if fate is None else rows[fate.open[rows]])
-            if item.said is not None:
+            if item.events is not None:
                 self._pipes.lose(item.stream, cut, kind, number, instance, among.rows)
                 return
         text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
         evidence = [text, "no event names it: suppressed, filtered, or lost itself"]
-        if item.said is not None:
-            evidence = [item.said.text(item.said.count), text]
+        if item.events is not None:
+            evidence = [item.events.text(item.events.count), text]
         start_ns, end_ns = (cut.start_ns, cut.end_ns) if cut else times
         loss = Loss(kind, item.pipe, number, start_ns, end_ns, "medium", instance, item.msg_id)
         loss.stream, loss.span, loss.of = item.lost_from, cut, cut.count if cut else None

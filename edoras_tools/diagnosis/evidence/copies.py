@@ -217,7 +217,7 @@ class Once:
             batch = batch.take(rows)
         network, identification, life = network_headers(batch)
         conversation = conversation_of(batch)
-        short = _glance(batch, conversation, identification)
+        short = _quick_key(batch, conversation, identification)
         base: tuple[NDArray[Any], ...] = batch.time_ns, identification, conversation
 
         def whole(some: Places | slice) -> tuple[NDArray[Any], ...]:
@@ -262,10 +262,10 @@ class Repeats:
 
 
 def _alone(batch: PacketBatch) -> Prints:
-    return _glance(batch, conversation_of(batch), network_headers(batch)[1])
+    return _quick_key(batch, conversation_of(batch), network_headers(batch)[1])
 
 
-def _glance(batch: PacketBatch, conversation: Integers, identification: NDArray[np.uint16]) -> Prints:
+def _quick_key(batch: PacketBatch, conversation: Integers, identification: NDArray[np.uint16]) -> Prints:
     """Return a quick key of each datagram, u64 (n,), equal for equal ones: headers, without id some bytes."""
     number = batch.length.astype(np.uint64) << np.uint64(16) | identification
     number ^= conversation.astype(np.uint64) * MIX

@@ -262,10 +262,10 @@ class SharedFields:
             of_kind = [index for index, route in enumerate(routes) if route.type == kind and route.to_cfs]
             rows = np.flatnonzero((offset >= 0) & np.isin(columns.route, of_kind))
             read = types.columns(kind, batch.data, offset[rows], length[rows])
-            told_values = {
+            rounded_values = {
                 name: np.asarray(read.fields[name]).astype(own) for name, (_, own) in names.items()
             }
-            prints[rows] = np.where(read.valid, of_fields(told_values), 0)
+            prints[rows] = np.where(read.valid, of_fields(rounded_values), 0)
         return prints
 
 

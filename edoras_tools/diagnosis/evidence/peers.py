@@ -215,9 +215,9 @@ class Network:
                 signs = sent if len(sent) else heard
                 app = sent[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
                 alive_ns = int(rows.time_ns[signs[0]])
-                changes = self._changes(rows, heard, alive_ns, end_ns, _farewells(rows, sent))
+                changes = self._changes(rows, heard, alive_ns, end_ns, _disconnect_spans(rows, sent))
                 changes = _believed(changes, rows.time_ns[app])
-                changes = _greeted(changes, rows, sent, app)
+                changes = _with_unseen(changes, rows, sent, app)
                 self.connections[peer, observer] = Connection(
                     peer[0], observer[0], changes, rows.time_ns[app], _restarts(rows, heard, sent, changes)
                 )
@@ -232,7 +232,7 @@ class Network:
             heard: rows that the peer sent to the observer.
             alive_ns: time of the observer's first datagram.
             end_ns: time of the last datagram of the capture.
-            farewells: result of ``_farewells``.
+            farewells: result of ``_disconnect_spans``.
         """
         timeout = self._profile.sbn_timeout_s * SECOND
         silent = (self._profile.sbn_heartbeat_s + 1) * SECOND
@@ -296,7 +296,7 @@ class Network:
         return self.connections.get((self.party(receiver), self.party(sender)))
 
 
-def _farewells(rows: Rows, sent: Places) -> list[tuple[int, int]]:
+def _disconnect_spans(rows: Rows, sent: Places) -> list[tuple[int, int]]:
     """Return when an observer sent DISCONNECT, and from when on it accepted the peer's datagrams again, ns.
 
     The second time is shortly before the observer's next datagram to the peer, because it answers; it is the
@@ -326,7 +326,7 @@ def _believed(changes: list[PeerChange], sent_ns: Integers) -> list[PeerChange]:
     return out
 
 
-def _greeted(changes: list[PeerChange], rows: Rows, sent: Places, app: Places) -> list[PeerChange]:
+def _with_unseen(changes: list[PeerChange], rows: Rows, sent: Places, app: Places) -> list[PeerChange]:
     """Return the changes with time-outs that no silence shows (rule 4).
 
     Counts are missing from the observer's messages in front of its new SUB: it sent them to nobody.

@@ -69,8 +69,8 @@ class Prepared(NamedTuple):
         duplicates: i64, indices of rows that the network doubled.
         damaged: one row for each damaged datagram, left out of ``rows``.
         doubled: rows that were either captured or sent twice, without evidence which; left out of ``rows``.
-        perhaps_astray: bool (rows,), the datagram reached one capture, and the next one on its path perhaps
-            only missed it.
+        perhaps_undelivered: bool (rows,), the datagram reached one capture, and the next one on its path
+            perhaps only missed it.
         disordered: number of records that stood behind a later one.
         unsteady_ns: random error of the capture times, ns.
         translated: address to its other name on the inner side of an address translation.
@@ -87,7 +87,7 @@ class Prepared(NamedTuple):
     duplicates: Places
     damaged: Rows
     doubled: Rows
-    perhaps_astray: Mask
+    perhaps_undelivered: Mask
     disordered: int
     unsteady_ns: int
     translated: Mapping[str, str]
@@ -163,7 +163,7 @@ def prepare(
         payloads = payloads.over(np.where(stranger, -1, rest.places), count)
     if behind_ns.any():
         payloads = payloads.timed(rest.rows.time_ns)
-    surely, perhaps_astray = _find_astray(rest.rows, astray)
+    surely, perhaps_undelivered = _find_astray(rest.rows, astray)
     rest.rows = replace(rest.rows, undelivered=surely)
     return Prepared(
         rows=_emptied(rest.rows, stranger) if stranger.any() else rest.rows,
@@ -177,7 +177,7 @@ def prepare(
         duplicates=np.flatnonzero(duplicate[single]),
         damaged=damaged,
         doubled=doubled,
-        perhaps_astray=perhaps_astray | alone[single],
+        perhaps_undelivered=perhaps_undelivered | alone[single],
         disordered=disordered,
         unsteady_ns=unsteady_ns,
         translated={

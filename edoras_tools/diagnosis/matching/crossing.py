@@ -306,11 +306,11 @@ def _ways_in(
         if own:
             groups.setdefault(key, {})[comes] = own
     for group in groups.values():
-        pairs |= share_out(group, into.msg_id[place], out.msg_id)
+        pairs |= assign_candidates(group, into.msg_id[place], out.msg_id)
     return {comes: (int(place[index]), _COMPARED[order[index]]) for comes, index in pairs.items()}
 
 
-def share_out(alike: dict[int, list[int]], came: Integers, went: Integers) -> dict[int, int]:
+def assign_candidates(alike: dict[int, list[int]], came: Integers, went: Integers) -> dict[int, int]:
     """Return one of the equally likely candidates for each stream out, with different MsgIds if possible.
 
     Streams that compete for the same candidates get them in the order of MsgIds; else the first is taken.

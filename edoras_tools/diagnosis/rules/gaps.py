@@ -10,7 +10,7 @@ import numpy as np
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.software_bus import NAME
 from edoras_tools.diagnosis.accounting.budget import limit
-from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT, one_sided
+from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT, lacks_control
 from edoras_tools.diagnosis.accounting.losses import BUS, Fate, Loss
 from edoras_tools.diagnosis.advice import loss_verdict, lost_at
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
@@ -116,8 +116,8 @@ def _unfollowed(case: Case, fate: Fate) -> Verdict:
         why = f"Telemetry Output counted {fate.commanded:,} commands meanwhile"
         evidence = ["0x880: its counters of commands taken and refused, between the first and the last here"]
     else:
-        why, evidence = f"{fate.unfollowed_since}; nothing here shows whether an application took them", []
-        times = times[fate.unfollowed]
+        why, evidence = f"{fate.undecidable_since}; nothing here shows whether an application took them", []
+        times = times[fate.undecidable]
     open_ = fate.reached is None and fate.commanded is None
     return warning(
         f"{fate.ends['unaccounted']:,} of {len(stream):,} messages sent to cFS on "
@@ -279,16 +279,16 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
             confidence="low",
         )
     for stream in case.streams:
-        if untold := case.telemetry.ended(stream, "untold"):
-            why, remedy = _untold(case, stream)
+        if untold := case.telemetry.ended(stream, "undecided"):
+            why, remedy = _without_fate(case, stream)
             reason = f"{untold:,} of {case.name(stream.msg_id)} may be lost: {why}"
             about = stream_subject(case, stream) | {"of": len(stream) + untold, "confidence": "low"}
             yield warning(reason, *case.drops_text(), **about, remedy=remedy)
 
 
-def _untold(case: Case, stream: Stream) -> tuple[str, str]:
+def _without_fate(case: Case, stream: Stream) -> tuple[str, str]:
     """Return why nothing tells what became of counts that are missing, and what would tell."""
-    if not one_sided(case, stream):
+    if not lacks_control(case, stream):
         why = (
             "the capture cut off when packets were made, so nothing tells whether they were lost, not sent, "
         )

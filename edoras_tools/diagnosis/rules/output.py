@@ -138,7 +138,7 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
     closed = [
         (part, part.missing - part.taken.total())
         for part in case.telemetry.parts
-        if part.closed and not (part.silenced or part.unled or part.cause) and part.stream.link is TO
+        if part.closed and not (part.silenced or part.unexplained or part.cause) and part.stream.link is TO
     ]
 
     def explain(when: int, msg_id: int = -1) -> tuple[int | None, list[str]]:

@@ -76,7 +76,7 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     least = "at least " if loss.instance not in case.tracks else ""
     if loss.sender and not loss.sender.startswith((*command_ingest.NAMES, "SBN")):
         return _by_another(case, loss, least)
-    if loss.stream is not None and (hz := case.shown_hz(loss.stream, clean)):
+    if loss.stream is not None and (hz := case.lossless_hz(loss.stream, clean)):
         return loss_verdict(
             case,
             loss,

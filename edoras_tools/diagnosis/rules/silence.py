@@ -115,7 +115,7 @@ def _every(case: Case) -> list[Silence]:
         published = stream.link.from_cfs or stream.link.peers
         # Of packets without a time nothing tells whether their cFS ran on.
         dated = stream.instance != NOBODY or not (stream.counted or stream.known_id in MSG_ID_NAMES)
-        dated &= "untold" not in case.telemetry.ends[stream]
+        dated &= "undecided" not in case.telemetry.ends[stream]
         if published and dated and len(stream) >= _LEAST and stream.known_id not in _EVENTS:
             silences += _silences(case, stream)
     return silences

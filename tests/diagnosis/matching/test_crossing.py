@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from edoras_tools.diagnosis.matching.crossing import share_out
+from edoras_tools.diagnosis.matching.crossing import assign_candidates
 
 CAME = np.array([0x1827, 0x1828, 0x1829])
 
@@ -23,4 +23,4 @@ CAME = np.array([0x1827, 0x1828, 0x1829])
     ],
 )
 def test_each_way_out_has_a_way_in_of_its_own_as_far_as_there_are(alike, expected):
-    assert share_out(alike, CAME, np.array([0x82A, 0x82B])) == expected
+    assert assign_candidates(alike, CAME, np.array([0x82A, 0x82B])) == expected

@@ -61,7 +61,7 @@ class Jump(NamedTuple):
     by_ns: int
 
 
-def steadied(
+def without_steps(
     rows: Rows, events: Sequence[EventRecord], endpoints: Sequence[Endpoint]
 ) -> tuple[Rows, list[Jump], Instances]:
     """Return the rows with corrected times, the steps that were taken out, and the instances of cFS.
