@@ -225,8 +225,8 @@ def _key(loss: Loss) -> tuple[object, ...]:
 
 def _is_far(case: Case, endpoint: int) -> bool:
     """Tell whether a network may lie between the capture and an endpoint, of which it does not tell."""
-    counted = any(item.by_kernel for item in case.ingests_at(endpoint))
-    return not (counted or case.capture.shared or ip_address(case.endpoints[endpoint].address).is_loopback)
+    by_kernel = any(item.by_kernel for item in case.ingests_at(endpoint))
+    return not (by_kernel or case.capture.shared or ip_address(case.endpoints[endpoint].address).is_loopback)
 
 
 def advise(case: Case, loss: Loss) -> Advice:

@@ -435,8 +435,8 @@ def _fine(result: Diagnosis) -> str:
     arrived, unseen = fates.get("arrived", ()), fates.get("unseen", ())
     whole = plural(sum(rows[-1].out for rows in arrived), "message")
     others = sum(rows[-1].out for rows in (*arrived, *fates.get("open", ())))
-    here = (row for row in result.balance if row.hop != CAPTURE)  # its lost frames have a verdict
-    open_ended = sum(row.waiting + row.not_captured + row.shared for row in here)
+    rows = (row for row in result.balance if row.hop != CAPTURE)  # its lost frames have a verdict
+    open_ended = sum(row.waiting + row.not_captured + row.shared for row in rows)
     # If the network doubles messages, it may also lose copies, and no counter shows that.
     hides = any(row.copies > row.sure_copies for row in result.balance)
     arrival = "arrived, as far as this capture shows." if _leaves_host(result) else "arrived."

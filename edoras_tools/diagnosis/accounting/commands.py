@@ -303,12 +303,12 @@ class Commands:
         They may still claim counts of the bus: CI may have read some after the last one that came out.
         """
         case, times = self._case, fate.stream.time_ns
-        counted = [(item.first_ns, item.last_ns) for item in case.ingests_at(fate.stream.receiver)]
+        spans = [(item.first_ns, item.last_ns) for item in case.ingests_at(fate.stream.receiver)]
         own = [item for item in case.outages if case.into_system(fate.stream, item.system)]
         for item in (item for item in own if item.app in command_ingest.NAMES):
             end_ns = case.end_ns if item.end_ns is None else item.end_ns
             by_ns, to_ns = min(item.ended_ns, end_ns - WAITS_NS), item.start_ns if item.end_ns else 0
-            if any(first_ns < by_ns and last_ns > to_ns for first_ns, last_ns in counted):
+            if any(first_ns < by_ns and last_ns > to_ns for first_ns, last_ns in spans):
                 continue
             # What came out was read: CI did not run where nothing came out for the longest time.
             read = times[fate.arrived & (times > item.start_ns) & (times < end_ns)]

@@ -848,7 +848,7 @@ class BeforeCi:
         """Return how many datagrams of programs that are no bridges came to a CI while it lost some."""
         case, rows = self._case, account.rows
         strange = {flow.source for flow in case.prepared.flows if flow.kind is ConversationKind.STRANGER}
-        places = [at for at, endpoint in enumerate(case.endpoints) if endpoint in strange]
+        places = [at for at, item in enumerate(case.endpoints if strange else ()) if item in strange]
         sent_ns = case.rows.time_ns[rows[np.isin(case.rows.source[rows], places)]]
         return int(((sent_ns > before.since_ns) & (sent_ns <= before.end_ns)).sum())
 

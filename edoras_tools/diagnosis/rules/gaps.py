@@ -307,13 +307,13 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
     """
     lacking = [item.name for item in (CI, TO, SBN) if not (case.rows.link == item).any()]
     also = f"capture {' and '.join(lacking)} too where cFS uses it, and " if lacking else ""
-    named = {case.name(item.msg_id) for item in case.reported_losses if item.at_pipe}
+    names = sorted({case.name(item.msg_id) for item in case.reported_losses if item.at_pipe})
     for loss in case.losses:
         if loss.rivals or (loss.kind == "unknown" and loss.stream is None):
             where = f"on the {BUS}" if loss.hop == BUS else f"at {loss.hop}"
             which = " or ".join(dict.fromkeys(case.name(msg_id) for _, msg_id, _ in loss.rivals))
             question = f"whether of {which}" if which else "which"
-            question += f": events name {listed(sorted(named))} alone" * (not which and bool(named))
+            question += f": events name {listed(names)} alone" * (not which and bool(names))
             ids = {msg_id for _, msg_id, _ in loss.rivals}
             helped = any(item.hop == loss.hop and item.msg_id in ids for item in case.losses)
             yield error(

@@ -266,8 +266,8 @@ def _unsubscribed(case: Case) -> Iterator[Verdict]:
     """Name what a peer no longer wants: of what it got, or what else is here."""
     msg_ids = {stream.msg_id for stream in case.streams}
     for system, owner in case.timeline.subjects:
-        wanted = owner.kind == "subscription" and owner.msg_id in msg_ids
-        changes = case.timeline.of(owner, system) if wanted else ()
+        is_here = owner.kind == "subscription" and owner.msg_id in msg_ids
+        changes = case.timeline.of(owner, system) if is_here else ()
         for change, later in zip_longest(changes, changes[1:]):
             if change.witness.startswith("UNSUB"):
                 until = f"until {case.at(later.not_before_ns)}" if later else "from then on"
