@@ -1092,3 +1092,14 @@ def test_what_output_was_to_send_behind_its_last_stop_is_lost(tmp_path):
     assert by_cause(found).keys() == {"stopped"}
     assert 25 <= found.lost <= 5 * (32.0 - 23.5)
     assert "what it lost" not in first_screen(found)
+
+
+def test_commands_to_the_port_of_a_processor_are_its_own():
+    """Two cFS at one address: the stop of CI of 66:2 is not that of 66:1, nor of what that publishes."""
+    found = examined("two_cfs_at_two_ports")
+    reasons = [item.reason for item in found.verdicts if item.rule == "topic_silent"]
+    assert (
+        "0x0884 (CI_HK) stopped at 13.9 s and did not come back (1 Hz before): CI_LAB_APP was stopped at 13.0 s"
+        in reasons
+    )
+    assert not any("0x082d" in item and "CI_LAB_APP" in item for item in reasons)

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools.cfs import command_ingest
 from edoras_tools.diagnosis.evidence.preparation import handed_on
 from edoras_tools.diagnosis.evidence.table import Rows, number_hosts, peer_of
 from edoras_tools.sessions.sequence import BOOT_APART_NS, MODULUS
@@ -262,9 +263,13 @@ class Instances:
         """Return the instance nearest in time, among those at the endpoint's address if there are any."""
         near = [index for index in fits if self.items[index].host == self.hosts[endpoint]]
 
-        def away(index: int) -> int:
+        def away(index: int) -> tuple[int, bool]:
             item = self.items[index]
-            return max(item.first_ns - time_ns, time_ns - item.last_ns, 0)
+            # Each processor of the lab has a port of its own for its CI.
+            of_port = str(self._ports[endpoint] - command_ingest.PORT + 1)
+            return max(item.first_ns - time_ns, time_ns - item.last_ns, 0), not item.name.endswith(
+                f":{of_port}"
+            )
 
         return min(near or fits, key=away)
 

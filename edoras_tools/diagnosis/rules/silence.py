@@ -56,10 +56,12 @@ class Rate(NamedTuple):
 class Silence(NamedTuple):
     """A time in which nothing came of a stream, and how often it came before, if steadily.
 
-    ``until_ns`` is None where it lasted until ``end_ns``, when its cFS or the capture ended.
+    ``until_ns`` is None where it lasted until ``end_ns``, when its cFS or the capture ended; ``system`` is
+    that cFS.
     """
 
     stream: Stream
+    system: int
     start_ns: int
     until_ns: int | None
     end_ns: int
@@ -139,7 +141,8 @@ def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
         if rate is not None and length * rate.hz < _WAIT_PERIODS * SECOND:
             continue
         if _alive(case, stream, start_ns, length):
-            yield Silence(stream, start_ns, until_ns, start_ns + length, rate)
+            system = case.system(stream) if stream.is_command else case.instances.system(case.owner(stream))
+            yield Silence(stream, system, start_ns, until_ns, start_ns + length, rate)
 
 
 def _together(silences: Sequence[Silence]) -> Iterator[list[Silence]]:
@@ -151,7 +154,8 @@ def _together(silences: Sequence[Silence]) -> Iterator[list[Silence]]:
         def alike(item: Silence, first: Silence = first) -> bool:
             near = item.start_ns - first.start_ns < _NEAR_NS
             back = abs(item.end_ns - first.end_ns) < _NEAR_NS
-            return near and back and (item.until_ns is None) == (first.until_ns is None)
+            same = (item.system, item.until_ns is None) == (first.system, first.until_ns is None)
+            return near and back and same
 
         yield [item for item in rest if alike(item)]
         rest = [item for item in rest if not alike(item)]
@@ -179,7 +183,8 @@ def _causes(case: Case, members: Sequence[Silence]) -> list[str]:
     return closed + [
         f"{item.app} was {'restarted' if item.restarted else 'stopped'} {case.end_of(item)}"
         for item in case.outages
-        if item.start_ns < max(map(_next_ns, members))
+        if item.system == members[0].system
+        and item.start_ns < max(map(_next_ns, members))
         and first < item.ended_ns + _NEAR_NS
         and item.start_ns >= case.start_ns
     ]
@@ -246,8 +251,7 @@ def _surely_silent(stream: Stream, before: Integers, length: int) -> bool:
 def _explained(case: Case, silence: Silence) -> bool:
     """Tell whether something else tells of it: it was asked for, or what it is made from is silent too."""
     stream, start_ns, end_ns = silence.stream, silence.start_ns, silence.end_ns
-    system = case.system(stream) if stream.is_command else case.instances.system(case.owner(stream))
-    name = case.network.identity_of.get
+    system, name = silence.system, case.network.identity_of.get
     way = Way(stream.msg_id, stream.link, system, stream.is_command, name(stream.receiver, ""))
     spans = [item.span for item in reasons_for(case.timeline, way, start_ns, end_ns, case.at)]
     if stream.link.peers and stream.is_command:
