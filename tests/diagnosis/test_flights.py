@@ -135,6 +135,7 @@ RANGES = {
     "counters_reset_in_overload": 172,
     "route_disabled_at_a_full_pipe": 172,
     "one_of_two_peers_off": 22,
+    "two_cfs_at_two_ports": 62,
     "network_overload_restart": 52,
     "two_cfs_of_one_name": 71,
 }

@@ -498,6 +498,10 @@ class _Counted:
             if item.end_ns is None:
                 stops_ns = self._commanded_ns(self._own[-1].seen_ns - SECOND, item.ended_ns)
                 since_ns = max(stops_ns, default=(item.ended_ns, 0))[0]
+                if stops_ns and (self._arrived is None or not self._all_out):
+                    surely_ns = min(since_ns + _ENDS_NS, item.ended_ns)
+                    account.unsure += int(self._sent_until(surely_ns) - self._sent_until(since_ns))
+                    since_ns = surely_ns
                 if unread := int((self._sent_ns > since_ns).sum()):
                     span = since_ns, int(self._sent_ns[-1])
                     account.losses.append(Before("ci_stopped", unread, *span, said=item.witness))
@@ -953,7 +957,7 @@ class BeforeCi:
         late = own[len(own) - min(number, len(own)) :]
         for fate in fates:
             if not fate.seen:
-                behind = fate.stream.time_ns > account.last_ns
+                behind = fate.open & (fate.stream.time_ns > account.last_ns)
                 fate.ends["late"] = int(behind.sum())
                 fate.open &= ~behind
             waiting = np.isin(fate.stream.rows, late)
