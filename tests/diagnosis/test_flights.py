@@ -120,6 +120,7 @@ FLIGHTS = {
     "long_commands_vanish": (18, {"network": 18}),
     "downlink_alone": (48, {"limit": 38, "unknown": 10}),
     "robot_ends_after_its_commands": (0, {}),
+    "two_robots_cut_at_96_bytes": (0, {}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -1104,3 +1105,8 @@ def test_commands_to_the_port_of_a_processor_are_its_own():
         in reasons
     )
     assert not any("0x082d" in item and "CI_LAB_APP" in item for item in reasons)
+
+
+def test_where_values_are_cut_off_a_topic_ends_with_commands_that_end():
+    rules = {item.rule for item in examined("two_robots_cut_at_96_bytes").verdicts}
+    assert "topic_silent" not in rules

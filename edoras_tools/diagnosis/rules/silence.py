@@ -266,10 +266,10 @@ def _explained(case: Case, silence: Silence) -> bool:
     if inputs:
         return not ((inputs[0] > start_ns) & (inputs[0] < end_ns - _SLACK_NS)).any()
     # What cFS sends to a bridge is mostly what an operator sends to cFS.
-    rows = case.rows
-    sent = rows.time_ns[rows.on(lambda link: link.only_to_cfs)]
-    onward = stream.link.peers and stream.counted and len(sent) > 0
-    return onward and not ((sent > start_ns) & (sent < end_ns - _SLACK_NS)).any()
+    sent = [item.time_ns for item in case.streams if item.link.only_to_cfs and len(item) >= _LEAST]
+    ended = [ns for ns in sent if not ((ns > start_ns) & (ns < end_ns - _SLACK_NS)).any()]
+    near = any(ns[ns <= start_ns].max(initial=0) > start_ns - _NEAR_NS for ns in ended)
+    return stream.link.peers and stream.counted and (near or 0 < len(sent) == len(ended))
 
 
 def _alive(case: Case, stream: Stream, start_ns: int, length: int) -> bool:
