@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from ipaddress import ip_address
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -194,8 +194,10 @@ def _limit_of(command: Change | None) -> int | None:
 
 
 def _entry_commands(case: Case, instance: int, msg_id: int) -> list[Change]:
-    """Return the commands on an entry of Telemetry Output's table, in order of time."""
-    return list(case.timeline.of(StateOwner("entry", "", msg_id), case.instances.system(instance)))
+    """Return the changes of an entry of Telemetry Output's table, or of all entries, in order of time."""
+    own = [StateOwner("entry", "", msg_id), StateOwner("entry")]
+    changes = (case.timeline.of(subject, case.instances.system(instance)) for subject in own)
+    return sorted(chain.from_iterable(changes), key=lambda item: item.not_before_ns)
 
 
 def crowding_of(case: Case, loss: Loss) -> str:
@@ -235,7 +237,8 @@ def advise(case: Case, loss: Loss) -> Advice:
         alike = [item for item in case.losses if _key(item) == key]
         at_output = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
         # A remedy for the lowest commanded limit also helps at the other limits.
-        worst = max(alike, key=lambda item: (-(_limit_of(limit_command(case, item)) or _MOST), item.lost))
+        lowest = {id(item): -(_limit_of(limit_command(case, item)) or _MOST) for item in alike}
+        worst = max(alike, key=lambda item: (not item.closed, lowest[id(item)], item.lost))
         advice = (_at_pipe if at_output else _at_application)(case, worst)
         still = stood_still(case, worst)
         because = [_other_limits(case, alike, worst) if at_output else crowding_of(case, worst), still]

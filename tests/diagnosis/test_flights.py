@@ -1,6 +1,7 @@
 """What the doctor says of flights of the public applications, held to what was counted at their bridges."""
 
 import random
+import re
 from collections import Counter
 
 import mutations
@@ -121,6 +122,7 @@ FLIGHTS = {
     "downlink_alone": (48, {"limit": 38, "unknown": 10}),
     "robot_ends_after_its_commands": (0, {}),
     "two_robots_cut_at_96_bytes": (0, {}),
+    "limit_forgotten_by_a_restart": (229, {"limit": 217, "overflow": 12}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -137,6 +139,7 @@ RANGES = {
     "route_disabled_at_a_full_pipe": 172,
     "one_of_two_peers_off": 22,
     "two_cfs_at_two_ports": 62,
+    "poses_taken_off_the_table": 31,
     "network_overload_restart": 52,
     "two_cfs_of_one_name": 71,
 }
@@ -1110,3 +1113,14 @@ def test_commands_to_the_port_of_a_processor_are_its_own():
 def test_where_values_are_cut_off_a_topic_ends_with_commands_that_end():
     rules = {item.rule for item in examined("two_robots_cut_at_96_bytes").verdicts}
     assert "topic_silent" not in rules
+
+
+def test_a_limit_that_a_restart_forgot_is_not_told():
+    text = first_screen(examined("limit_forgotten_by_a_restart"))
+    assert "TO keeps 4 of this MsgId and sends every 500 ms: 8 a second get through (measured)" in text
+
+
+def test_what_is_published_in_rounds_goes_on_so_while_it_is_off_the_table():
+    """At 9 Hz, two in a round of 200 ms: no 41 a second."""
+    text = first_screen(examined("poses_taken_off_the_table"))
+    assert 9 <= int(re.search(r"up to (\d+) a second were published", text)[1]) <= 15
