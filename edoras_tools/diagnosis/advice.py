@@ -354,7 +354,10 @@ def published_at(case: Case, stream: Stream) -> Integers:
     whole = np.flatnonzero(counts[:-1] == 1)
     if len(whole):
         before = sliding_window_view(np.pad(pause_ns[whole], (_STEPS - 1, 0), "edge"), _STEPS)
-        usual_ns = np.maximum(pause_ns[whole], np.median(before, axis=1).astype(np.int64))
+        # One that comes in rounds is steady, too.
+        rounds = before.max(axis=1) <= _PAUSE * case.profile.to_wake_ns
+        middle_ns = np.where(rounds, before.mean(axis=1), np.median(before, axis=1)).astype(np.int64)
+        usual_ns = np.maximum(pause_ns[whole], middle_ns)
         step_ns = usual_ns[np.maximum(np.searchsorted(whole, np.arange(len(counts))) - 1, 0)]
     else:
         step_ns = case.profile.to_wake_ns // (2 * counts)
