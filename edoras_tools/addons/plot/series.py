@@ -385,7 +385,7 @@ class _Assembly(msgspec.Struct):
     def _name_lines(
         self, title: str, named_lines: Sequence[tuple[str, PlotLine]], unit: str, *, beneath: bool = False
     ) -> Panel:
-        """Return a panel; its legend omits what all lines share. Each name has its own colour."""
+        """Return a panel; its legend omits what all lines share. Each name has one colour in the figure."""
         full = list(dict.fromkeys(name for name, _ in named_lines))
         topics = {name.partition(".")[0] for name in full}
         same = f"{topics.pop()}." if len(topics) == 1 and all("." in name for name in full) else ""

@@ -16,7 +16,7 @@ _ROW: Final = 36
 
 
 def rate_chart(row: Mapping[str, Any], drawn: Plots) -> str:
-    """Return a route's rate: what arrived, what was lost on top of it, and the clean rate as a line."""
+    """Return a route's rate: messages that arrived, lost ones on top, and the clean rate as a line."""
     total = [a + b for a, b in zip(row["seen"], row["missing"], strict=True)]
     peak = max(total, default=1.0)
     clean = row["limit"] or 0.0
@@ -30,7 +30,7 @@ def rate_chart(row: Mapping[str, Any], drawn: Plots) -> str:
 
 
 def delays(row: Mapping[str, Any], drawn: Plots) -> str:
-    """Return the delays of a way through cFS, over time."""
+    """Return the delays of a path through cFS, over time."""
     frame = Frame(drawn, max(row["delays"], default=1.0), "ms", f"latency of {row['label']}")
     frame.dots(list(zip(row["times"], row["delays"], strict=True)), "dot")
     return frame.svg()

@@ -49,7 +49,7 @@ def report(
     if findings.failure is None:
         no_datagrams(source)
     elif not findings.diagnosis.datagrams:
-        raise findings.failure  # an empty page would say that nothing is wrong
+        raise findings.failure  # an empty page would claim that there is no problem
     origin = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
     size = recordings.write_page(page(findings.diagnosis, source.info.name, origin), path)
     if json:

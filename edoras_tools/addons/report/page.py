@@ -1,4 +1,4 @@
-"""The report's page, put together."""
+"""Assembles the page of a report."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _MOST_PROBLEMS: Final = 3
 _MOST_VERDICTS: Final = 200
 _LINK: Final = re.compile(r'class="(?:band )?seen (\w+)"')
 _LINKS: Final[Sequence[str]] = ("ci", "to", "sbn", "robot")
-"""Those with a colour of their own."""
+"""Links with a colour of their own."""
 _ENDS: Final = {'missing"': ("error", "lost"), ' rest"': ("dim", "superseded, waiting, not seen")}
 _STATES: Final = {
     "connected": ("good", "connected"),
@@ -48,9 +48,9 @@ _STATES: Final = {
     "event info": ("note", "event"),
     "event error": ("error", "error event"),
 }
-"""Colour and name of what a timeline draws, by its class."""
+"""Colour and name of the elements of a timeline, by their class."""
 _ALIKE: Final = 4
-"""Verdicts of one rule from here on share a table."""
+"""Number of verdicts of one rule from which on they share a table."""
 
 
 def page(result: Diagnosis, name: str, origin: Made) -> str:
@@ -74,13 +74,13 @@ def page(result: Diagnosis, name: str, origin: Made) -> str:
 
 
 def _parts(result: Diagnosis) -> list[tuple[str, Diagnosis]]:
-    """Return the diagnosis of each spacecraft, and what follows a title where there are several."""
+    """Return the diagnosis of each spacecraft, with the suffix of its titles; empty for a single one."""
     parts = [(f" of {result.mission.called(number)}", part) for number, part in result.parts.items()]
     return parts or [("", result)]
 
 
 def _key(drawing: str, style: str = "") -> str:
-    """Return what the colours mean that are in a drawing: its links, and what was lost."""
+    """Return the key of the colours in a drawing: its links, and lost messages."""
     links = set(_LINK.findall(drawing))
     entries = [(label, label.upper()) for label in _LINKS if label in links]
     others = sorted(links - {*_LINKS})
@@ -116,7 +116,7 @@ def _head(result: Diagnosis, name: str) -> str:
 
 
 def _summary(result: Diagnosis) -> str:
-    """Return how many verdicts there are of each severity, and what they lost."""
+    """Return the number of verdicts of each severity, and their lost messages."""
     rows = ""
     for severity in sorted(Severity, reverse=True):
         members = [item for item in result.verdicts if item.severity is severity]
@@ -149,7 +149,7 @@ def _verdicts(result: Diagnosis) -> str:
 
 
 def _many(result: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
-    """Return many verdicts of one rule as one table, the worst of them in full above it."""
+    """Return many verdicts of one rule as one table, with the worst in full above it."""
     every = [item for members in several for item in members]
     rows = "".join(
         f"<tr><td>{_when(result, item)}</td><td>{escape(item.reason)}</td>"
@@ -167,7 +167,7 @@ def _many(result: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
 
 
 def _verdict(result: Diagnosis, members: Sequence[Verdict]) -> str:
-    """Return one problem: its worst time span in full, all of its spans in a table."""
+    """Return one problem: its worst period in full, and all of its periods in a table."""
     worst = max(members, key=lambda item: item.lost or 0)
     reason, text = told_of(members), f"{_when(result, worst)}, confidence {worst.confidence}"
     spans = ""
@@ -184,7 +184,7 @@ def _verdict(result: Diagnosis, members: Sequence[Verdict]) -> str:
 
 
 def _remedy(text: str, promise: str = "") -> str:
-    """Return what to do, a line for each command to paste, and what would be left; empty without any."""
+    """Return the remedy, with commands marked, and the losses that would remain; empty without a remedy."""
     parts = re.split(r"\s*(edoras [a-z][^;]*);?", escape(text, quote=False))
     marked = "".join(f"<code>{part}</code>" if place % 2 else part for place, part in enumerate(parts))
     rest = f'<span class="dim left">left {promise}</span>' if promise else ""
@@ -262,7 +262,7 @@ def _sizes(drawn: Plots, whose: str) -> str:
 
 
 def _balance(result: Diagnosis) -> str:
-    """Return the balance: a row a route and hop, which adds up."""
+    """Return the balance: a row for each route and hop, whose numbers add up."""
     lines = balance.shown_rows(result)
     figures = [
         (name, head)

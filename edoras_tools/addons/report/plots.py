@@ -1,4 +1,4 @@
-"""What a report draws: rates against limits, gaps, latencies, events and connections over time."""
+"""The data of a report's charts: rates and limits, gaps, latencies, events and connections over time."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ _MOST_EVENTS: Final = 400
 
 
 class Plots(TimeSpan, frozen=True):
-    """All of them, times in s from the first datagram that is examined.
+    """The data of all charts; times are in s from the first examined datagram.
 
     Attributes:
-        begin: where they are 0, s from the start of the capture; more than 0 where only a part is examined.
-        seconds: length of what is examined.
+        begin: time of the origin, s from the start of the capture; more than 0 if only a part is examined.
+        seconds: length of the examined period.
         bin_s: width of a bin of the rates.
-        rates: a row a route: label, link, arrived (of telemetry: seen) and lost a second by bin, clean rate.
-        delays: a row a way through cFS: label, times, delays in ms.
-        sizes: a row a route: label, largest datagram, and the buffer that it has to fit.
-        counters: a row a cFS: label, times, messages lost over a limit, and by full pipes.
+        rates: a row for each route: label, link, seen and missing messages a second by bin, clean rate.
+        delays: a row for each path through cFS: label, times, delays in ms.
+        sizes: a row for each route: label, largest datagram, and size of the buffer that has to hold it.
+        counters: a row for each cFS: label, times, messages lost over a limit, and by full pipes.
         events: time, severity, text.
-        peers: a row a connection: label, and its states as (from, to, state).
+        peers: a row for each connection: label, and its states as (from, to, state).
     """
 
     bin_s: float
@@ -55,10 +55,10 @@ class Plots(TimeSpan, frozen=True):
 
 
 def plots(case: Case, choice: Choice | None = None) -> Plots:
-    """Work out what there is to draw.
+    """Compute the data of all charts.
 
     Args:
-        choice: of which links and MsgIds; None for all.
+        choice: links and MsgIds to include; None for all.
     """
     seconds = max((case.end_ns - case.start_ns) / SECOND, 1e-3)
     bin_s = max(1.0, seconds / _BINS)
@@ -94,7 +94,7 @@ def _label(case: Case, stream: Stream) -> str:
 
 
 def _whose(case: Case, stream: Stream) -> str:
-    """Return whose a stream is: the cFS that makes it and since when, else an endpoint."""
+    """Return the owner of a stream: the cFS that makes it and the stream's first time, else an endpoint."""
     if stream.instance != NOBODY:
         return (
             f"{case.label(stream.instance)}, from {_at(case, int(case.rows.time_ns[stream.rows[0]])):.1f} s"
@@ -104,7 +104,7 @@ def _whose(case: Case, stream: Stream) -> str:
 
 
 def _told_apart(rows: Sequence[tuple[dict[str, Any], str]]) -> list[dict[str, Any]]:
-    """Return rows; the labels of those that would have the same say whose they are."""
+    """Return rows; labels that are equal get the owner of their stream."""
     same = Counter((row["label"], row.get("link")) for row, _ in rows)
     return [
         {**row, "label": f"{row['label']} ({whose})"} if same[row["label"], row.get("link")] > 1 else row
@@ -120,12 +120,12 @@ def _rate(case: Case, stream: Stream, bin_s: float, seconds: float) -> dict[str,
     fate = case.commands.fates.get(stream)
     if fate is None:
         missing = _never_came(case, stream)
-        # They were due one after the other, until the next that came.
+        # Missing messages were due at even steps up to the next one that came.
         place = np.arange(int(missing.sum())) - np.repeat(np.cumsum(missing) - missing, missing)
         steps = np.append(np.diff(times), 0.0) / (missing + 1)
         due = np.repeat(times, missing) + np.repeat(steps, missing) * (place + 1)
         lost = np.bincount(np.clip((due / bin_s).astype(np.int64), 0, count - 1), minlength=count) / bin_s
-    else:  # what is lost behind the capture was seen in it
+    else:  # messages lost behind the capture were seen in it
         lost = np.bincount(index, weights=_not_arrived(case, fate), minlength=count) / bin_s
         visible -= lost
     clean_hz, told_by = clean_rate(case, stream)
@@ -142,7 +142,7 @@ def _rate(case: Case, stream: Stream, bin_s: float, seconds: float) -> dict[str,
 def _never_came(case: Case, stream: Stream) -> NDArray[np.int64]:
     """Return how much telemetry is drawn as lost behind each row: gaps in counts, and what counters add.
 
-    What is missing over a pause is drawn where a loss holds it: the way may have been closed.
+    Messages missing over a pause are drawn only if a loss covers them, because the path may have been closed.
     """
     times = case.rows.time_ns[stream.rows]
     counts = np.where(stream.pauses, 0, stream.missing).astype(np.int64)
@@ -161,9 +161,9 @@ def _never_came(case: Case, stream: Stream) -> NDArray[np.int64]:
 
 
 def _not_arrived(case: Case, fate: Fate) -> NDArray[np.bool_]:
-    """Tell which commands are drawn as lost: of those that did not arrive, as many as the losses say.
+    """Return which commands are drawn as lost, bool (n,): of those that did not arrive, the number in losses.
 
-    Where the way out cannot be seen they are spread over all that were sent meanwhile.
+    If the output cannot be seen, they are spread over all commands sent in the meantime.
     """
     times = case.rows.time_ns[fate.stream.rows]
     candidates = ~fate.arrived

@@ -1,4 +1,4 @@
-"""The balance as a Sankey, and all routes over time: what the report begins with."""
+"""The balance as a Sankey diagram, and all routes over time: the beginning of a report."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _LEFT: Final = 12
 
 
 class Band(msgspec.Struct, frozen=True):
-    """What goes on from one hop, or ends there; its width is to scale.
+    """Messages that go on from one hop, or end there; the width of the band is to scale.
 
     Attributes:
-        hop: where it comes from.
+        hop: hop at which the band starts.
         ending: ``out``, or how the messages ended.
-        number: messages.
-        text: the same for people.
+        number: number of messages.
+        text: the ending for people.
     """
 
     hop: str
@@ -44,7 +44,7 @@ class Band(msgspec.Struct, frozen=True):
 
 
 def bands(row: Row) -> list[Band]:
-    """Return what became of the messages that came to a hop: together as many as came, and copies."""
+    """Return the bands of a hop; their numbers add up to the messages that came, and copies."""
     members = [Band(row.hop, "out", row.out, "went on")]
     members += [Band(row.hop, "lost", number, cause_text(cause)) for cause, number in row.lost.items()]
     for ending in ENDINGS[1:]:
@@ -53,7 +53,7 @@ def bands(row: Row) -> list[Band]:
 
 
 def sankey(result: Diagnosis) -> str:
-    """Draw the balance: a lane a route, bands as wide as messages are many; empty without any."""
+    """Draw the balance: a lane for each route, widths in proportion to messages; empty without any."""
     everything = [
         way for way in ways(summed(result.balance)) if way.hops[0].came and way.hops[0].msg_id is not None
     ]
@@ -80,11 +80,11 @@ def sankey(result: Diagnosis) -> str:
         )
         y += 20
     box = charts.svg_box("".join(drawn), round(y), f"What became of the messages. {'. '.join(texts)}")
-    return box.replace("<svg", '<svg class="wide"', 1)  # letters for a phone would not fit between hops
+    return box.replace("<svg", '<svg class="wide"', 1)  # letters sized for a phone do not fit between hops
 
 
 def _lane(topic: str, hops: Sequence[Row], y: float, scale: float, columns: int) -> tuple[str, float]:
-    """Draw the way of one route; return it and where the next begins."""
+    """Draw the path of one route; return it and the y coordinate where the next one begins."""
     step = (charts.CHART_WIDTH - 2 * _LEFT - 60) / columns
     name = f"{topic}, {hops[0].link.upper()}: {hops[0].came:,}"
     out = [f'<text class="label" x="{_LEFT}" y="{y + 12:.1f}">{escape(clip(clean(name), 90))}</text>']
@@ -118,7 +118,7 @@ def _lane(topic: str, hops: Sequence[Row], y: float, scale: float, columns: int)
 
 
 def _band(link: str, band: Band, begin: tuple[float, float], end: tuple[float, float], wide: float) -> str:
-    """Draw a band from one place to another; ``wide`` is its width everywhere."""
+    """Draw a band between two places; ``wide`` is its constant width."""
     (x, y), (to_x, to_y) = begin, end
     middle = (x + to_x) / 2
     style = f"seen {link}" if band.ending == "out" else "missing" if band.ending in _GONE else "rest"
@@ -136,7 +136,7 @@ _STRIP: Final = 20
 
 
 def strip(drawn: Plots) -> str:
-    """Draw all routes over time: where messages came, where some were lost, and where nothing came."""
+    """Draw all routes over time: where messages came, where some were lost, and where none came."""
     rows = [row for row in drawn.rates if any(row["seen"]) or any(row["missing"])]
     if not rows:
         return ""
@@ -159,7 +159,7 @@ def _became(row: dict[str, Any], drawn: Plots) -> str:
 
 
 def _cells(frame: charts.Frame, row: dict[str, Any], drawn: Plots, top: int) -> Iterator[str]:
-    """Yield the times of one kind that follow each other, each as one bar."""
+    """Yield runs of bins of one kind, each as one bar."""
     kinds = [
         "missing" if gap else f"seen {row['link']}" if rate else "silence"
         for rate, gap in zip(row["seen"], row["missing"], strict=True)

@@ -1,4 +1,4 @@
-"""What ``edoras record`` calls for its options on snapshots."""
+"""Functions that ``edoras record`` calls for its options on snapshots."""
 
 from __future__ import annotations
 

@@ -1,15 +1,15 @@
-"""Keeps the last seconds of a source in memory, and writes them, with what follows, where a trigger fires.
+"""Keeps the last seconds of a source in memory; when a trigger fires, writes them and what follows to a file.
 
-Rules that it keeps:
+Rules that this file keeps:
 
 1. Batches are kept by reference, with the columns that the read loop decoded anyway; nothing is written, and
    nothing else is decoded, before a trigger fires.
-2. A trigger at time t asks for the datagrams from t - before to t + after. One that fires before an earlier
-   one's end extends that one; any other gets a file of its own, with all of its time before.
-3. What was kept is written a little at a time, between two batches, so that a live source is read on in time.
-4. What is kept needs at most a given size. Then the oldest datagrams are dropped first, which is counted and
-   said; those that a trigger asked for are written at once instead.
-5. At the end, at Ctrl-C too, everything that was asked for and has come is written.
+2. A trigger at time t requests the datagrams from t - before to t + after. A trigger before the end of an
+   earlier one extends that one; any other gets a file of its own, with all of its time before.
+3. Kept datagrams are written a little at a time, between two batches, so that a live source is read in time.
+4. Kept datagrams use at most a given size. Beyond it, the oldest are dropped first, which is counted and
+   reported; those that a trigger requested are written at once instead.
+5. At the end, also at Ctrl-C, all requested datagrams that have arrived are written.
 """
 
 from __future__ import annotations
@@ -45,25 +45,25 @@ if TYPE_CHECKING:
     from edoras_tools.render.terminal.text import Watcher
 
 _TURN_NS: Final = 50 * MILLISECOND
-"""Longest time that is spent on writing what was kept, before the source is read again."""
+"""Longest time for writing kept datagrams before the source is read again."""
 _QUIET_NS: Final = SECOND
-"""A source that gave nothing for this time has nothing more of a time that is over."""
+"""Silence of a live source after which it has no more datagrams of a period that is over."""
 _APART_NS: Final = 100 * MILLISECOND
-"""Datagrams that fire a trigger are looked at in steps of this time."""
+"""Step in which datagrams that fire a trigger are examined."""
 _MOST_REASONS: Final = 10
 
 
 class SnapshotPlan(msgspec.Struct, frozen=True):
-    """When what is written.
+    """The triggers of snapshots, and the period around a trigger that is written.
 
     Attributes:
         before_ns: time before a trigger.
         after_ns: time after it.
-        before_bytes: about the most bytes that are kept in memory.
+        before_bytes: approximate limit in bytes of the datagrams kept in memory.
         findings: bits of the findings that fire.
         where: filters; a packet that passes one fires.
         rules: rules of the doctor; a verdict of one fires.
-        any_rule: a verdict of any rule fires that is an error.
+        any_rule: whether any verdict that is an error fires.
     """
 
     before_ns: int = 30 * SECOND
@@ -76,16 +76,16 @@ class SnapshotPlan(msgspec.Struct, frozen=True):
 
 
 class Snapshot(msgspec.Struct):
-    """One file, and why it was written.
+    """One file, and the reasons for it.
 
     Attributes:
-        reasons: what fired, in order; the first few.
+        reasons: the triggers that fired, in order; the first few.
         trigger_ns: time of the first trigger.
-        start_ns: first time that is asked for.
-        until_ns: last time that is asked for.
+        start_ns: first requested time.
+        until_ns: last requested time.
         path: the file; None before it is begun.
-        datagrams: how many were written.
-        before_ns: how long before the trigger its first datagram is; 0 without any.
+        datagrams: number of datagrams that were written.
+        before_ns: time from its first datagram to the trigger; 0 without any.
         cut: whether older datagrams had been dropped because of the size.
         next: number of the kept batch that is written next.
         sink: writes the file; None before it is begun.
@@ -103,7 +103,7 @@ class Snapshot(msgspec.Struct):
     sink: WatchedSink | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``record --snapshot --json``."""
+        """Return the snapshot in the shape of ``record --snapshot --json``."""
         return {
             "path": str(self.path),
             "reasons": self.reasons,
@@ -129,20 +129,20 @@ class _Piece(msgspec.Struct, frozen=True, eq=False):
 
 
 class SnapshotSink(Sink):
-    """A sink that keeps what it is given, and writes what triggers ask for.
+    """A sink that keeps datagrams, and writes those that triggers request.
 
     Args:
-        source: what is read; a live one is read on while files are written.
-        target: the output: each file has the trigger's time behind its name.
+        source: the source that is read; a live one is read on while files are written.
+        target: the output; the name of each file gets the trigger's time.
         begin: opens a sink at a path.
-        triggers: of this machine: a signal, a key, a socket.
+        triggers: triggers of this machine: a signal, a key, a socket.
         clock: monotonic time in ns.
 
     Attributes:
-        snapshots: those that are written or being written.
+        snapshots: snapshots that are complete or being written.
         losses: files that were removed while they were written.
-        keep: how many files are kept, and what was deleted.
-        dropped: datagrams that were younger than the time before, and were dropped because of the size.
+        keep: number of files to keep, and what was deleted.
+        dropped: datagrams that were dropped because of the size though they were recent enough to keep.
 
     Raises:
         ConfigError: a filter has an error.
@@ -170,7 +170,7 @@ class SnapshotSink(Sink):
         self._where = [Where(text, context) for text in plan.where]
         self._rules = RuleTrigger(context, plan.rules, any_error=plan.any_rule, apart=self._live)
         self._pieces: deque[_Piece] = deque()
-        self._first = 0  # number of the oldest piece
+        self._first = 0  # number of the oldest kept batch
         self._size = 0
         self._newest_ns = 0
         self._came_ns = clock()
@@ -184,7 +184,7 @@ class SnapshotSink(Sink):
         return [item.path for item in self.snapshots if item.path is not None]
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
-        """Keep a batch; write what triggers asked for, for a short time.
+        """Keep a batch; write requested datagrams for a short time.
 
         Raises:
             CaptureError: a file cannot be written.
@@ -199,7 +199,7 @@ class SnapshotSink(Sink):
         self._forget()
 
     def flush(self) -> None:
-        """Look whether a trigger fired, and write what is left to write.
+        """Check whether a trigger fired, and write what is left to write.
 
         Raises:
             CaptureError: a file cannot be written.
@@ -210,7 +210,7 @@ class SnapshotSink(Sink):
                 item.sink.flush()
 
     def fire(self, time_ns: int, reason: str) -> None:
-        """Ask for the datagrams around a time, which is not before the newest datagram."""
+        """Request the datagrams around a time; within the period of the last snapshot, extend that one."""
         plan = self._plan
         last = self._open[-1] if self._open else None
         if last is not None and time_ns <= last.until_ns:
@@ -222,7 +222,7 @@ class SnapshotSink(Sink):
         self._open.append(Snapshot([reason], time_ns, start_ns, time_ns + plan.after_ns, next=self._first))
 
     def close(self, statistics: SourceStatistics) -> None:
-        """Write everything that was asked for and has come.
+        """Write all requested datagrams that have arrived.
 
         Raises:
             CaptureError: a file cannot be written.
@@ -238,7 +238,7 @@ class SnapshotSink(Sink):
             self._complete(self._open.popleft())
 
     def _finding_hits(self, piece: _Piece) -> Iterator[tuple[int, str]]:
-        """Yield when datagrams of a batch fire, and why."""
+        """Yield the times at which datagrams of a batch fire, with the reasons."""
         hits = []
         if self._plan.findings:
             bits = piece.columns.findings & np.uint32(self._plan.findings)
@@ -254,7 +254,7 @@ class SnapshotSink(Sink):
                 yield from ((time_ns, reason) for time_ns in times[steps].tolist())
 
     def _look(self) -> None:
-        """Look at the triggers that are no datagrams, and write for a short time."""
+        """Check the triggers other than datagrams, and write for a short time."""
         now_ns = time.time_ns() if self._live else self._newest_ns
         for reason in self._triggers.fired():
             self.fire(now_ns, reason)
@@ -268,7 +268,7 @@ class SnapshotSink(Sink):
                 self._complete(self._open.popleft())
 
     def _advance(self, until: int | None) -> None:
-        """Write what is asked for, until it is written or a monotonic time has come."""
+        """Write requested datagrams until all are written or a monotonic time is reached."""
         while self._open:
             one = self._open[0]
             while one.next < self._first + len(self._pieces):
@@ -282,7 +282,7 @@ class SnapshotSink(Sink):
             self._complete(self._open.popleft())
 
     def _write(self, one: Snapshot, piece: _Piece) -> None:
-        """Write the datagrams of a batch that a snapshot asks for."""
+        """Write the datagrams of a batch that a snapshot requests."""
         if piece.last_ns < one.start_ns or piece.first_ns > one.until_ns:
             return
         batch, columns = piece.batch, piece.columns
@@ -319,7 +319,7 @@ class SnapshotSink(Sink):
         self._delete_oldest()
 
     def _delete_oldest(self) -> None:
-        """Delete complete files until what is left is as much as is to be kept."""
+        """Delete the oldest complete files until the rest is within the limits of ``keep``."""
         keep = self.keep
         existing = [item for item in self.snapshots if item.path is not None and item.path.exists()]
         sizes = [item.path.stat().st_size for item in existing if item.path is not None]
@@ -335,7 +335,7 @@ class SnapshotSink(Sink):
             keep.datagrams += item.datagrams
 
     def _forget(self) -> None:
-        """Drop what is too old, or too much."""
+        """Drop batches that are too old, or exceed the size."""
         horizon = self._newest_ns - self._plan.before_ns
         while self._pieces:
             oldest, excess = self._pieces[0], self._size > self._plan.before_bytes
@@ -352,7 +352,7 @@ class SnapshotSink(Sink):
             self._size -= oldest.size
 
     def _drop(self, oldest: _Piece) -> None:
-        """Note that a batch is dropped because of the size; say so the first time."""
+        """Count a batch that is dropped because of the size; report it the first time."""
         if not self.dropped:
             holds = (self._newest_ns - oldest.first_ns) / SECOND
             self._target.on_warning(
@@ -364,7 +364,7 @@ class SnapshotSink(Sink):
 
 
 def snapshot_line(one: Snapshot, plan: SnapshotPlan) -> str:
-    """Return the line that says what a file holds, and why it was written."""
+    """Return the line that states the content of a file and the reason for it."""
     more = f" and {len(one.reasons) - 1} more" if len(one.reasons) > 1 else ""
     after = (one.until_ns - one.trigger_ns) / SECOND
     less = f" (--before held no more of the {plan.before_ns / SECOND:g} s)" if one.cut else ""
@@ -385,17 +385,17 @@ def record_snapshots(
     watcher: Watcher[CaptureReport] | None = None,
     triggers: Triggers | None = None,
 ) -> tuple[CaptureReport, SnapshotSink]:
-    """Read a source until it ends, Ctrl-C, or a limit; write what triggers ask for.
+    """Read a source until it ends, Ctrl-C, or a limit; write what triggers request.
 
     Args:
-        source: where datagrams come from; it is closed.
-        target: what to write; its name gets the time of the trigger.
-        selection: which datagrams are kept, and can fire; all by default.
+        source: source of the datagrams; it is closed.
+        target: the output; its name gets the time of the trigger.
+        selection: datagrams that are kept and can fire; all by default.
         watcher: called with the report after every batch.
-        triggers: of this machine; closed by whoever opened them.
+        triggers: triggers of this machine; the caller, who opened them, closes them.
 
     Returns:
-        What was read, and the sink, which has the snapshots.
+        The report of the capture, and the sink, which has the snapshots.
 
     Raises:
         CaptureError: a file cannot be written.
@@ -406,7 +406,7 @@ def record_snapshots(
         about = str(loop.selection)
 
         def begin(path: Path) -> WatchedSink:
-            # Kept batches must not lie in memory that is lent to the source.
+            # Kept batches must not lie in memory that the source reuses.
             return open_sink(replace(target, path=path, jobs=1), source, bench, selection=about)
 
         sink = SnapshotSink(plan, source, bench.columns.context, target, begin, triggers=triggers)

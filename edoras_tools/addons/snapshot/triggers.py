@@ -1,4 +1,4 @@
-"""What fires a snapshot, beside datagrams: a signal, a key, a command on a socket, a rule of the doctor."""
+"""Triggers of a snapshot other than datagrams: a signal, a key, a datagram on a socket, a doctor's rule."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ _SIGNAL: Final = getattr(signal, "SIGUSR1", None)
 _MOST_BYTES: Final = 256
 _ANSWER_S: Final = 5.0
 _JUDGE_NS: Final = SECOND
-"""Least time between two looks of the doctor."""
+"""Least time between two examinations by the doctor."""
 _JUDGE_TIMES: Final = 5
-"""The doctor takes at most one in so many parts of the time."""
+"""Least pause after an examination, as a multiple of its duration."""
 _JUDGE_ROWS: Final = 200_000
-"""The doctor looks at so many of the newest datagrams at most."""
+"""Most datagrams that the doctor examines, from the newest on; of at least one batch."""
 
 
 class Keyboard(Protocol):
-    """Where keys come from; see ``pipelines.interrupt.Keys``."""
+    """A source of key presses; see ``pipelines.interrupt.Keys``."""
 
     def pressed(self) -> str:
         """Return the keys that were pressed since the last call."""
 
 
 class Triggers:
-    """Those of this machine; by default none.
+    """Triggers of this machine; none by default.
 
     Args:
         keys: the keyboard: ``t`` and Enter fire.
@@ -61,7 +61,7 @@ class Triggers:
         self._signals.append("signal USR1")
 
     def fired(self) -> list[str]:
-        """Return why a snapshot was asked for since the last call, once each."""
+        """Return the reasons for snapshots since the last call."""
         reasons, self._signals = self._signals, []
         if self._keys is not None and set(self._keys.pressed()) & set("t\r\n"):
             reasons.append("a key")
@@ -77,7 +77,7 @@ class Triggers:
         return reasons
 
     def answer(self, text: str) -> None:
-        """Answer those who asked on the socket."""
+        """Answer the programs that asked on the socket."""
         senders, self._senders = self._senders, []
         for sender in senders:
             with suppress(OSError):
@@ -90,10 +90,10 @@ def listening(keys: Keyboard | None = None, path: Path | None = None) -> Iterato
     """Open the triggers of this machine: SIGUSR1, and keys and a socket if they are given.
 
     Args:
-        path: where a Unix socket is made, for this user alone; it is removed at the end.
+        path: path of a Unix socket to create, for this user alone; it is removed at the end.
 
     Raises:
-        CaptureError: it cannot be made, or another program has it.
+        CaptureError: the socket cannot be created, or another program has it.
     """
     listener = _bound(path) if path is not None else None
     triggers = Triggers(keys, listener)
@@ -118,7 +118,7 @@ def ask(path: Path, text: str = "") -> str:
     with _unix() as asking:
         asking.settimeout(_ANSWER_S)
         try:
-            asking.bind("")  # the system chooses a name that the answer is sent to
+            asking.bind("")  # the system chooses a name for the answer
             asking.connect(str(path))
             asking.send(text.encode()[:_MOST_BYTES])
             return asking.recv(4096).decode(errors="replace")
@@ -143,7 +143,7 @@ def _bound(path: Path) -> socket.socket:
     listener = _unix()
     try:
         if path.exists() and stat.S_ISSOCK(path.lstat().st_mode):
-            path.unlink()  # of a recorder that was killed
+            path.unlink()  # left by a recorder that was killed
         before = os.umask(0o177)
         try:
             listener.bind(str(path))
@@ -166,12 +166,12 @@ def _answers(path: Path) -> bool:
 
 
 class RuleTrigger:
-    """Fires when the doctor finds something in the newest datagrams that it did not find before.
+    """Fires when the doctor finds something new in the newest datagrams.
 
     Args:
         rules: the rules whose verdicts fire.
-        any_error: any verdict fires that is an error.
-        apart: judge in a thread, so that a live source is read on.
+        any_error: whether any verdict that is an error fires.
+        apart: whether to judge in a thread, so that a live source is read on.
     """
 
     def __init__(self, context: Context, rules: frozenset[str], *, any_error: bool, apart: bool) -> None:
@@ -184,15 +184,15 @@ class RuleTrigger:
         self._found: deque[tuple[int, str]] = deque()
 
     def new_hits(self) -> list[tuple[int, str]]:
-        """Return what fired since the last call: the time, and why."""
+        """Return the triggers since the last call: time and reason."""
         return [self._found.popleft() for _ in range(len(self._found))]
 
     def look(self, batches: Iterable[tuple[PacketBatch, Columns]], newest_ns: int) -> None:
-        """Start to judge what is kept, if it is time.
+        """Start to judge the kept batches, if it is time.
 
         Args:
             batches: batches, the oldest first.
-            newest_ns: time of the newest datagram; what is found counts from then.
+            newest_ns: time of the newest datagram, which new verdicts get as their time.
         """
         if not (self._rules or self._any) or (self._thread and self._thread.is_alive()):
             return
@@ -214,7 +214,7 @@ class RuleTrigger:
         self._thread.start()
 
     def end(self) -> None:
-        """Wait for what is being judged."""
+        """Wait for the judgement that is running."""
         if self._thread is not None:
             self._thread.join()
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def arrow_schema(head: TableHead, columns: Sequence[TableColumn]) -> Any:
-    """Return the schema of a table: types, units, and what the table is."""
+    """Return the schema of a table: types, units, and the metadata of the table."""
     fields = [
         pa.field(column.name, _array(column).type, metadata={"unit": column.unit} if column.unit else None)
         for column in columns
@@ -50,7 +50,7 @@ def _array(column: TableColumn) -> Any:
 
 
 def _flat(values: NDArray[Any], valid: Any) -> Any:
-    """Return one value a row. ``pa.array`` would import pandas, where it is installed: half a second."""
+    """Return one value per row. ``pa.array`` would import pandas, if it is installed: half a second."""
     kind = values.dtype.kind
     if kind == "O":
         texts = list(map(str.encode, values.tolist()))
@@ -71,15 +71,15 @@ def _bits(values: NDArray[np.bool_]) -> Any:
 
 _ROWS: Final = 1 << 17
 _BYTES: Final = 16 << 20
-"""Rows are collected up to one of these: readers are slow with many small groups of rows."""
+"""Rows are collected up to one of these limits, because readers are slow with many small groups of rows."""
 
 
 class _Piece:
-    """Some rows; between processes they are one Arrow message, which is copied where it arrives.
+    """Some rows; between processes they are sent as one Arrow message, which the receiver copies.
 
     Args:
-        rows: as a record batch, or as such a message, which is read when they are written.
-        size: bytes of their values; 0: counted here.
+        rows: a record batch, or an Arrow message of one, which is read when the rows are written.
+        size: size of their values in bytes; 0 to compute it.
     """
 
     def __init__(self, rows: Any, size: int = 0) -> None:
@@ -94,7 +94,7 @@ class _Piece:
             return reader.read_next_batch()
 
     def __reduce_ex__(self, _: Any) -> tuple[Any, ...]:
-        """Return what the rows are made again from."""
+        """Return what pickle needs to make the rows again: a function, and the Arrow message for it."""
         stream = pa.BufferOutputStream()
         with pa.ipc.new_stream(stream, self.batch.schema) as writer:
             writer.write_batch(self.batch)
@@ -106,7 +106,7 @@ def _received(data: Any, size: int) -> _Piece:
 
 
 class _GroupWriter(ABC):
-    """Collects rows, and writes them in groups; see ``TableWriter``."""
+    """Collects rows and writes them in groups; see ``TableWriter``."""
 
     def __init__(self, file: IO[bytes], head: TableHead, columns: Sequence[TableColumn]) -> None:
         self._schema = arrow_schema(head, columns)
@@ -116,15 +116,15 @@ class _GroupWriter(ABC):
 
     @abstractmethod
     def _open(self, file: IO[bytes]) -> Any:
-        """Return the library's writer."""
+        """Return the library's writer of a file."""
 
     @staticmethod
     def piece(columns: Sequence[TableColumn]) -> _Piece:
-        """Return some rows as arrays of Arrow."""
+        """Return some rows as Arrow arrays."""
         return _Piece(arrow_batch(columns))
 
     def write(self, piece: _Piece) -> None:
-        """Write some rows."""
+        """Add some rows; write a group when enough are collected."""
         batch = piece.batch
         self._batches.append(pa.RecordBatch.from_arrays(batch.columns, schema=self._schema))
         self._rows += len(batch)
@@ -133,7 +133,7 @@ class _GroupWriter(ABC):
             self._flush()
 
     def close(self) -> None:
-        """Write what is left, and the end of the file."""
+        """Write the remaining rows, and the end of the file."""
         self._flush()
         self._writer.close()
 
@@ -145,7 +145,7 @@ class _GroupWriter(ABC):
 
 
 class _AbandonedQuietly(pyarrow.parquet.ParquetWriter):  # type: ignore[misc]  # the library has no types
-    """The library's writer; one that is not closed writes no end into a file that is closed already."""
+    """The library's writer; if it was not closed, it does not write to its file when it is deleted."""
 
     def __del__(self) -> None:
         """Do nothing."""
@@ -160,7 +160,7 @@ class ParquetWriter(_GroupWriter):
 
 
 class ArrowWriter(_GroupWriter):
-    """Writes an Arrow file that can be mapped into memory: nothing is compressed."""
+    """Writes an Arrow file that can be memory-mapped: nothing is compressed."""
 
     def _open(self, file: IO[bytes]) -> Any:
         return pa.ipc.new_file(file, self._schema)

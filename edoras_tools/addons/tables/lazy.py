@@ -1,4 +1,4 @@
-"""Tables that are read while they are used: record batches for Arrow and DuckDB, lazy frames for polars."""
+"""Tables that are read on demand: record batches for Arrow and DuckDB, lazy frames for polars."""
 
 from __future__ import annotations
 

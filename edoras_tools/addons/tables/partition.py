@@ -28,13 +28,13 @@ class _Partition(ExportTarget, frozen=True):
     """The output of one recording.
 
     Attributes:
-        recording: its name.
+        recording: name of the recording.
     """
 
     recording: str = ""
 
     def place(self, topic: str) -> Path:
-        """Return the file of a topic, ``TOPIC/recording=NAME/data.parquet``; its folder is made."""
+        """Return the file of a topic, ``TOPIC/recording=NAME/data.parquet``; create its folder."""
         folder = ExportTarget.place(self, topic).with_suffix("")
         folder /= f"recording={quote(self.recording, safe=' ')}"
         with os_errors(f"{folder}: cannot be created"):
@@ -50,12 +50,12 @@ def export_by_recording(
     printing: PrintOptions,
     **how: Any,
 ) -> None:
-    """Export recordings, each by itself and with its own mission, and tell of it.
+    """Export recordings, each separately and with its own mission, and print the result.
 
     Args:
         files: recordings, or folders of them.
         target: a folder.
-        how: as of ``export``.
+        how: further arguments of ``export``.
 
     Raises:
         CaptureError: a table cannot be written, there is nothing to write, or, once all others are written,
@@ -103,7 +103,7 @@ def export_by_recording(
 
 
 def by_topic(files: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return one entry a topic: its folder, and the rows of all recordings."""
+    """Return one entry per topic: its folder, and the number of rows in all recordings."""
     topics: dict[str, dict[str, Any]] = {}
     for item in files:
         whole = {**item, "path": f"{Path(item['path']).parents[1]}/", "rows": 0}

@@ -1,4 +1,4 @@
-"""Many recordings, each read by itself, as one mapping of tables: ``edoras_tools.read("runs/")``."""
+"""Many recordings, each read separately, as one mapping of tables: ``edoras_tools.read("runs/")``."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _PACKED = ("", ".gz", ".zst")
 
 
 def recordings_in(paths: Iterable[Path]) -> list[Path]:
-    """Return the recordings that paths name: themselves, those of folders, or what fits patterns, sorted.
+    """Return the recordings that paths name: files, those in folders, and matches of patterns, each sorted.
 
     Raises:
-        CaptureError: a folder holds none, or nothing fits a pattern.
+        CaptureError: a folder holds none, or nothing matches a pattern.
     """
     files: list[Path] = []
     for path in paths:
@@ -53,7 +53,7 @@ def _is_recording(path: Path) -> bool:
 
 
 def read_recordings(tables: RecordingTables) -> RecordingTables:
-    """Return the recordings that folders and patterns name, as what reads each of them by itself.
+    """Return the tables of the recordings that folders and patterns name, each read separately.
 
     Raises:
         CaptureError: there is none.
@@ -66,12 +66,12 @@ def read_recordings(tables: RecordingTables) -> RecordingTables:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class ManyRecordings(RecordingTables):
-    """The topics of many recordings, of which one at a time is open; each has its own mission.
+    """The topics of many recordings; one is open at a time, and each has its own mission.
 
     A table has the rows of the recordings one after the other; a recording without the topic has none.
 
     Attributes:
-        recordings: each by itself.
+        recordings: tables of each recording.
     """
 
     recordings: Sequence[RecordingTables] = ()
@@ -84,7 +84,7 @@ class ManyRecordings(RecordingTables):
         """Return the messages of a topic in all recordings.
 
         Raises:
-            NoTopicError: no recording has it, or several fit.
+            NoTopicError: no recording has the topic, or several topics match.
         """
         *others, last = self.recordings
         for item in others:
@@ -94,11 +94,11 @@ class ManyRecordings(RecordingTables):
 
     @cached_property
     def topics(self) -> dict[str, int]:
-        """The number of messages of each topic that has any, of all recordings."""
+        """Number of messages of each topic that has any, over all recordings."""
         return dict(sum((Counter(item.topics) for item in self.recordings), Counter[str]()))
 
     def _joined(self, first: TopicTable) -> TopicTable:
-        """Return the table of a topic in all recordings, of which one has it so."""
+        """Return the table of a topic in all recordings, given the table in one of them."""
         table = replace(first, pieces=partial(self._every, first.topic, first.type))
         return self._tables.setdefault(first.topic, table)
 
@@ -109,7 +109,7 @@ class ManyRecordings(RecordingTables):
         """Yield the pieces of a topic in every recording that has it.
 
         Raises:
-            RouteError: two recordings have it with other types.
+            RouteError: two recordings have the topic with different types.
         """
         for item in self.recordings:
             with suppress(NoTopicError):

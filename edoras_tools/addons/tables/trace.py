@@ -19,12 +19,12 @@ _MICROSECOND = 1000.0
 
 
 class TraceReport(msgspec.Struct, frozen=True):
-    """What was written.
+    """The result of writing a trace.
 
     Attributes:
         log: the performance log.
         path: the trace.
-        spans: times from an entry to its exit.
+        spans: number of periods from an entry to its exit.
     """
 
     log: CfeFile
@@ -32,7 +32,7 @@ class TraceReport(msgspec.Struct, frozen=True):
     spans: int
 
     def summary(self) -> dict[str, Any]:
-        """Return it in the shape of ``export --json``; markers without their pair are ``left_out``."""
+        """Return the report in the shape of ``export --json``; unpaired markers are ``left_out``."""
         assert self.log.markers is not None
         file = {"path": str(self.path), "topic": self.log.kind, "type": "", "rows": self.spans}
         left_out = len(self.log.markers) - 2 * self.spans
@@ -63,7 +63,7 @@ def export_trace(files: Sequence[Path], path: Path, *, force: bool) -> TraceRepo
 
 
 def _events(log: CfeFile) -> Iterator[dict[str, Any]]:
-    """Yield the names of the markers, one row of the picture each, then a complete event for each span."""
+    """Yield the names of the markers, one row of the trace each, then a complete event for each span."""
     process = log.header["processor_id"]
     spans = log.spans.tolist()
     for number in sorted({marker for marker, _, _ in spans}):
