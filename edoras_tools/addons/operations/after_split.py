@@ -1,10 +1,13 @@
-"""``record --after-split``: a command for each complete file of a recording, beside the recorder.
+"""``record --after-split``: runs a command for each complete file of a recording, beside the recorder.
 
-1. Files are handed to one thread, which runs one command after the other; the recorder never waits for it
-   while it records.
-2. A command that fails, or does not end within 10 minutes, is told, and tried again after 1, 2, 4 and 8 s.
-3. When the recording has ended, what is left is tried once more without these pauses; what fails then is
-   told, and the recording is whole all the same.
+Rules that this file keeps:
+
+1. One thread takes the files and runs one command after the other; the recorder never waits for it while it
+   records.
+2. If a command fails, or does not end within 10 minutes, a warning says so, and it runs again after 1, 2, 4
+   and 8 s.
+3. At the end of the recording, each remaining file is tried without further pauses; failures are reported,
+   and the recording is complete all the same.
 """
 
 from __future__ import annotations
@@ -30,9 +33,9 @@ class AfterSplit:
     """Runs a command for each complete file.
 
     Args:
-        command: words as of a shell, without one; ``{}`` is the file.
+        command: words in the syntax of a shell, run without a shell; ``{}`` is the file.
         on_warning: called with a line for each failure, on the thread that runs the commands.
-        longest_s: how long a command may take.
+        longest_s: longest time in s that a command may take.
 
     Raises:
         ConfigError: the command cannot be read, or has no ``{}``.
@@ -64,7 +67,7 @@ class AfterSplit:
         """Wait until every file was tried.
 
         Raises:
-            CaptureError: commands failed; says of which files.
+            CaptureError: commands failed; the error lists their files.
         """
         self._files.put(None)
         self._ending.set()
@@ -91,7 +94,7 @@ class AfterSplit:
     def _failure(self, path: Path) -> str:
         """Run the command; return why it failed, empty if it did not."""
         if not path.exists():
-            return ""  # somebody moved it, or --keep deleted it: nothing is left to do
+            return ""  # it was moved, or --keep deleted it: nothing is left to do
         words = [word.replace("{}", str(path)) for word in self._words]
         try:
             process = subprocess.run(  # noqa: S603  the user's own words

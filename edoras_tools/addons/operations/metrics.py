@@ -1,8 +1,10 @@
-"""``--metrics``: the figures of a run as Prometheus reads them, over HTTP.
+"""``--metrics``: the figures of a run in the format of Prometheus, over HTTP.
 
-1. The figures are those that ``--json`` prints at the end, as they are now: one name for each key, lists
-   with a label for each text. What is null is left out, never 0.
-2. The run makes them when they were asked for, between two batches; who asks waits, the run does not.
+Rules that this file keeps:
+
+1. The figures are the current values of those that ``--json`` prints at the end: one name for each key, lists
+   with a label for each text. A null value is left out, never 0.
+2. The run computes the figures on request, between two batches; the client waits, the run does not.
 """
 
 from __future__ import annotations
@@ -31,9 +33,9 @@ if TYPE_CHECKING:
 _GAUGES: Final = re.compile(
     "rate_hz|jitter_ms|bytes_m(in|ax)|(start|end)_ns|max_rate|gaps|held|waiting|connected|seed|p50|p99|max"
 )
-"""Keys whose figures may fall; all others only grow."""
+"""Keys whose values may fall; all others only grow."""
 _LABELS: Final = frozenset({"processor_id", "spacecraft_id"})
-"""Numbers that name something."""
+"""Keys whose numbers are names."""
 _WAIT_S: Final = 3.0
 _TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 
@@ -50,7 +52,7 @@ def metrics_text(summary: Mapping[str, Any]) -> str:
         head = f"# HELP {name} {'.'.join(keys)} of --json.\n# TYPE {name} {'gauge' if gauge else 'counter'}\n"
         values = families.setdefault(name, (head, {}))[1]
         key = tuple(sorted(labels.items()))
-        values[key] = values.get(key, 0.0) + value  # two rows that nothing tells apart
+        values[key] = values.get(key, 0.0) + value  # two rows with the same labels
     texts = {key: value for key, value in summary.items() if isinstance(value, str)}
     info = tuple({"version": __version__, **texts}.items())
     families["edoras_info"] = ("# HELP edoras_info What runs.\n# TYPE edoras_info gauge\n", {info: 1.0})
@@ -87,14 +89,14 @@ def _braced(labels: _Labels) -> str:
 
 
 class ServedWatcher:
-    """A watcher that also serves the figures of what it watches, while it is entered.
+    """A watcher that also serves the figures of the watched run, while it is entered.
 
     Args:
-        inner: gives another watcher, or None.
-        listen: where to serve; port 0: a free one.
+        inner: context manager that returns another watcher, or None.
+        listen: endpoint to serve at; port 0 for a free one.
 
     Raises:
-        CaptureError: when entered: it cannot be listened on.
+        CaptureError: on entering, if it cannot listen there.
     """
 
     def __init__(self, inner: AbstractContextManager[Any], listen: Endpoint) -> None:
@@ -120,7 +122,7 @@ class ServedWatcher:
         self._stack.close()
 
     def update(self, run: Any) -> None:
-        """Show the run, and make its figures if they were asked for."""
+        """Show the run, and compute its figures if a client requested them."""
         if self._watcher is not None:
             self._watcher.update(run)
         if self._asked:

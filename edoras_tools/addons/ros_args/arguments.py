@@ -1,4 +1,4 @@
-"""The words after ``--ros-args``, and what they do to the nodes of mission files."""
+"""The words after ``--ros-args``, and their effect on the nodes of mission files."""
 
 from __future__ import annotations
 
@@ -32,15 +32,16 @@ _SWITCH: Final = re.compile(r"--(?:en|dis)able-(?:rosout|stdout|external-lib)-lo
 
 
 class RosArguments:
-    """What a node was started with; names of files are read by ``read``.
+    """The arguments that a node was started with.
 
     Args:
-        words: without ``--ros-args``.
-        read: returns the bytes of a file of parameters, or why there are none.
+        words: words after ``--ros-args``.
+        read: returns the bytes of a parameter file, or as text why they cannot be read.
 
     Attributes:
-        files: those of ``--params-file``, in their order.
-        overrides: those of them that hold no bridge, by base name: parameters of bridges elsewhere.
+        files: files of ``--params-file``, in their order.
+        overrides: content of those files without a bridge, by base name: they override bridges of other
+            files.
 
     Raises:
         ConfigError: rcl would refuse a word, or a file cannot be read.
@@ -71,10 +72,10 @@ class RosArguments:
                 self._parameters += self._of_file(value, read(value))
 
     def applied(self, nodes: list[NodeParameters], report: Mistakes) -> list[NodeParameters]:
-        """Return the nodes of a file as they are with these arguments.
+        """Return the nodes of a file with these arguments applied.
 
-        A file may have the bridges of several nodes: where rcl would give its parameters to some of them
-        under their new names, these alone are returned. Where to none, all are, with a warning.
+        A file may have the bridges of several nodes. If rcl would give its parameters to some of them under
+        their new names, only these are returned; if to none of them, all are, with a warning.
         """
         bridges = find_bridges(nodes)
         renamed = {id(node): self._renamed(node) for node in bridges}
@@ -97,7 +98,7 @@ class RosArguments:
         ]
 
     def _renamed(self, node: NodeParameters) -> str:
-        """Return the new name of a node; its last part is ``*`` where no file and no rule has a name."""
+        """Return the new name of a node; its last part is ``*`` if neither a file nor a rule names it."""
         namespace, name = remapped_node(self._rules, *node_of(node.name))
         return f"{namespace}/{name or '*'}"
 
@@ -118,14 +119,14 @@ class RosArguments:
         text = yaml_text(content, report, "give a file of parameters")
         nodes = read_nodes(text, report, merge=False) if text is not None else []
         if any(not node.lines.keys().isdisjoint(_OF_BRIDGES) for node in nodes):
-            return []  # a mission file, which is read as one
+            return []  # a mission file, which is read as such
         report.raise_all()
         self.overrides[PurePath(name).name] = content
         return nodes
 
 
 def with_arguments(settings: Settings, words: Sequence[str]) -> Settings:
-    """Return settings with what ``--ros-args`` says; files of parameters are mission files too.
+    """Return settings with the arguments of ``--ros-args``; parameter files are also mission files.
 
     Raises:
         ConfigError: rcl would refuse a word, or a file cannot be read.
@@ -135,7 +136,7 @@ def with_arguments(settings: Settings, words: Sequence[str]) -> Settings:
 
 
 def _parameter(text: str) -> list[NodeParameters]:
-    """Return the node that ``[NODE:]NAME:=VALUE`` is of: one of the root, or a wildcard for all."""
+    """Return the node of ``[NODE:]NAME:=VALUE``, as a list; without NODE it is a wildcard for all."""
     match = _PARAMETER.fullmatch(text)
     if match is None:
         raise ConfigError(f"--ros-args: -p {text!r} is no parameter; write NAME:=VALUE or NODE:NAME:=VALUE")

@@ -1,10 +1,12 @@
 """Remapping of names, as rcl does it (``rcl/src/rcl/remap.c``, and its lexer for the rules).
 
-1. A rule is ``[NODE:]MATCH:=REPLACEMENT``; of several that match, the first one holds, and no other after it.
-2. ``NODE:`` compares with the name of the node as it is by then: ``__node:=`` is looked for with the name in
-   the code, all others with the new one.
-3. ``__ns:=`` before topics: relative names and ``~`` of both sides of a rule are those of the new node.
-4. Tokens of a rule hold no ``__``, and no ``{node}``, though a topic may have both.
+Rules that this file keeps:
+
+1. A rule is ``[NODE:]MATCH:=REPLACEMENT``; only the first one that matches is applied.
+2. ``NODE:`` is compared with the current name of the node: for ``__node:=`` that is the name in the code, for
+   all other rules the new name.
+3. ``__ns:=`` comes before topics: relative names and ``~`` on both sides of a rule belong to the new node.
+4. The parts of a rule contain no ``__`` and no ``{node}``, though a topic may have both.
 """
 
 from __future__ import annotations
@@ -34,10 +36,10 @@ class Remap(msgspec.Struct, frozen=True):
     """One rule.
 
     Attributes:
-        of: name of the node that it is for; empty for all.
+        of: name of the node that the rule applies to; empty for all.
         kind: ``node``, ``namespace``, ``topic``, or ``service``.
-        match: name of a topic that is replaced; empty for the other kinds.
-        replacement: what it becomes.
+        match: name of the topic or service that is replaced; empty for the other kinds.
+        replacement: new name.
     """
 
     of: str
@@ -50,7 +52,7 @@ class Remap(msgspec.Struct, frozen=True):
         """Read a rule.
 
         Raises:
-            ConfigError: rcl refuses it.
+            ConfigError: rcl refuses the rule.
         """
         match = _RULE.fullmatch(text)
         if match is None:
@@ -69,9 +71,9 @@ def remapped_node(rules: Sequence[Remap], namespace: str, name: str) -> tuple[st
     """Return namespace and name of a node after its rules.
 
     Args:
-        rules: in their order.
+        rules: rules in their order.
         namespace: ``/robot``; empty for the root.
-        name: of the node; empty where it is not known.
+        name: name of the node; empty if it is not known.
     """
     name = _first(rules, "node", name) or name
     match = _first(rules, "namespace", name)
@@ -79,12 +81,12 @@ def remapped_node(rules: Sequence[Remap], namespace: str, name: str) -> tuple[st
 
 
 def remapped_topic(rules: Sequence[Remap], node: str, topic: str) -> str:
-    """Return a topic after the rules of a node.
+    """Return the name of a topic after the rules of a node.
 
     Args:
-        rules: in their order.
-        node: fully qualified, after its own rules.
-        topic: fully qualified.
+        rules: rules in their order.
+        node: fully qualified name, after the node's own rules.
+        topic: fully qualified name.
     """
     name = node.rpartition("/")[2]
     for rule in rules:

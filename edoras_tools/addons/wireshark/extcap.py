@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Link
 
 _NO_PORT: Final = 0
-"""Nothing is sent there; no port at all would be every one."""
+"""A port that nothing is sent to: with no port at all, a live capture would take every port."""
 _OPTIONS: Final = (
     ("interface", "Capture from", "selector", "Interface with the traffic; needs the privilege to capture"),
     ("listen", "Or bind [HOST:]PORT", "string", "Receive the datagrams here; needs no privilege"),
@@ -44,11 +44,11 @@ _OPTIONS: Final = (
 
 
 class CaptureRequest(msgspec.Struct, frozen=True):
-    """What the user chose in Wireshark's dialogue.
+    """The user's choices in Wireshark's dialogue.
 
     Attributes:
         link: the link to capture.
-        interface: where to capture it live.
+        interface: network interface of a live capture.
         listen: UDP endpoints to bind instead, ``[HOST:]PORT``; Wireshark is then the receiver.
         configs: mission files, which name ports and addresses.
         ports: more UDP ports of the link.
@@ -105,8 +105,8 @@ def capture(wish: CaptureRequest, fifo: Path) -> None:
     """Write the link's datagrams as pcapng until the reader closes the fifo, SIGTERM or Ctrl-C.
 
     Args:
-        wish: what to capture.
-        fifo: where to write; opening it waits for the reader.
+        wish: the user's choices.
+        fifo: pipe to write to; opening it waits for the reader.
 
     Raises:
         ConfigError: the mission or an endpoint has errors.
@@ -120,7 +120,7 @@ def capture(wish: CaptureRequest, fifo: Path) -> None:
     streams = np.flatnonzero(context.stream_links == wish.link).tolist()
     source = _source(wish, ports, streams)
     try:
-        # Wireshark needs the handshake as well, which is of no link.
+        # Wireshark also needs the handshake, which belongs to no link.
         selection = Selection(links=(wish.link,)) if wish.link.transport.udp else Selection()
         with _opened(fifo) as file, reading(source, bench, selection, patient=True) as loop:
             reader_left = _watch(file)
@@ -158,7 +158,7 @@ def _opened(fifo: Path) -> BinaryIO:
 
 
 def _watch(file: BinaryIO) -> Callable[[], bool]:
-    """Return a function that says whether a pipe's reader has gone, even while nothing is written."""
+    """Return a function that returns whether a pipe's reader has gone, even while nothing is written."""
     poll = select.poll()
     poll.register(file.fileno(), 0)
     return lambda: any(event & select.POLLERR for _, event in poll.poll(0))

@@ -1,4 +1,4 @@
-"""The Lua dissector for a mission: what the layouts do not contain, collected as plain values.
+"""The Lua dissector for a mission: the knowledge that the layouts do not contain, as plain values.
 
 Without a mission it knows the four demos of the EDORAS paper. If two of them use the same MsgId, the first
 whose message type fits the bytes is used.
@@ -80,7 +80,7 @@ def _ports(masks: Iterable[NDArray[np.bool_]]) -> list[int]:
 
 
 def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
-    """Collect what several missions know; routes are numbered in their order."""
+    """Collect the knowledge of several missions; routes are numbered in their order."""
     routes: list[RouteText] = []
     exact: dict[str, dict[int, list[int]]] = {link.label: {} for link in contexts[0].links}
     any_link: dict[int, list[int]] = {}

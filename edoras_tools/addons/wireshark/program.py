@@ -33,27 +33,27 @@ SCRIPT: Final = "edoras.lua"
 LAUNCHER: Final = "edoras-extcap"
 PROFILE: Final = "EDORAS"
 _BY_WIRESHARK: Final = "recent"
-"""The file of a profile that Wireshark writes again each time it ends."""
+"""File of a profile that Wireshark rewrites each time it ends."""
 _NAMES: Final = {
     "plugins": ("Personal Lua Plugins", "Personal Plugins"),
     "extcap programs": ("Personal Extcap path", "Extcap path"),
     "profiles": ("Personal configuration",),
 }
-"""What Wireshark calls its folders, by what is in them."""
+"""Wireshark's names for its folders, by their content."""
 _PROFILE_FILES: Final = files("edoras_tools.addons.wireshark") / "profile"
 _MODULE: Final = "edoras_tools.addons.wireshark.cli.extcap"
 OLDEST: Final = (3, 6)
 """The oldest Wireshark with all Lua functions that the dissector uses."""
 _READS: Final = frozenset({"pcap", "pcapng"})
 _COMPRESSED: Final = ".zst"
-"""A suffix that not every Wireshark reads."""
+"""Suffix of compressed files, which not every Wireshark can read."""
 _DISPLAYS: Final = ("DISPLAY", "WAYLAND_DISPLAY")
 _THEN_REMOVE: Final = '"$@"; code=$?; rm -rf "$0"; exit $code'
-"""A shell script: Wireshark may run longer than this process, and needs its files until it ends."""
+"""Shell script that deletes the files after Wireshark has ended, which may be after this process."""
 
 
 def find_program(*names: str) -> str:
-    """Return the path of the first of some programs that is installed; it must have Lua.
+    """Return the path of the first installed one of some programs; it must have Lua.
 
     Raises:
         CaptureError: none is installed, or it is too old or without Lua.
@@ -69,7 +69,7 @@ def find_program(*names: str) -> str:
 
 @cache
 def _check(program: str, _changed_ns: int) -> None:
-    """Check a program once: it starts for half a second to say its version."""
+    """Check a program once; it runs for half a second to print its version."""
     output = _ask(program, "--version")
     version = re.search(r"(\d+)\.(\d+)\.\d+", output)
     if version is None:
@@ -82,7 +82,7 @@ def _check(program: str, _changed_ns: int) -> None:
 
 
 def folders() -> dict[str, Path]:
-    """Return Wireshark's folders by its names for them, e.g. ``Personal Lua Plugins``.
+    """Return Wireshark's folders by its own names, e.g. ``Personal Lua Plugins``.
 
     Raises:
         CaptureError: Wireshark is not installed, too old, or without Lua.
@@ -93,7 +93,7 @@ def folders() -> dict[str, Path]:
 
 
 def _own(by_name: Mapping[str, Path], noun: str) -> Path:
-    """Return the first of Wireshark's folders for something that it has."""
+    """Return the first of Wireshark's folders for a kind of content; see ``_NAMES``."""
     for name in _NAMES[noun]:
         if name in by_name:
             return by_name[name]
@@ -104,8 +104,8 @@ def install(text: str, folder: Path | None = None, *, force: bool = False) -> Pa
     """Write the dissector to the folder from which Wireshark and tshark load it; return its path.
 
     Args:
-        folder: instead of the personal plugin folder.
-        force: replace another one that is there.
+        folder: folder to write to instead of the personal plugin folder.
+        force: replace another dissector that is there.
 
     Raises:
         CaptureError: Wireshark is not installed, or the file cannot be written.
@@ -116,10 +116,10 @@ def install(text: str, folder: Path | None = None, *, force: bool = False) -> Pa
 
 
 def install_profile() -> tuple[Path, bool]:
-    """Write the profile ``EDORAS``: columns, colours, filter buttons and graphs; one that is there stays.
+    """Write the profile ``EDORAS``: columns, colours, filter buttons and graphs; an existing one stays.
 
     Returns:
-        its folder, and whether what is in it is ours.
+        its folder, and whether its content is ours.
 
     Raises:
         CaptureError: Wireshark is not installed, or a file cannot be written.
@@ -135,7 +135,7 @@ def uninstall() -> Iterator[tuple[Path, bool]]:
     """Remove the dissector, the profile and the capture interfaces from Wireshark's personal folders.
 
     Yields:
-        each path that is there, and whether it was removed: what is not as it was written is kept.
+        each path that exists, and whether it was removed: files and profiles that were changed are kept.
 
     Raises:
         CaptureError: Wireshark is not installed, or a file cannot be removed.
@@ -160,7 +160,7 @@ def uninstall() -> Iterator[tuple[Path, bool]]:
 
 
 def _is_ours(folder: Path) -> bool:
-    """Tell whether a profile is as it was written, but for what Wireshark writes itself."""
+    """Return whether a profile is unchanged, apart from the file that Wireshark itself rewrites."""
     ours, theirs = (
         {item.name: item.read_bytes() for item in place.iterdir() if item.is_file()}
         for place in (_PROFILE_FILES, folder)
@@ -172,8 +172,8 @@ def install_extcap(folder: Path | None = None, *, force: bool = False) -> Path:
     """Write the launcher of the capture interfaces to Wireshark's extcap folder; return its path.
 
     Args:
-        folder: instead of Wireshark's own.
-        force: replace another one that is there.
+        folder: folder to write to instead of Wireshark's own.
+        force: replace another launcher that is there.
 
     Raises:
         CaptureError: Wireshark is not installed, or the file cannot be written.

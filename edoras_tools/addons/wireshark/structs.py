@@ -1,4 +1,4 @@
-"""Structs of own layouts and cFE's housekeeping, as tables that the dissector's engine adds like headers."""
+"""Structs of own layouts and of cFE's housekeeping, as tables from which the dissector adds headers."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ if TYPE_CHECKING:
     from edoras_tools.structs.transcode import StructLeaf
 
 _MOST: Final = 512
-"""Values of a struct at the most; the rest is not shown."""
+"""Most values of a struct that are shown."""
 _IN_THE_ENGINE: Final = (cfe.EVENT_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID)
 _WHOLE: Final = {BasicKind.UINT: "uint", BasicKind.BOOL: "uint", BasicKind.CHAR: "uint", BasicKind.INT: "int"}
 
 
 def engine_structs(structs: Structs) -> dict[str, Any]:
-    """Return what ``engine/packet.lua`` reads of the structs that a layout names, and of cFE's telemetry.
+    """Return the structs that a layout names, and those of cFE's telemetry, for ``engine/packet.lua``.
 
-    Commands, events and the software bus's counters have tables in the engine, if no layout names them.
+    Commands, events and the software bus's counters have tables in the engine, unless a layout names them.
 
     Returns:
-        ``layouts``: a table for each struct in a packet, by name; ``packets``: for each MsgId the ``name`` of
-        its packets, if all have one not one of cFE's, and, by function code, -1 for all, that of the table.
+        ``layouts``: a table for each struct in a packet, by name; ``packets``: by MsgId the ``name`` of the
+        packets, if all have the same and it is not one of cFE's, and the name of the table by function code
+        (-1: all codes).
     """
     layouts: dict[str, Any] = {}
     packets: dict[int, dict[Any, Any]] = {}
@@ -64,7 +65,7 @@ def _layout(bound: Bound) -> dict[str, Any]:
 
 
 def _fields(bound: Bound, leaf: StructLeaf) -> Iterator[dict[str, Any]]:
-    """Yield the fields of a value, or of each in an array; elements share the field of their name."""
+    """Yield the fields of a value, or of each element of an array; elements share the field of their name."""
     member = leaf.member
     basic, size = bound.layout.basic(member), leaf.end - leaf.start
     if basic is None or not size:

@@ -1,4 +1,4 @@
-"""A node in the graph of those ROS 2 nodes that run on rmw_zenoh; see docs/zenoh.md."""
+"""A node in the graph of ROS 2 nodes that run on rmw_zenoh; see docs/zenoh.md."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 
 
 ROUTER: Final = "tcp/localhost:7447"
-"""Where rmw_zenoh's nodes look for a router."""
+"""Endpoint where rmw_zenoh's nodes look for a router."""
 _OPTIONS: Final = ("router", "mode", "listen", "config", "type_hash")
 _CONFIG_FILE: Final = "ZENOH_SESSION_CONFIG_URI"
 _OVERRIDES: Final = "ZENOH_CONFIG_OVERRIDE"
-"""The two environment variables that rmw_zenoh reads."""
+"""The environment variables that rmw_zenoh reads."""
 _DEFAULTS: Final = {
     "mode": "peer",
     "connect/endpoints": [ROUTER],
@@ -52,7 +52,7 @@ _DEFAULTS: Final = {
     "queries_default_timeout": 600_000,
     "transport/shared_memory/enabled": False,
 }
-"""What rmw_zenoh's session configuration says differently from Zenoh's own."""
+"""Settings of rmw_zenoh's session configuration that differ from Zenoh's own."""
 _PLACE: Final = re.compile(r"\s*at /[^\s\]\"]+")
 _INNER: Final = re.compile(r'(?:msg: |Str\()"(.*?)"')
 _KEYS: Final = {"router": "connect/endpoints", "listen": "listen/endpoints", "mode": "mode"}
@@ -84,16 +84,16 @@ def session_config(options: Mapping[str, str]) -> zenoh.Config:
 
 
 def listen_beside(config: zenoh.Config, used: Collection[str]) -> list[str]:
-    """Have a session leave the places where others of this process listen, and connect to them.
+    """Move a session away from endpoints where others of this process listen, and connect it to these.
 
-    There it listens at a port that the system chooses; gossip tells the other peers about it.
+    Instead it listens at a port that the system chooses; gossip announces that port to the other peers.
 
     Args:
-        config: changed in place.
-        used: places as ``listen`` names them.
+        config: configuration of the session, changed in place.
+        used: endpoints that are in use, in the form of ``listen``.
 
     Returns:
-        the places with a port of their own that this session takes itself.
+        the endpoints with a fixed port where this session itself will listen.
     """
     if _mode(config) == "client":
         return []  # listens nowhere
@@ -106,7 +106,7 @@ def listen_beside(config: zenoh.Config, used: Collection[str]) -> list[str]:
 
 
 def _places(config: zenoh.Config, group: str) -> list[str]:
-    """Return the endpoints of ``listen`` or ``connect``: one list, or one a mode."""
+    """Return the endpoints of ``listen`` or ``connect``: one list, or the list of the session's mode."""
     places = json.loads(config.get_json(f"{group}/endpoints"))
     if isinstance(places, dict):
         places = places.get(_mode(config))
@@ -118,10 +118,10 @@ def _mode(config: zenoh.Config) -> str:
 
 
 def check_options(options: Mapping[str, str]) -> None:
-    """Refuse options that this side does not have.
+    """Reject options that do not exist here.
 
     Raises:
-        ConfigError: all mistakes at once.
+        ConfigError: the options have mistakes; all are listed.
     """
     mistakes = unknown_options("zenoh", options, _OPTIONS)
     mode = options.get("mode", _MODES[0])
@@ -132,7 +132,7 @@ def check_options(options: Mapping[str, str]) -> None:
 
 
 def reason(error: Exception) -> str:
-    """Return Zenoh's own words for a failure in one line, without the places of its source files."""
+    """Return Zenoh's own text of an error in one line, without positions in its source files."""
     text = _PLACE.sub("", str(error))
     inner = _INNER.search(text)
     return (inner[1] if inner else text).strip(" .!")
@@ -157,22 +157,22 @@ _WITHOUT_HASH: Final = frozenset({"dashing", "eloquent", "foxy", "galactic", "hu
 """Distributions without type hashes."""
 _HASHES: Final = {"rihs01": True, "none": False}
 _LONELY_S: Final = 3.0
-"""Seconds without any peer, after which a note says so."""
+"""Seconds without any peer after which a note says so."""
 _LONELY: Final = "no Zenoh router or other peer answers; start a router: ros2 run rmw_zenoh_cpp rmw_zenohd"
 _HEARTBEAT: Final = 0.5
-"""Seconds after which a subscription learns of a last message that it missed, as rmw_zenoh has it."""
+"""Seconds after which a subscription learns of a last message that it missed, as in rmw_zenoh."""
 _TAKEN: Final[set[str]] = set()
-"""Where sessions of this process listen, at ports that were named: a place has one listener."""
+"""Endpoints with a fixed port where sessions of this process listen; each has only one listener."""
 
 
 class ZenohGraph:
     """A ``Graph`` over one Zenoh session.
 
     Args:
-        session: open; the graph closes it.
-        node: as others see it.
+        session: open session; the graph closes it.
+        node: node that others see.
         hashed: put hashes of types into keys, as all distributions since Iron do.
-        places: where it listens at ports that were named.
+        places: endpoints with a fixed port where the session listens.
     """
 
     def __init__(
@@ -202,14 +202,15 @@ class ZenohGraph:
 
     @property
     def connected(self) -> bool:
-        """Whether a router or another peer is there to talk to."""
+        """Whether a router or another peer is connected."""
         info = self._session.info
         return bool(info.routers_zid() or info.peers_zid())
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
         """Call ``heard(cdr)`` for each message of a topic; see ``Graph``.
 
-        What follows its publishers asks for all: in Zenoh what offers less is received, too.
+        A policy that adapts to the publishers requests the most: in Zenoh, weaker publishers are received,
+        too.
         """
         topic_ = self._topic(topic, type_name)
         qos = replace(
@@ -238,7 +239,7 @@ class ZenohGraph:
         self._announce(entity, TokenKind.SUBSCRIPTION, topic_, qos)
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
-        """Return what publishes one message of a topic; see ``Graph``. Once closed, it does nothing."""
+        """Return a function that publishes a message of a topic, until the graph is closed; see ``Graph``."""
         topic_ = self._topic(topic, type_name)
         all_kept = qos.reliable and not qos.depth
         wire = {
@@ -276,7 +277,7 @@ class ZenohGraph:
         return publish
 
     def states(self) -> Mapping[str, TopicState]:
-        """See ``Graph``: numbers that are missing among those that publishers give count as missed."""
+        """See ``Graph``: gaps in the sequence numbers of publishers count as missed."""
         return {topic: state() for topic, state in self._states.items()}
 
     def dropped(self) -> int:
@@ -284,7 +285,7 @@ class ZenohGraph:
         return 0
 
     def subscribers(self, topic: str) -> None:
-        """See ``Graph``: it is not known."""
+        """See ``Graph``: not known."""
         del topic
 
     def notes(self) -> list[str]:
@@ -315,7 +316,7 @@ class ZenohGraph:
         return KeyedTopic(name, full_name(type_name), digest)
 
     def _announce(self, entity: Any, kind: TokenKind, topic: KeyedTopic, qos: Qos) -> str:
-        """Tell the graph of an entity; return its token."""
+        """Announce an entity in the graph; return its token."""
         token = self._node.entity_token(kind, next(self._ids), topic, qos)
         self._entities.append(entity)
         self._tokens.append(self._session.liveliness().declare_token(token))
@@ -331,14 +332,14 @@ class ZenohGraph:
 
 
 class _Listener:
-    """Hands on what is received until it is stopped; then nothing more, not even what is waiting.
+    """Passes on samples until it is stopped; then nothing more, not even waiting ones.
 
     Args:
-        heard: is given each message.
-        ignored: ids of publishers to ignore: the caches of one's own session answer, whatever its locality.
+        heard: called with each message.
+        ignored: ids of publishers to ignore: caches of the own session answer in spite of the locality.
 
     Attributes:
-        missed: messages that the numbers of their publishers say were lost.
+        missed: messages that were lost according to the sequence numbers of their publishers.
     """
 
     def __init__(self, heard: Callable[[bytes], None], ignored: Collection[bytes]) -> None:
@@ -362,11 +363,11 @@ class _Listener:
         number, _, _, source = ATTACHMENT.unpack(attachment)
         last = self._last.setdefault(source, number - 1)
         self._last[source] = max(number, last)
-        # One that comes after a later one was counted as missed before.
+        # A message that arrives after a later one was counted as missed before.
         self.missed = max(self.missed + (number - last - 1 if number > last else -1), 0)
 
     def stop(self) -> None:
-        """Return when the last one was handed on."""
+        """Stop; return once a message that is being passed on is done."""
         with self._speaking:
             self._heard = None
 
@@ -377,13 +378,13 @@ def open_graph(
     """Join the graph as a node.
 
     Args:
-        store: has the types of all topics; its distribution decides whether keys hold hashes of types.
+        store: types of all topics; its distribution decides whether keys hold hashes of types.
         node: name of the node, or ``/namespace/name``.
         domain: ``ROS_DOMAIN_ID``.
         options: see docs/zenoh.md: ``router``, ``mode``, ``listen``, ``config``, ``type_hash``.
 
     Raises:
-        ConfigError: an option cannot be honoured, or the session cannot be opened.
+        ConfigError: an option is not valid, or the session cannot be opened.
         ImportError: Zenoh is not installed.
     """
     options = options or {}

@@ -1,14 +1,14 @@
-"""Who is who in rmw_zenoh: keys of topics, tokens of entities, the sender's id in each message.
+"""Identities in rmw_zenoh: keys of topics, tokens of entities, the sender's id in each message.
 
 A topic's key contains domain, type and type hash, so that incompatible entities do not communicate. A token
 announces that an entity exists; ``ros2 topic list`` is made of tokens. Both follow rmw_zenoh's design
 (https://github.com/ros2/rmw_zenoh/blob/rolling/docs/design.md).
 
-A publisher's id is XXH3, 128 bits, of its token, so that everybody who sees the token can tell the id, and
-looks up a message's sender in the graph. The hash is the public algorithm
-(https://github.com/Cyan4973/xxHash/blob/dev/doc/xxhash_spec.md), seed 0 and the default secret, for more
-than 16 bytes: a token has always more. The id comes in the attachment of each message, with time and
-sequence number.
+A publisher's id is the XXH3 hash, 128 bits, of its token, so that everybody who sees the token can compute
+the id, and find the sender of a message in the graph. The hash is the public algorithm
+(https://github.com/Cyan4973/xxHash/blob/dev/doc/xxhash_spec.md) with seed 0 and the default secret, for more
+than 16 bytes: a token is always longer. The id is in the attachment of each message, with time and sequence
+number.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class TokenKind(StrEnum):
 
 
 class KeyedTopic(NamedTuple):
-    """A topic, and its key.
+    """A topic, with its type and type hash.
 
     Attributes:
         name: fully qualified, ``/cmd_vel``.
@@ -69,10 +69,10 @@ class NodeTokens(msgspec.Struct, frozen=True):
 
     Attributes:
         domain: ``ROS_DOMAIN_ID``.
-        session: the Zenoh session's id, hexadecimal.
+        session: id of the Zenoh session, hexadecimal.
         namespace: ``/`` or ``/robot``.
-        name: without its namespace.
-        id: of the node within its session.
+        name: name without its namespace.
+        id: id of the node within its session.
     """
 
     domain: int
@@ -86,7 +86,7 @@ class NodeTokens(msgspec.Struct, frozen=True):
         """Return a node from ``name``, or ``/namespace/name``.
 
         Raises:
-            ConfigError: it is not a name for a node.
+            ConfigError: it is not a valid name of a node.
         """
         return cls(domain, session, *node_name(name))
 
@@ -99,8 +99,8 @@ class NodeTokens(msgspec.Struct, frozen=True):
         """Return the token of a publisher or a subscription.
 
         Args:
-            entity: its id within the session.
-            qos: as requested.
+            entity: id of the entity within the session.
+            qos: requested quality of service.
         """
         return "/".join(
             [self._token(kind, entity), _mangled(topic.name), topic.dds_type, topic.type_hash, qos_text(qos)]
@@ -113,15 +113,15 @@ class NodeTokens(msgspec.Struct, frozen=True):
 
 
 def depth(qos: Qos) -> int:
-    """Return how many samples a cache holds; ROS leaves that to the middleware where all are to be kept."""
+    """Return the size of a cache in samples; for "keep all", ROS leaves it to the middleware."""
     return qos.depth or DEFAULT_DEPTH
 
 
 def qos_text(qos: Qos) -> str:
     """Return a quality of service in the form of tokens: numbers of rmw's enumerations, empty for a default.
 
-    In order: reliability, durability, history and depth, deadline, lifespan, liveliness and its lease; what
-    follows the depth is never set here.
+    The order is reliability, durability, history and depth, deadline, lifespan, liveliness and its lease; the
+    parts behind the depth are never set here.
     """
     reliability = "" if qos.reliable else "2"
     durability = "1" if qos.transient_local else ""
@@ -269,7 +269,7 @@ class Attachment(msgspec.Struct, frozen=True):
     """The attachment of a message, 33 bytes, little-endian.
 
     Attributes:
-        sequence_number: i64, from 1, one more for each message of a publisher.
+        sequence_number: i64, starts at 1 and grows by 1 with each message of a publisher.
         source_timestamp: i64, ns since 1970-01-01 UTC.
         source_gid: the publisher's id, 16 bytes.
     """
