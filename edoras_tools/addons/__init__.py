@@ -24,7 +24,7 @@ class ListedCommand(msgspec.Struct, frozen=True):
     Attributes:
         group: heading under which it stands.
         help: first sentence of its help text, the same as in its code.
-        place: of its function or ``typer.Typer``; see ``Addon``.
+        place: place of its function or ``typer.Typer``; see ``Addon``.
         before: command of the same group that it stands before; the last one if empty.
     """
 
@@ -39,8 +39,8 @@ class Addon(msgspec.Struct, frozen=True):
 
     Attributes:
         folder: name of the add-on.
-        commands: name to what is listed of it.
-        adds: of each other kind of ``doors.KINDS``, name to place.
+        commands: its commands by name.
+        adds: for each other kind of ``doors.KINDS``, places by name.
         extra: pip extra with the libraries that it needs; empty if it needs none.
     """
 
@@ -50,14 +50,14 @@ class Addon(msgspec.Struct, frozen=True):
     extra: str = ""
 
     def places(self, kind: str) -> dict[str, str]:
-        """Return where everything of a kind is, by its name."""
+        """Return the places of everything of one kind, by name."""
         if kind == "commands":
             return {name: command.place for name, command in self.commands.items()}
         return dict(self.adds.get(kind, {}))
 
 
 def _rules(*names: str) -> dict[str, str]:
-    """Return where the rules of an add-on are, by their names."""
+    """Return the places of the rules of an add-on, by name."""
     return {name: f"rules:{name}" for name in names}
 
 
@@ -293,4 +293,4 @@ ADDONS: Final = (
         adds={"parts": {"wireshark": "program:open_packets"}},
     ),
 )
-"""What ships."""
+"""The add-ons that ship."""

@@ -250,13 +250,13 @@ def reading(  # noqa: PLR0913  see its arguments
     Outside the main thread, signals are not handled.
 
     Args:
-        selection: which datagrams; all by default.
-        limits: when to end; never by default.
+        selection: selected datagrams; all by default.
+        limits: conditions of the end; never by default.
         examined: see ``ReadLoop``.
         keeps_failure: see ``ReadLoop``.
         conversing: follow conversations; see ``ReadLoop``.
         patient: see ``on_interrupt``.
-        selected: only the selected rows are looked at: others need not be read.
+        selected: whether the caller uses only the selected rows, so that others need not be read.
 
     Raises:
         RouteError: the selection names a topic that is not configured.
@@ -284,9 +284,9 @@ def reading(  # noqa: PLR0913  see its arguments
 
 
 def _keeps(source: Source, bench: Workbench, *doors: str) -> bool:
-    """Return whether a link of the source may keep what its datagrams said, behind one of some doors.
+    """Return whether a link of the source may keep state between datagrams: it overrides one of some methods.
 
-    What may do so needs what was before; of a source that does not say which links it has, one may.
+    Such a link needs the datagrams before a period. True also if the source does not state its links.
     """
     labels, context = source.info.links, bench.columns.context
     if labels is None or bench.unwrappers:
@@ -299,31 +299,31 @@ def _keeps(source: Source, bench: Workbench, *doors: str) -> bool:
 
 
 def _talks(source: Source, limits: Limits) -> bool:
-    """Return whether conversations may say something that reading a part of them would not.
+    """Return whether notes on conversations may differ if only a part of the datagrams is read.
 
-    Those of no link are read whole, though not up to the same datagram where a number of them ends it.
+    Traffic of no link is read whole, but a count of datagrams then ends it at another datagram.
     """
     info = source.info
     return not info.sound or bool(limits.count and OTHER.label in (info.links or ()))
 
 
 def reads_by_heads(source: Source, bench: Workbench) -> bool:
-    """Return whether a recording's datagrams are read as they were recorded, each without the others."""
+    """Return whether datagrams can be read one by one, with the result that the recorder had."""
     info, context = source.info, bench.columns.context
     same = bench.mission.files == info.attachments and context.described == info.read_with
     return info.apart and same and not _keeps(source, bench, *_DOORS, "topics")
 
 
 class Independence:
-    """Finds out of what is recorded whether datagrams can be read without the others.
+    """Finds out whether the datagrams of a recording can be read independently of each other.
 
     Args:
-        context: of the decoder.
-        sequences: of all that is recorded; None: nobody counts it.
-        repeats: finds what may be there twice; where all is counted.
+        context: context of the decoder.
+        sequences: sequence counts of everything that is recorded; None if they are not followed.
+        repeats: finds datagrams that may have been captured twice; None if the recording is not counted.
 
     Attributes:
-        counts: what ``info`` is to answer of the recording, once all of it is counted; None before.
+        counts: answer of ``info`` to this recording, once everything in it is counted; None before.
     """
 
     def __init__(
@@ -336,31 +336,31 @@ class Independence:
         self.counts: dict[str, Any] | None = None
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch; they come in order."""
+        """Add a batch; batches come in order."""
         fragments = (columns.findings & np.uint32(Finding.FRAGMENT)).any()
         several = self._context.spacecraft.several
         self._apart = self._apart and batch.streams is None and not (fragments or several)
         if self._apart and (doubt := in_doubt(batch, columns, self._context)).any():
             self._suspects.add(batch, columns, doubt)
         if self._apart and self._repeats and self._sequences and not self._repeats.possible:
-            # What was captured twice in a stream that only goes on would have come twice in it.
+            # In a stream whose counts only rise, a datagram captured twice would show as a repeated count.
             streams = self._sequences.follow(batch, columns).stream
             goes_on = np.array([*(item.goes_on for item in self._sequences.streams), False])
             self._repeats.add(batch, np.flatnonzero(~goes_on[streams] & (columns.link != OTHER)))
 
     def metadata(self) -> dict[str, str]:
-        """Return what a recording says: nothing where something came in pieces, or was not the usual.
+        """Return the recording's metadata; empty if datagrams depend on each other, or the build is unusual.
 
-        ``apart`` has the version that read it so; ``sound`` says that no conversation is left out.
+        ``apart`` is the version that found this; ``sound`` says that no conversation would be left out.
         """
         if not self._apart or self._context.detected != self._usual:
             return {}
-        # Where all were sound, more would only make a conversation sounder.
+        # Other datagrams could only make a conversation look sounder.
         left_out = any(flow.kind in LEFT_OUT for flow in self._suspects.judge())
         return {"apart": __version__, "sound": json.dumps(not left_out)}
 
     def answers(self) -> str:
-        """Return ``counts`` as JSON; empty where reading the recording may count otherwise."""
+        """Return ``counts`` as JSON; empty if a reader of the recording might count differently."""
         always = all(flow.always_sound for flow in self._suspects.flows.values() if flow.link.packets)
         alone = self._repeats is not None and not self._repeats.possible
         sure = alone and always and self.metadata().get("sound") == "true"
@@ -371,7 +371,7 @@ def _span(period: Period, begin_ns: int) -> tuple[int, int]:
     """Return the first time of a period, and the one after its last; all of the time if it has none."""
     try:
         part = period.since(begin_ns)
-    except ConfigError:  # raised again, where the first batch is looked at
+    except ConfigError:  # it is raised again for the first batch
         return begin_ns, begin_ns
     return (
         begin_ns + part.start_ns if part.start_ns else 0,
@@ -391,7 +391,7 @@ def selected_rows(
     """Yield the selected rows of every batch that has any; the source is closed at the end.
 
     Args:
-        limits: when to end; never by default.
+        limits: conditions of the end; never by default.
         started: called before each batch with the time of the source's first datagram, ns since 1970.
         most: rows at once, so that Ctrl-C ends slow work soon; 0: all of a batch.
 

@@ -87,7 +87,6 @@ PDU_HEADER: Final = Layout(
     Field("sequence_number_length", 3, "bytes of the transaction sequence number, less 1"),
 )
 """Part of the header with a fixed length; the IDs and the sequence number follow."""
-"""What a packet that holds a PDU is called."""
 NEWEST_VERSION: Final = 1
 DIRECTIVE: Final = Layout(
     "cfdp_directive", "CFDP Directive", Field("directive_code", 8, "what the PDU says", names=_CODES)

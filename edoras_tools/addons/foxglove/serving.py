@@ -127,11 +127,11 @@ def live(
     """Show everything from a live source until it ends, Ctrl-C, or a limit.
 
     Args:
-        source: where datagrams come from; it is closed.
+        source: source of the datagrams; it is closed.
         sink: from ``attach``; it is closed.
         selection: selection of datagrams; all by default.
         target: target of a recording at the same time.
-        limits: when to end; never by default.
+        limits: conditions of the end; never by default.
         watcher: called with the report after every batch.
 
     Raises:

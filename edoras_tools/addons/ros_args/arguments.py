@@ -40,8 +40,7 @@ class RosArguments:
 
     Attributes:
         files: files of ``--params-file``, in their order.
-        overrides: content of those files without a bridge, by base name: they override bridges of other
-            files.
+        overrides: content of those files without a bridge, by base name: parameters for bridges elsewhere.
 
     Raises:
         ConfigError: rcl would refuse a word, or a file cannot be read.

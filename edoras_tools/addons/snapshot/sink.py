@@ -199,7 +199,7 @@ class SnapshotSink(Sink):
         self._forget()
 
     def flush(self) -> None:
-        """Check whether a trigger fired, and write what is left to write.
+        """Check whether a trigger fired, and write the remaining requested datagrams.
 
         Raises:
             CaptureError: a file cannot be written.

@@ -27,7 +27,7 @@ _DEPTH: Final = 10
 
 
 class BridgeRequest(msgspec.Struct, frozen=True):
-    """What the command line requests of all bridges.
+    """Settings from the command line for all bridges.
 
     Attributes:
         kind: only bridges of this kind; None for all.
@@ -48,7 +48,7 @@ class StationPlan(msgspec.Struct, frozen=True):
     """One bridge to run.
 
     Attributes:
-        name: of its node, unique; it may have a namespace in front.
+        name: name of its node, unique; it may have a namespace in front.
         bridge: link and routes, without routes that cannot be bridged.
     """
 

@@ -95,8 +95,8 @@ def inspect(
     """Read a source to its end and count the selected datagrams; ``failure`` says why it ended early.
 
     Args:
-        source: where datagrams come from; it is closed.
-        selection: which datagrams; all by default.
+        source: source of the datagrams; it is closed.
+        selection: selected datagrams; all by default.
         watcher: called with the report after every batch.
         jobs: number of processes that share the work, see ``read_ahead``; the selection is applied in one.
 

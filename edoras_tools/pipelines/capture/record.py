@@ -288,9 +288,9 @@ def record(
     """Write everything from a source until it ends, Ctrl-C, or a limit.
 
     Args:
-        source: where datagrams come from; it is closed.
-        selection: which datagrams; all by default.
-        limits: when to end; its clock also determines when to flush.
+        source: source of the datagrams; it is closed.
+        selection: selected datagrams; all by default.
+        limits: conditions of the end; its clock also determines when to flush.
         watcher: called with the report after every batch.
         tap: called with every batch that was written.
         by_route: count by route, for the report; else only the number of datagrams.

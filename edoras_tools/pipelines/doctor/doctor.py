@@ -221,7 +221,7 @@ def examine(
     """Read a source to its end and judge it.
 
     Args:
-        source: where datagrams come from; it is closed.
+        source: source of the datagrams; it is closed.
         bench: mission, types and decoders.
         scope: part that is examined, and part that is shown; all by default.
         pace: for a live source, and how many processes share the work; by default one.

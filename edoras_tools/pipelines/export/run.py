@@ -38,7 +38,7 @@ class ExportTarget(msgspec.Struct, frozen=True):
 
     Attributes:
         path: a file, for one topic; or a folder.
-        format: of the files.
+        format: format of the files.
         folder: whether ``path`` is a folder, with a file for each topic.
         force: replace existing files.
     """
@@ -145,7 +145,7 @@ def export(
 
     Args:
         source: the input.
-        target: where tables go.
+        target: output of the tables.
         patterns: patterns of topics. By default a folder gets all topics except the datagrams and those that
             need an examination, also those that only the content names; a file also leaves out this
             package's own.

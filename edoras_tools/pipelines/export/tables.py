@@ -26,7 +26,7 @@ ELEMENT: Final = "element"
 
 
 class TableForm(NamedTuple):
-    """How a block becomes columns.
+    """The form in which a block becomes columns.
 
     Attributes:
         fields: patterns of fields, e.g. ``linear.*``; a name includes the fields inside it. Empty: all.

@@ -45,7 +45,7 @@ class SentRecording:
 
     Args:
         wire: the wire.
-        target: what to write.
+        target: output of the recording.
         bench: mission, types and decoders.
 
     Raises:

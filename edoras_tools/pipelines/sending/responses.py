@@ -151,20 +151,20 @@ class ReceivedEvent(msgspec.Struct):
 
 
 class Responses:
-    """Counts what is received.
+    """Counts the received packets.
 
     Args:
         mission: provides the topics of MsgIds.
         expected: expected results; it gets every packet.
 
     Attributes:
-        events: by text, in order of their first occurrence.
+        events: events by text, in order of their first occurrence.
         counters: first and last received counters of the software bus.
         counts: packets by link and MsgId.
         network: SBN messages by type, other than application messages.
         answers: messages of a link without space packets.
         ingest: comparison of CI's own count with the datagrams sent to it.
-        expected: as given.
+        expected: see the argument.
     """
 
     def __init__(self, mission: Mission, expected: AwaitedResults | None = None) -> None:

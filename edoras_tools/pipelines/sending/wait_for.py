@@ -69,7 +69,7 @@ def conditions(
         responses: responses received so far.
         session: the SBN session, if there is one.
         wire: sends the requests.
-        local: where answers are received.
+        local: endpoint where answers are received.
     """
     for item in options.wait_for:
         if item == "peer" and session is not None and options.to.sending:
@@ -221,7 +221,7 @@ def enable_output(address: str, headers: cfe.Headers = cfe.STANDARD) -> bytes:
     """Return the command that makes Telemetry Output send to an IPv4 address, as the ground bridge does.
 
     Args:
-        address: as text.
+        address: address as text.
         headers: headers of the receiving cFE.
     """
     return cfe.emit_command(

@@ -148,7 +148,7 @@ class Demo:
         bridges: the ground bridge, and the flight bridge if there is one.
         station: the ground station.
         trace: counts and latencies of the messages.
-        ports: of all links.
+        ports: ports of all links.
         foxglove: the server, if there is one.
         layout: path of the Foxglove layout, beside the recording.
         events: the last events of cFS.

@@ -53,7 +53,7 @@ class Mark(msgspec.Struct, frozen=True):
 
     Attributes:
         arrived: messages of the route that came from cFS.
-        whole: those of them that were as expected.
+        whole: messages among them that were as expected.
         reports: 0x803 packets so far.
         counters: the loss counters of the last 0x803 and the contents of the last 0x884, if they have come.
         differs_at: first byte at which a message differed from the expected one; None if none differed.
