@@ -122,15 +122,11 @@ def app_pipe_overflow(case: Case) -> Iterator[Verdict]:
     """
     for loss in case.losses:
         elsewhere = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN")
-        if loss.kind != "overflow" or elsewhere or loss.rivals:
-            continue
-        yield loss_verdict(
-            case,
-            loss,
-            f"{lost_at(case, loss)}: the pipe was full",
-            link=loss.stream.link.label if loss.stream else None,
-            remedy="send less of all that this pipe takes, make it deeper, or have its task run more often",
-        )
+        if loss.kind == "overflow" and not elsewhere and not loss.rivals:
+            link = loss.stream.link.label if loss.stream else None
+            reason = f"{lost_at(case, loss)}: the pipe was full"
+            remedy = "send less of all that this pipe takes, make it deeper, or have its task run more often"
+            yield loss_verdict(case, loss, reason, link=link, remedy=remedy)
 
 
 def to_message_limit(case: Case) -> Iterator[Verdict]:
@@ -437,13 +433,10 @@ def app_outage(case: Case) -> Iterator[Verdict]:
         if loss.kind in _KINDS:
             losses.append(loss)
             noun = "commands" if loss.stream is None or loss.stream.is_command else "messages"
-            yield loss_verdict(
-                case,
-                loss,
-                f"{lost_at(case, loss, noun)}: {CAUSES[loss.kind].listed.format(hop=loss.hop)}",
-                link="ci" if loss.stream is None else loss.stream.link.label,
-                remedy=START_AGAIN if loss.kind == "restart_failed" else revival(case, case.called(loss.hop)),
-            )
+            reason = f"{lost_at(case, loss, noun)}: {CAUSES[loss.kind].listed.format(hop=loss.hop)}"
+            link = "ci" if loss.stream is None else loss.stream.link.label
+            again = START_AGAIN if loss.kind == "restart_failed" else revival(case, case.called(loss.hop))
+            yield loss_verdict(case, loss, reason, link=link, remedy=again)
     for item in case.outages:
         start_ns = max(item.start_ns, case.start_ns)
         end_ns = max(start_ns, item.end_ns if item.end_ns is not None else case.end_ns)
