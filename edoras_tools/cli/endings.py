@@ -62,8 +62,7 @@ def nothing_shown(source: Source, count: int, context: Context, *, live: bool, e
 
 
 def _none_chosen(source: Source, hint: str = "") -> None:
-    total = source.statistics.datagrams
-    if total:
+    if total := source.statistics.datagrams:
         tell(f"none of the {total:,} datagrams was selected{hint}")
 
 
@@ -81,8 +80,7 @@ def lost(source: Source) -> None:
         lines = [*lines, *outage_lines(statistics.outages)]
     for line in lines:
         tell(line)
-    drops = statistics.kernel_drops
-    if drops:
+    if drops := statistics.kernel_drops:
         tell(f"the capture itself lost {drops:,} packets; it was too slow for them")
         raise typer.Exit(LOST)
 

@@ -212,8 +212,7 @@ class _Loading:
         Raises:
             ConfigError: all mistakes of all files.
         """
-        mistakes = _in_order(report.mistakes for report in self._reports)
-        if mistakes:
+        if mistakes := _in_order(report.mistakes for report in self._reports):
             raise ConfigError(*mistakes)
         mission = Mission(
             tuple(self._routes),

@@ -255,8 +255,7 @@ def in_time_order(recorder: Recorder) -> tuple[Rows, Payloads, int]:
     If any were, the sequence counts are followed again, so that gaps are those of the link, not of the file.
     """
     rows, payloads = recorder.rows(), recorder.payloads.ordered()
-    disordered = _disordered(rows)
-    if disordered:
+    if disordered := _disordered(rows):
         order = np.argsort(rows.time_ns, kind="stable")
         rows, payloads = followed(rows.take(order)), payloads.over(order, len(rows))
     return rows, payloads, disordered

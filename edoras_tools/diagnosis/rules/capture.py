@@ -138,8 +138,7 @@ def captured_twice(case: Case) -> Iterator[Verdict]:
 
     Say how many were counted once.
     """
-    copies = case.prepared.copies
-    if copies:
+    if copies := case.prepared.copies:
         yield note(
             f"{copies:,} datagrams were captured twice, and are counted once",
             "the same bytes with the same IP identification, or at another place, within ms",

@@ -451,8 +451,7 @@ def checksum(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     commands = (rows.link == CI) & (rows.function_code >= 0)
-    absent = int((commands & rows.has(Finding.CHECKSUM_ABSENT)).sum())
-    if absent:
+    if absent := int((commands & rows.has(Finding.CHECKSUM_ABSENT)).sum()):
         of = int(commands.sum())
         yield habit(
             f"{absent:,} of {of:,} commands carry no checksum, as the EDORAS bridges send them; no cFS "

@@ -175,8 +175,7 @@ def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | N
     else:
         noun, words = "datagram", [plural(summary.get("datagrams", 0), "datagram"), on]
         words[0] += over
-    written = sum(map(size_of, outputs))
-    if written:
+    if written := sum(map(size_of, outputs)):
         words.append(units.size(written))
     if keep and keep.deleted:
         words.append(f"{plural(keep.deleted, 'older file')} with {plural(keep.datagrams, noun)} deleted")
