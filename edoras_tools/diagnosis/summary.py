@@ -362,7 +362,7 @@ def _copies(result: Diagnosis, proven: int) -> str:
     number = f"{least:,} to {most:,}" if least < most else f"{most:,}"
     if not most and proven:
         return " They are copies: every message arrived."
-    return f" Some are copies: these are {number} message{'s' * (most != 1)}." if least < proven else ""
+    return f" Some are copies: {number} of their messages never arrived." if least < proven else ""
 
 
 def _counts(problems: Iterable[Problem], kind: str = "") -> list[str]:

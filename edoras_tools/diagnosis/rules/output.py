@@ -117,7 +117,7 @@ def _fight(case: Case, members: list[CommandRecord]) -> Verdict:
     fighting = changes > 1
     who = "two ground stations fight over Telemetry Output: it" if len(senders) > 1 else "Telemetry Output"
     return warning(
-        f"{who} was redirected {changes} times, and sends to one address at a time"
+        f"{who} was told {changes} times to send elsewhere, and sends to one address at a time"
         if fighting
         else "Telemetry Output was redirected: the first ground station gets nothing from then on",
         f"enabled from: {', '.join(sorted(senders))}",
