@@ -60,8 +60,8 @@ PUT_OFF = {
     "mission/model.py": ("edoras_tools.cfs.profile", "6 ms, and only where constants are asked for"),
     "mission/tree.py": ("yaml", "9 ms, and only where there is a mission file"),
     "pipelines/capture/record.py": (
-        "edoras_tools.pipelines.capture.host",
-        "4 ms, and only where a link is captured live",
+        "edoras_tools.pipelines.capture.host edoras_tools.pipelines.ahead",
+        "4 ms each, and only where a link is captured live, or a file read by another process",
     ),
     "addons/lab/demo/run.py": ("zenoh", "an extra"),
     "pipelines/capture/ledger.py": (
