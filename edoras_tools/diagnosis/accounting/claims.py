@@ -199,11 +199,13 @@ def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int 
 def _tables(
     counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0, kinds: int = len(COUNTERS)
 ) -> dict[tuple[int, PipeKind], _Table]:
-    """Return a table of claims for each counter; without counts left, too: a path may lead through it."""
+    """Return a table of claims for each counter that has counts left, or that a path may lead through."""
+    used = {place[:2] for claim in claims for place in claim.taken}
     return {
         (at, kind): _Table((at, kind), own, claims, slack_ns, kinds)
         for at, own in counts.items()
         for kind in COUNTERS
+        if own.left[kind].any() or (at, kind) in used
     }
 
 

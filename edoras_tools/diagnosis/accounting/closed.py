@@ -495,8 +495,7 @@ class Stops:
                 continue
             self._mark_unread(fate)
             own = [item for item in stopped if item.app not in executive_services.SCHEDULERS]
-            own = [item for item in own if case.into_system(fate.stream, item.system)]
-            if own:
+            if own := [item for item in own if case.into_system(fate.stream, item.system)]:
                 self._unfollowed(fate, own)
 
     def mark(self, fate: Fate, rows: Mask, kind: LossKind, hop: str, text: str) -> None:

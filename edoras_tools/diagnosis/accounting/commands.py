@@ -450,8 +450,7 @@ class Commands:
             near = (loss for loss in unknown if ((when >= loss.start_ns) & (when <= loss.end_ns)).any())
             over = sum(loss.lost for loss in near if self._case.goes_to(fate.stream, loss.instance))
             fate.ends["shared"] += min(over, sum(number for _, number, _ in placed))
-            own = [loss for loss in self.losses if loss.stream is key and loss.kind in COUNTERS]
-            if own:
+            if own := [loss for loss in self.losses if loss.stream is key and loss.kind in COUNTERS]:
                 times = fate.stream.time_ns
                 inside = times >= min(loss.start_ns for loss in own)
                 inside &= times <= max(loss.end_ns for loss in own)
