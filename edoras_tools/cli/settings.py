@@ -4,8 +4,8 @@ Rules:
 
 1. The file is searched in the working folder, then in its parents up to the root of the repository or
    the home folder; outside of both only in the working folder. ``EDORAS_CONFIG`` names a file instead.
-   2. A file from the search must belong to the user, and others must not be able to write to it: a project
-      that somebody unpacked in a shared folder must not change the effect of a command.
+2. A file from the search must belong to the user, and others must not be able to write to it: a project
+   that somebody unpacked in a shared folder must not change the effect of a command.
 3. Only the options in ``SETTABLE`` can be set. None of them listens, sends, confirms, overwrites or leaves
    data out.
 4. The command line and environment variables take precedence over the file.

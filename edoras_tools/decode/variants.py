@@ -274,8 +274,7 @@ class Variants:
         )
         if self._note in context.notes:
             context.notes.remove(self._note)
-        others = {place: bits for place, bits in kinds_of.items() if bits not in {0, usual}}
-        if others:
+        if others := {place: bits for place, bits in kinds_of.items() if bits not in {0, usual}}:
             context.described.pop("headers", None)
             names = [self._names[place] for place in others]
             more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""

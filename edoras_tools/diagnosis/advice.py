@@ -157,8 +157,8 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
     low = _limit_of(last) or queues.telemetry_pipe(case.profile).limit(loss.msg_id)
     again = [item for old, item in pairwise(changes) if old.state == "unsubscribed"]  # else its limit stays
     within = [item for item in again if times[0] + SECOND < item.not_before_ns < times[1]]
-    lower = [item for item in reversed(within) if (_limit_of(item) or 0) < low]
-    return min(lower, key=lambda item: _limit_of(item) or 0, default=last)
+    lower = [item for item in reversed(within) if (_limit_of(item) or low) < low]  # others set none
+    return min(lower, key=lambda item: _limit_of(item) or low, default=last)
 
 
 def set_by(case: Case, loss: Loss, limit: int) -> str:

@@ -324,8 +324,7 @@ def chains(
         hops = tuple(_hops(own, whole, bridges or {}))
         result.append(Chain(topics.get(route), msg_id, instance, hops))
     for key, count in (bridges or {}).items():
-        own = [row for row in whole if key[0] == TO.label and (row.link, row.msg_id) == key]
-        if own:
+        if own := [row for row in whole if key[0] == TO.label and (row.link, row.msg_id) == key]:
             hops = (*map(_of_row, own), _bridge(SUBSCRIBER, count))
             result.append(Chain(topics.get(own[0].route), key[1], own[0].instance, hops))
     return result

@@ -47,7 +47,8 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.faults.fault import Fault
 
 CHAPTER: Final = 1_000_000
-"""Number of datagrams in a chapter; their rows take 160 MB."""
+"""Number of datagrams in a chapter; their rows take 160 MB. Messages that cross into the next one are not
+matched with their arrival there."""
 MOST_SCATTERED: Final = 4
 """Largest size, in chapters, of a chapter whose records are out of order throughout."""
 

@@ -644,8 +644,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     way.lose(losses, _AT_PIPE)
     way.end("shared", telemetry.ended(stream, "shared"))
     way.end("not_captured", max(0, telemetry.ended(stream, "closed") - _lost_upstream(case, stream)))
-    silenced = [(number, among) for of, number, among in telemetry.silenced if of is stream and number]
-    if silenced:
+    if silenced := [(number, among) for of, number, among in telemetry.silenced if of is stream and number]:
         way.hop(telemetry_output.SOCKET, {"in": f"{_COUNT}, less what 0x803 counts", "out": SEEN})
         failed = any(map(case.suppressed, case.silences_of(stream.sender)))
         for number, among in silenced:

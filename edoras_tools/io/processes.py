@@ -1,4 +1,4 @@
-"""Forked processes that do tasks while this one goes on: all that uses a second processor is made of these.
+"""Forked processes that do tasks while this one goes on: most parallel work is made of these.
 
 Two threads that work in numpy pass Python's lock to each other hundreds of times per batch; two processes do
 not. Arrays go through shared memory, everything else is pickled through a socket. The rules:
@@ -186,7 +186,7 @@ class Workers:
         count: number of processes, at least 1.
         work: function that they run, as it is at ``start``; its arguments and its result are pickled.
         killed: exception to raise if one of them was killed.
-        set_up: called in each process before its first task; the process then keeps the open files.
+        set_up: called in each process before its first task; the process then keeps the files that it reads.
         tasks: most tasks of each process.
         yields: see ``crowded``.
 
@@ -323,13 +323,14 @@ class Workers:
 
     def _serve(self, link: socket.socket) -> None:
         desk = Desk(link, self._memory, self._tasks)
-        if self._set_up is None:
-            # The output stays locked, and other processes wait, as long as this one has their files open.
-            for number in map(int, os.listdir("/proc/self/fd")):  # noqa: PTH208  numbers, not paths
-                if number > _STANDARD_ERROR and number != link.fileno():
-                    with suppress(OSError):  # the folder itself
-                        os.close(number)
-        else:
+        # An output stays locked, and other processes wait for it, as long as this one has it open. On Linux
+        # the link of a descriptor shows whether it can be read.
+        for number in map(int, os.listdir("/proc/self/fd")):  # noqa: PTH208  numbers, not paths
+            with suppress(OSError):  # the folder itself
+                needed = self._set_up and os.lstat(f"/proc/self/fd/{number}").st_mode & 0o400
+                if number > _STANDARD_ERROR and number != link.fileno() and not needed:
+                    os.close(number)
+        if self._set_up is not None:
             self._set_up(desk)
         desk.serve(self._work)
 

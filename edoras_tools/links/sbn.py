@@ -33,7 +33,7 @@ BRIDGE_PORT: Final = 2236
 _WINDOW: Final = 64
 """Bytes that hold a header, and a subscription's $Id and count."""
 _BEGINNING: Final = 16
-"""Bytes that hold a header and what is looked at behind it, but for subscriptions: mostly all."""
+"""Bytes that hold a header and what is looked at behind it: all of most messages, not of subscriptions."""
 _IDENT: Final = np.frombuffer(sbn.IDENT.encode().ljust(sbn.IDENT_BYTES, b"\0"), np.uint64)
 _KNOWN_TYPES: Final = np.isin(np.arange(256), list(sbn.MsgType))
 _LISTING: Final = (sbn.MsgType.SUB, sbn.MsgType.UNSUB)

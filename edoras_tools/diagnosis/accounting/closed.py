@@ -484,8 +484,9 @@ class Stops:
         self._fates = [fate for fate in fates if not fate.stream.is_housekeeping]
         stopped = [item for item in case.outages if item.app not in _LINKS]
         for fate in sorted(self._fates, key=lambda item: not item.seen):
+            own = [item for item in stopped if case.into_system(fate.stream, item.system)]
             if fate.seen:
-                for item in stopped:
+                for item in own:
                     # Without a scheduler an application is not woken: its pipe fills, or it keeps the newest.
                     if fate.keeps_newest or item.app not in executive_services.SCHEDULERS:
                         self._mark(fate, item)
@@ -494,8 +495,7 @@ class Stops:
                 self._mark_beside(fate)
                 continue
             self._mark_unread(fate)
-            own = [item for item in stopped if item.app not in executive_services.SCHEDULERS]
-            if own := [item for item in own if case.into_system(fate.stream, item.system)]:
+            if own := [item for item in own if item.app not in executive_services.SCHEDULERS]:
                 self._unfollowed(fate, own)
 
     def mark(self, fate: Fate, rows: Mask, kind: LossKind, hop: str, text: str) -> None:
@@ -655,8 +655,9 @@ class Stops:
             inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
             self.mark(fate, inside, "disabled", telemetry_output.NAME, text)
         last_ns = max((int(_sent_by(case, out.sender)[-1]) for out in outs), default=NEVER)
-        for item in (item for item in case.outages if item.app in telemetry_output.NAMES):
-            if item.end_ns is None and last_ns < item.ended_ns + TAIL_NS:
+        ended = [item for item in case.outages if item.app in telemetry_output.NAMES and item.end_ns is None]
+        for item in ended:
+            if case.into_system(fate.stream, item.system) and last_ns < item.ended_ns + TAIL_NS:
                 inside = fate.open & (fate.stop < 0) & (times > max(item.start_ns, last_ns))
                 self.mark(fate, inside, "stopped", item.app, item.witness)
 

@@ -315,6 +315,8 @@ class Commands:
             bounds = np.concatenate(([item.start_ns], read, [end_ns]))
             hole = int(np.diff(bounds).argmax())
             inside = fate.open & ~fate.newer & (times > bounds[hole]) & (times < bounds[hole + 1])
+            late = inside & (times > item.asked_ns) & (not item.restarted)  # it may have read these
+            fate.ends["crowded"] += fate.claim(np.flatnonzero(late))
             kind: LossKind = "restart" if item.restarted else "ci_stopped"
             stops.mark(fate, inside, kind, LOST_AT[kind], item.witness)
 

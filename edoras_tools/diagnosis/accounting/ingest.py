@@ -467,9 +467,8 @@ class _Counted:
         """Return why it did not run for a time before a sample: it, or its cFS, was started again."""
         sooner_ns, later_ns = self._seen[first - 1], self._seen[first]
         stops = (item for item in self._outages() if not item.restarted and item.start_ns < later_ns)
-        if self._restarts[first]:
-            return "down"
-        return "ci_stopped" if any((item.end_ns or 0) > sooner_ns for item in stops) else "restart"
+        ended: Cause = "ci_stopped" if any((item.end_ns or 0) > sooner_ns for item in stops) else "restart"
+        return "down" if self._restarts[first] else ended
 
     def _end_with_outage(self, account: Ingest, begin: tuple[Cause, int]) -> None:
         """Shorten the losses of an outage to the last datagram that can be one: CI read all later ones."""

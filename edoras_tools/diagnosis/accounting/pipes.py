@@ -182,7 +182,10 @@ class Pipes:
         return more_at_once(times, period, profile.app_msg_limit)
 
     def _times(self, fate: Fate) -> tuple[Integers, Integers]:
-        """Return the earliest and latest time at which each message can be counted: i64 (rows,), ns."""
+        """Return the earliest and latest time at which each message can be counted: i64 (rows,), ns.
+
+        CI hands on in order, so it handed on what was lost before the next message that came out.
+        """
         times = fate.stream.time_ns
         delay = max((hop.last_ns for hop in fate.hops), default=0)
         return np.maximum(times - LEAD_NS, self._taken_since(fate, times)), times + delay + LATE_NS

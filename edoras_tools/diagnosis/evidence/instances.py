@@ -186,8 +186,7 @@ class Instances:
     def _name(rows: Rows, members: Places, says: dict[int, str]) -> str:
         """Return an instance's name: from its events, else from its SBN headers."""
         events = members[rows.known_id[members] == cfe.EVENT_MSG_ID]
-        names = Counter(says[row] for row in events.tolist() if row in says)
-        if names:
+        if names := Counter(says[row] for row in events.tolist() if row in says):
             return names.most_common(1)[0][0]
         network = members[rows.on(lambda link: link.peers, members)]
         return rows.usual_sender(network)[0] if len(network) else ""

@@ -164,7 +164,6 @@ class Network:
 
         Args:
             rows: table of datagrams.
-            payloads: contents of these rows.
             instances: instances that made them.
             profile: constants of cFS: time-out and heartbeat of SBN.
             outages: spans (start, end), ns, in which nothing could be captured: silence then proves nothing.

@@ -72,8 +72,7 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
     accounts = case.ingests_at(stream.receiver)
     last_ns = max((item.last_ns for item in accounts), default=case.end_ns)
     behind = int((missing > last_ns).sum())
-    uncounted = visible and not accounts and stream.link.only_to_cfs
-    if uncounted:
+    if uncounted := visible and not accounts and stream.link.only_to_cfs:
         evidence.append("0x803 has none of them, and 0x884 is not here: CI may never have read them")
     elif visible and behind < len(missing):
         evidence.append("cFS's counters (0x803, 0x884) do not explain these")
@@ -307,13 +306,14 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
     """
     lacking = [item.name for item in (CI, TO, SBN) if not (case.rows.link == item).any()]
     also = f"capture {' and '.join(lacking)} too where cFS uses it, and " if lacking else ""
-    names = sorted({case.name(item.msg_id) for item in case.reported_losses if item.at_pipe})
+    reported = [item for item in case.reported_losses if item.at_pipe]
     for loss in case.losses:
         if loss.rivals or (loss.kind == "unknown" and loss.stream is None):
             where = f"on the {BUS}" if loss.hop == BUS else f"at {loss.hop}"
             which = " or ".join(dict.fromkeys(case.name(msg_id) for _, msg_id, _ in loss.rivals))
-            question = f"whether of {which}" if which else "which"
-            question += f": events name {listed(names)} alone" * (not which and bool(names))
+            names = sorted({case.name(item.msg_id) for item in reported if item.instance == loss.instance})
+            alone = f": events name {listed(names)} alone" * bool(names)
+            question = f"whether of {which}" if which else f"which{alone}"
             ids = {msg_id for _, msg_id, _ in loss.rivals}
             helped = any(item.hop == loss.hop and item.msg_id in ids for item in case.losses)
             yield error(

@@ -226,8 +226,7 @@ def _restarted(case: Case, explain: Callable[..., tuple[int | None, list[str]]])
     ]
     # Where all of cFS was restarted, that is told by itself.
     resets = [(item.start_ns, item.end_ns) for item in case.resets]
-    moves = [move for move in moves if not any(move[0] <= b and a <= move[1] for a, b in resets)]
-    if moves:
+    if moves := [move for move in moves if not any(move[0] <= b and a <= move[1] for a, b in resets)]:
         end_ns = min(end for _, end in moves)
         start_ns = max((start for start, _ in moves if start < end_ns), default=end_ns)
         lost, facts = explain(end_ns)

@@ -345,8 +345,8 @@ def _least_length(case: Case, loss: Loss) -> int:
     if loss.stream is None or loss.among is None or loss.lost < _MANY:
         return 0
     longest = np.sort(case.rows.length[loss.stream.rows[loss.among.rows]])[::-1]
-    parts = loss.lost < len(longest) and longest[loss.lost - 1] > longest[loss.lost]
-    return int(longest[loss.lost - 1]) if parts else 0
+    parts = len(longest) > loss.lost >= _MANY * len(np.unique(longest))  # there are many of each length
+    return int(longest[loss.lost - 1]) if parts and longest[loss.lost - 1] > longest[loss.lost] else 0
 
 
 _MANY: Final = 8

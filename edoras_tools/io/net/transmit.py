@@ -5,8 +5,8 @@ Rules of a transmitter:
 1. Its socket is connected, so that the kernel reports refusals, and blocks while it is full: nothing is lost
    on this machine.
 2. A single datagram, which has a deadline, is sent by one system call without a copy. Many are sent by few
-   3. Each datagram is counted once, as sent or under its system error. A refusal is counted in addition: it
-      answers a datagram that was sent.
+   system calls.
+3. Each datagram is counted once, as sent or under its system error. A refusal is counted in addition: it
    answers a datagram that was sent.
 """
 

@@ -108,7 +108,7 @@ def _on_link(
 
 
 def _in_one_pass(number: int) -> int:
-    """Return the number of messages in one pass, a divisor of the total, so that whole passes give it."""
+    """Return the number of messages in one pass, a divisor of the total; the total 0 means without end."""
     number = number or _MOST
     return number if number <= _MOST else next(n for n in range(_MOST, 0, -1) if number % n == 0)
 

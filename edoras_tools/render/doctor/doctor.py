@@ -183,7 +183,7 @@ def _verdict(result: Diagnosis, group: Sequence[Verdict]) -> RenderableType:
         title.append(f"  {_when(result, worst)}, confidence {worst.confidence}", palette.DIM)
     else:
         lost, of = sum(item.lost or 0 for item in group), sum(item.of or 0 for item in group)
-        title.append(f"  {lost:,} of {of:,} lost, in {len(group)} periods", palette.DIM)
+        title.append(f"  {lost:,}{f' of {of:,}' if of else ''} lost, in {len(group)} periods", palette.DIM)
     body: list[RenderableType] = [plain(told_of(group), palette.STRONG)]
     if len(group) > 1:
         body.append(_spans(result, group))

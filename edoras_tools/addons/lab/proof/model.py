@@ -10,8 +10,8 @@ Rules:
 3. The phase of the rounds is unknown: the model runs twice, half a round apart. The speed of the host is
    unknown too, and decides the race of a burst and its reader: the host that explains most is used.
 4. The model explains the capture if its losses of each MsgId differ by at most 3 % of the sent messages, or
-   by
-   3. It has no losses outside cFS's queues, as in the network, at closed ports, or of bad commands.
+   by at most three messages. It has no losses outside cFS's queues, as in the network, at closed ports, or of
+   bad commands.
 5. With an advice that promises a number of remaining losses, the model must lose at most that number.
 """
 

@@ -6,10 +6,10 @@ The rules that this file keeps:
    row that is larger than a buffer gets a buffer of its own.
 2. A full buffer is divided between messages into chunks of about ``CHUNK_BYTES``, each with a CRC.
 3. A stream with many messages is copied with ``spill_rows``, which also writes beyond the end of each
-   4. A record's head is written after its body, because ``spill_rows`` may overwrite it.
-   5. Messages are indexed while they go into the buffer; the indexes of all its chunks are made at once.
-   6. A large batch gets chunks of its own, so that any process can make them, and the file is always the
-      same.
+   message. It is copied first; every other stream, and every head, is written afterwards.
+4. A record's head is written after its body, because ``spill_rows`` may overwrite it.
+5. Messages are indexed while they go into the buffer; the indexes of all its chunks are made at once.
+6. A large batch gets chunks of its own, so that any process can make them, and the file is always the same.
 
 One wrong byte costs a whole chunk, and a reader has to read a whole chunk for one message. Small chunks
 compress worse, and each has an index of its own: ``docs/recover.md`` has the figures.
@@ -17,7 +17,7 @@ compress worse, and each has an index of its own: ``docs/recover.md`` has the fi
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import zstandard
@@ -40,7 +40,8 @@ _BUFFER_BYTES = 8 << 20
 """Bytes of messages that are laid out at once, and then divided into chunks."""
 _ENOUGH = 16 << 20
 """Bytes that compressing a buffer may need. If memory runs out inside ``multi_compress_to_buffer``,
-zstandard 0.25 frees some of it twice and the process aborts; allocated before, it is a ``MemoryError``."""
+zstandard 0.25 frees some of it twice and the process aborts; allocated before, it is a ``MemoryError``. The
+memory of its threads cannot be allocated before: under a limit (``ulimit -v``) one thread compresses."""
 _HEADS = 4096
 """Heads that are made and copied together: few enough to stay in the processor's cache."""
 _MOST_MADE = 8
@@ -55,6 +56,10 @@ class ChunkPress:
     """
 
     def __init__(self, threads: int = 1) -> None:
+        if threads > 1:  # only on Linux
+            import resource
+
+            threads = threads if resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY else 1
         self._threads = threads
         self._compressor = zstandard.ZstdCompressor(level=LEVEL, write_checksum=True)
         self._buffer = _blank()
@@ -117,8 +122,7 @@ class ChunkPress:
         packed = self._compressor.multi_compress_to_buffer(
             zstandard.BufferWithSegments(raw, segments.tobytes()), threads=self._threads
         )
-        each: list[Any] = [packed[place] for place in range(len(packed))]
-        return [memoryview(item) for item in each]
+        return [memoryview(cast("Any", packed[place])) for place in range(len(packed))]
 
 
 class ChunkWriter:

@@ -59,7 +59,7 @@ class Application(msgspec.Struct):
 
     Attributes:
         name: name of the application.
-        stop_after: event number to the events that pass the filter; a number that is absent always passes.
+        stop_after: event number to how many such events pass; a number that is absent always passes.
         tokens: thousandths of events that may still be sent.
         credited_ns: time when tokens were last added, ns.
         counts: event number to the events since the filter was reset.
@@ -103,7 +103,7 @@ class EventServices:
         Args:
             name: name of the application, at most 19 characters.
             now: ns.
-            stop_after: event number to the events that pass the filter.
+            stop_after: event number to how many such events pass the filter.
         """
         self.applications[name] = Application(
             name, stop_after or {}, self.profile.event_burst * _COST, credited_ns=now
