@@ -1099,6 +1099,22 @@ def test_what_output_was_to_send_behind_its_last_stop_is_lost(tmp_path):
     assert "what it lost" not in first_screen(found)
 
 
+@pytest.mark.parametrize(("name", "stopped"), [("stop_without_events", 146), ("stopped_at_the_end", 21)])
+def test_a_stop_is_no_cause_for_another_cfs(tmp_path, name, stopped):
+    """The same cFS at another host too, without what told it to stop and said that it did."""
+    items = mutations.frames(FOLDER / f"{name}.pcap.zst")
+    said = (b"STOP_APP", b"Stop Application", b"Exit Application", b"\x18\x06\xc0", b"\x18\x06\0\0")
+    others = [item for item in items if not any(word in item.data for word in said)]
+    moved = [item._replace(data=at_host(item.data), time_ns=item.time_ns + 1_234_567) for item in others]
+    both = sorted([*items, *moved], key=lambda item: item.time_ns)
+    assert by_cause(truth.examined(mutations.write(tmp_path / "both.pcap", both)))["stopped"] == stopped
+
+
+def at_host(data):
+    """Return a frame between ports of 10.0.0.2 instead."""
+    return mutations.summed(data[:26] + bytes([10, 0, 0, 2]) * 2 + data[34:])
+
+
 def test_commands_to_the_port_of_a_processor_are_its_own():
     """Two cFS at one address: the stop of CI of 66:2 is not that of 66:1, nor of what that publishes."""
     found = examined("two_cfs_at_two_ports")

@@ -13,7 +13,7 @@ import threading
 import time
 from collections import deque
 from contextlib import closing
-from functools import cache
+from functools import cache, partial
 from itertools import cycle, pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -313,6 +313,20 @@ def test_files_of_the_one_that_started_them_are_not_kept_open(started):
     os.close(write)
     assert os.read(read, 1) == b""
     os.close(read)
+
+
+def test_a_process_that_is_set_up_keeps_open_what_it_reads_and_not_what_others_write(tmp_path):
+    (tmp_path / "in").write_bytes(b"data")
+    with (tmp_path / "in").open("rb") as source, (tmp_path / "out").open("wb") as output:
+        fcntl.flock(output, fcntl.LOCK_EX)
+        read = partial(os.read, source.fileno(), 4)
+        with closing(Workers(1, read, GONE, set_up=lambda _: None)) as workers:
+            workers.start()
+            workers.submit()
+            assert workers.take() == b"data"
+            output.close()
+            with (tmp_path / "out").open("wb") as again:
+                fcntl.flock(again, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def test_where_no_process_can_be_had(monkeypatch):
