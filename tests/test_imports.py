@@ -59,10 +59,9 @@ PUT_OFF = {
     "addons/rtps/link.py": ("edoras_tools.addons.rtps.wire", "5 ms, and only where there are its datagrams"),
     "mission/model.py": ("edoras_tools.cfs.profile", "6 ms, and only where constants are asked for"),
     "mission/tree.py": ("yaml", "9 ms, and only where there is a mission file"),
-    "io/formats/mcap/chunks.py": ("resource", "not on Windows, and only where threads compress"),
     "pipelines/capture/record.py": (
-        "edoras_tools.pipelines.capture.host edoras_tools.pipelines.ahead",
-        "4 ms each, and only where a link is captured live, or a file read by another process",
+        "edoras_tools.pipelines.capture.host",
+        "4 ms, and only where a link is captured live",
     ),
     "addons/lab/demo/run.py": ("zenoh", "an extra"),
     "pipelines/capture/ledger.py": (

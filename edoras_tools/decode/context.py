@@ -301,8 +301,8 @@ class Context:
     @property
     def detected(self) -> tuple[Any, ...]:
         """The detections from the bytes that decide how packets are read, for ``take_over``."""
-        place, several = cfe.HEADERS.index(self.headers), self.spacecraft.several
-        return place, tuple(self.envelopes), tuple(self.unrouted), self.builds.state, self.time, several
+        place = cfe.HEADERS.index(self.headers)
+        return place, tuple(self.envelopes), tuple(self.unrouted), self.builds.state, self.time
 
     def announced_topics(self) -> dict[str, str]:
         """Return the type of each topic that the whole input announces, if it can be read twice."""
@@ -318,7 +318,7 @@ class Context:
 
     def take_over(self, detected: tuple[Any, ...]) -> None:
         """Read packets like another context, of another process; ``detected`` is that context's."""
-        place, envelopes, unrouted, builds, self.time, self.spacecraft.several = detected
+        place, envelopes, unrouted, builds, self.time = detected
         self.headers = cfe.HEADERS[place]
         self.envelopes, self.unrouted = [*envelopes], [*unrouted]
         self.builds.take_over(builds)

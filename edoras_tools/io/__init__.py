@@ -188,6 +188,11 @@ for _name in (name for name in vars(SourceDefaults) if not name.startswith("_"))
 class Sink(Protocol):
     """The interface of every sink."""
 
+    @property
+    def room(self) -> Room | None:
+        """Returns memory for a source to read into, if that saves copying it; see ``Source.borrow``."""
+        return None
+
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Write a batch and its columns; the caller must not change them afterwards.
 

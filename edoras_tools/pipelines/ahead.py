@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import pickle
 from contextlib import closing
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import asdict
 
@@ -54,6 +54,8 @@ class Ahead(SourceOver):
         self._decoder = decoder
         self._workers: Workers | None = None
         self._decoded: tuple[PacketBatch, Columns | Begun] | None = None
+        self._detected: tuple[Any, ...] | None = None
+        """Detected properties of the second process at that batch, if they changed; else None."""
         self._notes = slice(0, 0)
         """Slice of the context's notes that came from the second process."""
 
@@ -91,6 +93,9 @@ class Ahead(SourceOver):
         if not isinstance(decoded, Begun):
             self._decoder.learn(batch, decoded)
             return decoded
+        if self._detected is not None:
+            self._decoder.context.take_over(self._detected)
+            self._detected = None
         columns = self._decoder.finish(batch, decoded)
         self._decoder.learn(batch, columns)
         return columns
@@ -118,11 +123,10 @@ class Ahead(SourceOver):
     def _adopt(self, state: bytes) -> None:
         """Adopt the state of the second process: counts of the source, notes, and detected properties."""
         counts, notes, described, detected, self.section = pickle.loads(state)  # noqa: S301  from our own process
+        self._detected = detected or self._detected
         for name, value in counts.items():
             setattr(self.statistics, name, value)
         context, first = self._decoder.context, self._notes.start
-        if detected:
-            context.take_over(detected)
         context.notes[self._notes] = notes
         self._notes = slice(first, first + len(notes))
         context.described.clear()

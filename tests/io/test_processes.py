@@ -342,6 +342,9 @@ def recorded(path, types, capture, jobs):
     with closing(open_file(CAPTURES / f"{capture}.pcap")) as source:
         options = RecordingOptions(jobs=jobs)
         sink = McapSink(path, Mission(), types, source.info, options, statistics=source.statistics)
+        assert (sink.room is None) == (jobs == 1)
+        if sink.room:
+            source.borrow(sink.room)
         decoder = ColumnDecoder(Context())
         for batch in source.batches():
             sink.write(batch, decoder.decode(batch))
@@ -352,19 +355,21 @@ def recorded(path, types, capture, jobs):
 @pytest.mark.long
 @pytest.mark.parametrize("capture", long_but(["a_rover"], ["a_rover", "f_sbn"]))
 @pytest.mark.parametrize(
-    ("slot", "large"),
+    ("room", "slot", "large"),
     [
-        (1 << 20, 1),
-        (1 << 10, 1),  # a batch does not fit and goes through the socket
-        (1 << 20, 7 << 10),  # some batches are too small to be compressed on their own
+        (1 << 20, 1 << 20, 1),
+        (1 << 20, 1 << 10, 1),  # columns do not fit and go through the socket
+        (1 << 12, 1 << 20, 1),  # windows are too large to be lent
+        (1 << 20, 1 << 20, 7 << 10),  # some batches are too small to be compressed on their own
     ],
 )
-def test_recordings_are_the_same(tmp_path, types, monkeypatch, capture, slot, large):
+def test_recordings_are_the_same(tmp_path, types, monkeypatch, capture, room, slot, large):
     names = {path.stem for path in CAPTURES.glob("*.pcap")}
     name = next(item for item in sorted(names) if item.startswith(capture[:2]))
     monkeypatch.setattr(stream, "FIRST", 3 << 10)
     monkeypatch.setattr(stream, "SLICE", 16 << 10)
     monkeypatch.setattr(writer, "_LARGE", large)
+    monkeypatch.setattr(module, "ROOM_BYTES", room)
     monkeypatch.setattr(module, "SLOT_BYTES", slot)
     alone = recorded(tmp_path / "a.mcap", types, name, jobs=1)
     assert recorded(tmp_path / "b.mcap", types, name, jobs=3) == alone

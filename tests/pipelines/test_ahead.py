@@ -25,7 +25,6 @@ from edoras_tools.model import Columns, PacketBatch
 from edoras_tools.pipelines import ahead as module
 from edoras_tools.pipelines.ahead import Ahead
 from edoras_tools.pipelines.capture.info import inspect
-from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
@@ -185,7 +184,7 @@ def test_what_selects_is_asked_in_one_process(monkeypatch):
     assert 0 < report.ledger.datagrams < 1827
 
 
-def test_one_that_is_killed_is_told_and_what_came_before_is_counted(tmp_path, monkeypatch):
+def test_one_that_is_killed_is_told_and_what_came_before_is_counted(monkeypatch):
     here, given = os.getpid(), []
     decode = module._Reader._decode
 
@@ -196,15 +195,10 @@ def test_one_that_is_killed_is_told_and_what_came_before_is_counted(tmp_path, mo
         return decode(self, batch)
 
     monkeypatch.setattr(module._Reader, "_decode", killed)
-    source, target = open_files([CAPTURES / "a_rover.pcap"]), Target(tmp_path / "a.mcap", jobs=2)
-    for report in (
-        looked_at(CAPTURES / "a_rover.pcap", 2),
-        record(source, Settings().workbench(source.info), target),
-    ):
-        assert isinstance(report.failure, CaptureError)
-        assert "a_rover.pcap: the process that read it was killed, perhaps" in str(report.failure)
-        assert 0 < report.ledger.datagrams < 1827
-    assert looked_at(target.path, 1).ledger.datagrams == report.ledger.datagrams
+    report = looked_at(CAPTURES / "a_rover.pcap", 2)
+    assert isinstance(report.failure, CaptureError)
+    assert "a_rover.pcap: the process that read it was killed, perhaps" in str(report.failure)
+    assert 0 < report.ledger.datagrams < 1827
 
 
 @pytest.mark.long

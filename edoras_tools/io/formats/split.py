@@ -33,7 +33,6 @@ class RecordingOptions(msgspec.Struct, frozen=True):
         structs: C structs in packets; None: only cFE's own.
         transforms: whether to write ``/tf``, made from the poses.
         jobs: most processes that share the work; more than one only for MCAP that is not split by size.
-        threads: number of threads that compress chunks; more than one only if another process reads.
         yields: whether to share the work only while a processor is free, for the sake of other recorders.
         sequences: sequence counts shared with other consumers of the same batches; None: own ones.
         endpoints: DDS endpoints discovered so far; None: DDS samples have no topics.
@@ -51,7 +50,6 @@ class RecordingOptions(msgspec.Struct, frozen=True):
     offered: str = ""
     transforms: bool = False
     jobs: int = 1
-    threads: int = 1
     yields: bool = False
     sequences: SequenceCounts | None = None
     endpoints: Endpoints | None = None

@@ -214,7 +214,6 @@ def open_sink(
     sequences: SequenceCounts | None = None,
     topics: Collection[int] | None = None,
     apart: Independence | None = None,
-    threads: int = 1,
 ) -> WatchedSink:
     """Open a sink for a target that was checked.
 
@@ -223,7 +222,6 @@ def open_sink(
         sequences: see ``RecordingOptions``.
         topics: see ``RecordingOptions``.
         apart: see ``RecordingOptions``; by default one that does not count.
-        threads: see ``RecordingOptions``; more than one if another process reads and decodes the source.
 
     Raises:
         CaptureError: it cannot be written.
@@ -241,8 +239,7 @@ def open_sink(
         target.split_count,
         structs=bench.columns.context.structs,
         transforms=target.transforms,
-        jobs=1 if threads > 1 else jobs_for(source, target.jobs, fixed=False),
-        threads=threads,
+        jobs=jobs_for(source, target.jobs, fixed=False),
         yields=not target.jobs,
         sequences=sequences,
         endpoints=bench.columns.context.endpoints,
@@ -262,7 +259,12 @@ def open_sink(
     def begin(path: Path) -> FileSink:
         if not format_.messages:
             return SplitCaptureSink(path, options, part) if options.splits else part(path)
-        return make(path, bench.mission, bench.types, info, options, statistics=source.statistics)
+        messages: FileSink = make(
+            path, bench.mission, bench.types, info, options, statistics=source.statistics
+        )
+        if messages.room:
+            source.borrow(messages.room)
+        return messages
 
     sync_s, keep = target.sync_ns / 1e9, Keep(target.keep_files, target.keep_bytes)
     sink = WatchedSink(target.path, begin, target.on_warning, source.statistics, sync_s=sync_s, keep=keep)
@@ -302,13 +304,6 @@ def record(
     """
     check_recorded(source, bench, target)
     selection = replace(selection, announced=True) if selection else None
-    recorded, messages = bench.mission.recorded, target.format is not None and target.format.messages
-    alone = selection or bench.unwrappers or recorded or not messages
-    threads = 1 if alone else jobs_for(source, target.jobs)
-    if threads > 1:
-        from edoras_tools.pipelines.ahead import Ahead
-
-        source = Ahead(source, bench.columns)
     began = limits.clock()
     with (
         reading(source, bench, selection, limits, keeps_failure=True, selected=True) as loop,
@@ -322,9 +317,9 @@ def record(
 
             stack.enter_context(waiting_for_room(Patience(target.on_warning, over)))
         sequences = SequenceCounts()
-        topics = loop.selection.places() if recorded else None
+        topics = loop.selection.places() if bench.mission.recorded else None
         # A recording of everything contains the counts that ``info`` would count in it.
-        whole = not (loop.selection or limits.period or recorded or target.splits)
+        whole = not (loop.selection or limits.period or bench.mission.recorded or target.splits)
         counts = whole and target.format is MCAP
         apart = Independence(bench.columns.context, *((sequences, Repeats()) if counts else ()))
         sink = open_sink(
@@ -335,7 +330,6 @@ def record(
             sequences=sequences,
             topics=topics,
             apart=apart,
-            threads=threads,
         )
         report = pour(
             loop,

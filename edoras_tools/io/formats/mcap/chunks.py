@@ -40,8 +40,7 @@ _BUFFER_BYTES = 8 << 20
 """Bytes of messages that are laid out at once, and then divided into chunks."""
 _ENOUGH = 16 << 20
 """Bytes that compressing a buffer may need. If memory runs out inside ``multi_compress_to_buffer``,
-zstandard 0.25 frees some of it twice and the process aborts; allocated before, it is a ``MemoryError``. The
-memory of its threads cannot be allocated before: under a limit (``ulimit -v``) one thread compresses."""
+zstandard 0.25 frees some of it twice and the process aborts; allocated before, it is a ``MemoryError``."""
 _HEADS = 4096
 """Heads that are made and copied together: few enough to stay in the processor's cache."""
 _MOST_MADE = 8
@@ -49,18 +48,9 @@ _MOST_MADE = 8
 
 
 class ChunkPress:
-    """Makes chunks of messages.
+    """Makes chunks of messages."""
 
-    Args:
-        threads: how many compress the chunks of a buffer.
-    """
-
-    def __init__(self, threads: int = 1) -> None:
-        if threads > 1:  # only on Linux
-            import resource
-
-            threads = threads if resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY else 1
-        self._threads = threads
+    def __init__(self) -> None:
         self._compressor = zstandard.ZstdCompressor(level=LEVEL, write_checksum=True)
         self._buffer = _blank()
         self._index = MessageIndex()
@@ -120,7 +110,7 @@ class ChunkPress:
         segments = np.stack([edges[:-1], np.diff(edges)], axis=1).astype(np.uint64)
         np.empty(self.used + _ENOUGH, np.uint8)  # allocated and freed at once, see _ENOUGH
         packed = self._compressor.multi_compress_to_buffer(
-            zstandard.BufferWithSegments(raw, segments.tobytes()), threads=self._threads
+            zstandard.BufferWithSegments(raw, segments.tobytes())
         )
         return [memoryview(cast("Any", packed[place])) for place in range(len(packed))]
 

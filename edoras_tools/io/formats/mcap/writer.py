@@ -27,6 +27,7 @@ from edoras_tools.model import Finding, InterfaceOutage
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from edoras_tools.io import Room
     from edoras_tools.io.outputs import OutputFile
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
@@ -111,7 +112,7 @@ class McapSink(Sink):
         self._state: Literal["open", "failed", "closed"] = "open"
         self.files: list[McapFile] = []
         self.complete: list[tuple[OutputFile, int]] = []
-        self._press = ChunkPress(options.threads)
+        self._press = ChunkPress()
         self._workers: Workers | None = None
         self._chunks = self._open_file()
         # To split files by size, the size of what was appended has to be known.
@@ -122,6 +123,11 @@ class McapSink(Sink):
                     options.jobs - 1, self._packed, writer_killed(self._path), tasks=2, yields=options.yields
                 )
                 self._chunks = self._chunk_writer()
+
+    @property
+    def room(self) -> Room | None:
+        """Returns memory for the source to read into, if that saves copying it; see ``Workers.lend``."""
+        return self._workers.lend if self._workers else None
 
     @property
     def paths(self) -> list[Path]:
