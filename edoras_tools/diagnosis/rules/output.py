@@ -125,7 +125,7 @@ def _fight(case: Case, members: list[CommandRecord]) -> Verdict:
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         place=("to", "TO_LAB_APP"),
         span=(members[0].time_ns, members[-1].time_ns),
-        remedy="enable TO from one station only, and fan its telemetry out from there (edoras proxy)",
+        remedy="enable TO from one station only, and fan its telemetry out with a proxy there",
     )
 
 
