@@ -167,7 +167,7 @@ class Telemetry:
     def __init__(self, case: Case) -> None:
         self._case, self._counts = case, case.loss_counts
         self.ends: defaultdict[Stream | None, Counter[GapEnd]] = defaultdict(Counter)
-        self._unled: dict[tuple[int, int], tuple[list[tuple[int, int]], ...]] = {}
+        self._silent_ways: dict[tuple[int, int], tuple[list[tuple[int, int]], ...]] = {}
         self.silenced: list[tuple[Stream, int, Among]] = []
         self.losses: list[Loss] = []
         self.parts: list[Part] = []
@@ -237,9 +237,9 @@ class Telemetry:
         gaps = gaps.take(~away)
         closed = closed_at(case, stream, gaps.at)
         way = stream.sender, stream.receiver
-        if hop is None and way not in self._unled:
-            self._unled[way] = unexplained_silences(case, stream)
-        unexplained_ns, shrunk_ns = self._unled[way] if hop is None else ([], [])
+        if hop is None and way not in self._silent_ways:
+            self._silent_ways[way] = unexplained_silences(case, stream)
+        unexplained_ns, shrunk_ns = self._silent_ways[way] if hop is None else ([], [])
         closed |= containing(stream, gaps.at, shrunk_ns)
         silences = case.silences_of(stream.sender) if stream.link.only_from_cfs else ()
         silenced = containing(stream, gaps.at, silences) & ~closed

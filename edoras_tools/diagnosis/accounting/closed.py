@@ -157,7 +157,7 @@ def unexplained_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, in
         Spans without any packet where the controlling commands are not captured; and spans without any packet
         after which fewer MsgIds came, so that Telemetry Output was commanded, captured or not.
     """
-    led, output = not lacks_control(case, stream), stream.link.only_from_cfs
+    controlled, output = not lacks_control(case, stream), stream.link.only_from_cfs
     rows = case.rows
     own = (rows.source == stream.sender) & (rows.destination == stream.receiver)
     times = _sent_by(case, stream.sender) if output else rows.time_ns[own & (rows.msg_id != NO_MSG_ID)]
@@ -166,7 +166,7 @@ def unexplained_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, in
     ends = [item.time_ns[-1] for item in case.streams if item.sender == stream.sender and len(item) >= _FEW]
     late = [span for span in spans if output and case.end_ns - span[1] > _STOPS_NS]
     shrunk = [span for span in late if sum(span[0] - _STOPS_NS < when <= span[0] for when in ends) > 1]
-    return ([], shrunk) if led else (spans, [])
+    return ([], shrunk) if controlled else (spans, [])
 
 
 def perhaps_removed(case: Case, stream: Stream, missing: Integers) -> Mask:

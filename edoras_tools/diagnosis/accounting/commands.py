@@ -533,10 +533,9 @@ class Commands:
 
     def _mark_unsubscribed(self, fate: Fate) -> None:
         case, sent_ns = self._case, fate.stream.time_ns
-        is_known = fate.seen or fate.stream.is_housekeeping
-        for track in [
-            own for at, own in case.tracks.items() if case.goes_to(fate.stream, at) and not is_known
-        ]:
+        if fate.seen or fate.stream.is_housekeeping:
+            return
+        for track in [own for at, own in case.tracks.items() if case.goes_to(fate.stream, at)]:
             grown, spread = track.beyond_steady("no_subscribers", sent_ns, TAIL_NS)
             inside = fate.open & (sent_ns >= track.times[0]) & (sent_ns < track.times[-1])
             more = int(grown[-1] - grown[max(0, np.searchsorted(track.times, sent_ns[0]) - 1)])

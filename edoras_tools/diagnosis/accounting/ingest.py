@@ -790,10 +790,10 @@ class BeforeCi:
                 fate.ends["crowded"] += fate.claim(inside)
         for before in account.losses:
             self._before_ci(account, before)
-        self._make_unaccounted([(fate, fate.open) for fate in fates], account.unsure)
+        self._make_uncertain([(fate, fate.open) for fate in fates], account.unsure)
 
     @staticmethod
-    def _make_unaccounted(may: Sequence[_May], number: int) -> None:
+    def _make_uncertain(may: Sequence[_May], number: int) -> None:
         """Make the first ``number`` of messages that may be lost uncertain."""
         windows = [np.flatnonzero(own) for _, own in may]
         most = [len(inside) for inside in windows]
@@ -938,7 +938,7 @@ class BeforeCi:
             self._spread(may, before, min(max(0, number - missed), before.more), [text])
         for before in account.losses:
             may = self._open(self._to(account), before, before.since_ns)
-            self._make_unaccounted(may, min(before.more, self._strange(account, before)))
+            self._make_uncertain(may, min(before.more, self._strange(account, before)))
 
     def wait(self, account: Ingest) -> None:
         """Mark the latest messages without a fate as waiting in CI's socket at its last count.

@@ -261,14 +261,13 @@ class Instances:
     def _nearest(self, fits: Sequence[int], endpoint: int, time_ns: int) -> int:
         """Return the instance nearest in time, among those at the endpoint's address if there are any."""
         near = [index for index in fits if self.items[index].host == self.hosts[endpoint]]
+        # Each processor of the lab has a port of its own for its CI.
+        processor = f":{self._ports[endpoint] - command_ingest.PORT + 1}"
 
         def away(index: int) -> tuple[int, bool]:
             item = self.items[index]
-            # Each processor of the lab has a port of its own for its CI.
-            of_port = str(self._ports[endpoint] - command_ingest.PORT + 1)
-            return max(item.first_ns - time_ns, time_ns - item.last_ns, 0), not item.name.endswith(
-                f":{of_port}"
-            )
+            away_ns = max(item.first_ns - time_ns, time_ns - item.last_ns, 0)
+            return away_ns, not item.name.endswith(processor)
 
         return min(near or fits, key=away)
 

@@ -207,11 +207,12 @@ def _longest(case: Case, loss: Loss) -> int:
     rows, stream, among = case.rows, loss.stream, loss.among
     if stream is None or among is None or among.missing is None:
         return 0
-    at, times = among.rows[among.missing >= _IN_A_ROW], np.append(stream.time_ns, NEVER)
+    long = among.missing >= _IN_A_ROW
+    at, times = among.rows[long], np.append(stream.time_ns, NEVER)
     spans = list(zip(times[at].tolist(), times[at + 1].tolist(), strict=True))
     inside = (rows.source == stream.sender) & overlapping(rows.time_ns, rows.time_ns, spans)
     longest = int(rows.length[inside].max(initial=0))
-    fewer = inside.sum() < _IN_A_ROW or 2 * among.missing[among.missing >= _IN_A_ROW].sum() <= loss.lost
+    fewer = inside.sum() < _IN_A_ROW or 2 * among.missing[long].sum() <= loss.lost
     return 0 if fewer or longest >= rows.length[stream.rows].min() else longest
 
 
@@ -278,14 +279,14 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
             confidence="low",
         )
     for stream in case.streams:
-        if untold := case.telemetry.ended(stream, "undecided"):
-            why, remedy = _without_fate(case, stream)
-            reason = f"{untold:,} of {case.name(stream.msg_id)} may be lost: {why}"
-            about = stream_subject(case, stream) | {"of": len(stream) + untold, "confidence": "low"}
+        if undecided := case.telemetry.ended(stream, "undecided"):
+            why, remedy = _why_undecided(case, stream)
+            reason = f"{undecided:,} of {case.name(stream.msg_id)} may be lost: {why}"
+            about = stream_subject(case, stream) | {"of": len(stream) + undecided, "confidence": "low"}
             yield warning(reason, *case.drops_text(), **about, remedy=remedy)
 
 
-def _without_fate(case: Case, stream: Stream) -> tuple[str, str]:
+def _why_undecided(case: Case, stream: Stream) -> tuple[str, str]:
     """Return why nothing tells what became of counts that are missing, and what would tell."""
     if not lacks_control(case, stream):
         why = (
