@@ -10,6 +10,7 @@ write one.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -61,56 +62,41 @@ def _rules(*names: str) -> dict[str, str]:
     return {name: f"rules:{name}" for name in names}
 
 
+_LOOK, _RECORD, _EXPLAIN, _SEND, _CONNECT, _TRY = (
+    partial(ListedCommand, group) for group in ("Look", "Record", "Explain", "Send", "Connect", "Try")
+)
+
 ADDONS: Final = (
     Addon(
         "plot",
-        commands={
-            "plot": ListedCommand(
-                "Look", "Plot fields over time, with rates, losses and events.", "cli:plot", before="host"
-            )
-        },
+        {"plot": _LOOK("Plot fields over time, with rates, losses and events.", "cli:plot", "host")},
     ),
     Addon(
         "mission_draft",
-        commands={
-            "mission": ListedCommand(
-                "Connect", "Draft a mission file from what is in a capture.", "cli:mission"
-            )
-        },
+        {"mission": _CONNECT("Draft a mission file from what is in a capture.", "cli:mission")},
     ),
     Addon(
         "cfdp",
-        commands={
-            "files": ListedCommand(
-                "Record", "Show the files that CFDP transferred, or take them out.", "cli:files"
-            )
-        },
-        adds={
+        {"files": _RECORD("Show the files that CFDP transferred, or take them out.", "cli:files")},
+        {
             "links": {"cfdp": "link:CFDP"},
             "rules": _rules("file_checksum", "file_not_finished", "file_stalled", "file_pieces_resent"),
         },
     ),
     Addon(
         "archive",
-        commands={
-            "archive": ListedCommand("Record", "Index many recordings, and ask the index.", "cli:archive")
-        },
+        {"archive": _RECORD("Index many recordings, and ask the index.", "cli:archive")},
         extra="archive",
     ),
     Addon(
         "runs",
-        commands={
-            "check": ListedCommand(
-                "Explain", "Check a capture against expectations, or draft them.", "cli.check:check"
-            ),
-            "compare": ListedCommand(
-                "Explain",
-                "Compare runs by route: are the later ones worse?",
-                "cli.compare:compare",
-                before="check",
+        {
+            "check": _EXPLAIN("Check a capture against expectations, or draft them.", "cli.check:check"),
+            "compare": _EXPLAIN(
+                "Compare runs by route: are the later ones worse?", "cli.compare:compare", "check"
             ),
         },
-        adds={
+        {
             "parts": {
                 "expected_run": "expected:unlike",
                 "against": "cli.against:against",
@@ -120,75 +106,43 @@ ADDONS: Final = (
     ),
     Addon(
         "report",
-        commands={
-            "report": ListedCommand(
-                "Explain",
-                "Write the doctor's findings as one HTML page with plots.",
-                "cli:report",
-                before="compare",
+        {
+            "report": _EXPLAIN(
+                "Write the doctor's findings as one HTML page with plots.", "cli:report", "compare"
             )
         },
-        adds={"parts": {"report": "cli:report.__wrapped__"}},
+        {"parts": {"report": "cli:report.__wrapped__"}},
     ),
     Addon(
         "debug_info",
-        commands={
-            "structs": ListedCommand(
-                "Connect", "Turn C structs of flight software into ROS messages.", "cli:structs"
-            )
-        },
+        {"structs": _CONNECT("Turn C structs of flight software into ROS messages.", "cli:structs")},
     ),
     Addon(
         "codegen",
-        commands={
-            "codegen": ListedCommand(
-                "Connect",
-                "Write messages in C for flight software: no ROS or heap.",
-                "cli.codegen:codegen",
-                before="structs",
+        {
+            "codegen": _CONNECT(
+                "Write messages in C for flight software: no ROS or heap.", "cli.codegen:codegen", "structs"
             ),
-            "xtce": ListedCommand(
-                "Connect", "Describe packets for ground systems: XTCE or COSMOS.", "cli.xtce:xtce"
-            ),
+            "xtce": _CONNECT("Describe packets for ground systems: XTCE or COSMOS.", "cli.xtce:xtce"),
         },
     ),
     Addon(
         "proxy",
-        commands={
-            "proxy": ListedCommand(
-                "Send", "Relay a link: recorded, at limited rates, with faults.", "cli:proxy"
-            )
-        },
+        {"proxy": _SEND("Relay a link: recorded, at limited rates, with faults.", "cli:proxy")},
     ),
     Addon(
         "lab",
-        commands={
-            "sweep": ListedCommand(
-                "Send",
-                "Raise a route's rate or size until messages are lost.",
-                "cli.sweep:sweep",
-                before="proxy",
+        {
+            "sweep": _SEND(
+                "Raise a route's rate or size until messages are lost.", "cli.sweep:sweep", "proxy"
             ),
-            "experiment": ListedCommand(
-                "Try",
-                "Make many runs, and say what each setting loses.",
-                "cli.experiment:experiment",
-                before="samples",
+            "experiment": _TRY(
+                "Make many runs, and say what each setting loses.", "cli.experiment:experiment", "samples"
             ),
-            "demo": ListedCommand(
-                "Try",
-                "Show the main features, or run a demo of the paper.",
-                "cli.demo:demo",
-                before="samples",
-            ),
-            "sim": ListedCommand(
-                "Try",
-                "Run an emulated cFS on loopback, with the real limits.",
-                "cli.sim:sim",
-                before="samples",
-            ),
+            "demo": _TRY("Show the main features, or run a demo of the paper.", "cli.demo:demo", "samples"),
+            "sim": _TRY("Run an emulated cFS on loopback, with the real limits.", "cli.sim:sim", "samples"),
         },
-        adds={
+        {
             "middleware": {"local": ":LOCAL"},
             "parts": {"simulation": "emulator.source:start_simulation", "prove": "cli.prove:prove"},
         },
@@ -237,25 +191,23 @@ ADDONS: Final = (
     Addon("snapshot", adds={"parts": {"snapshots": "cli"}}),
     Addon(
         "trace",
-        commands={
-            "trace": ListedCommand(
-                "Look", "Follow one message hop by hop, or a topic's rounds.", "cli:trace", before="host"
-            ),
-            "hz": ListedCommand("Look", "Show the rate of a topic, hop by hop.", "cli:hz", before="host"),
+        {
+            "trace": _LOOK("Follow one message hop by hop, or a topic's rounds.", "cli:trace", "host"),
+            "hz": _LOOK("Show the rate of a topic, hop by hop.", "cli:hz", "host"),
         },
-        adds={"parts": {"trace": "texts:packet_ladder"}},
+        {"parts": {"trace": "texts:packet_ladder"}},
     ),
     Addon(
         "ros_verbs",
-        commands={
-            "topic": ListedCommand("Look", "List topics, or say more of one.", "cli.topics:topic", "host"),
-            "echo": ListedCommand("Look", "Print the messages of a topic.", "cli.topics:echo", "host"),
-            "bw": ListedCommand("Look", "Show the bytes a second of a topic.", "cli.topics:bw", "host"),
-            "delay": ListedCommand("Look", "Show how old messages are.", "cli.topics:delay", "host"),
-            "observe": ListedCommand("Record", "Count what ROS 2 nodes exchange.", "cli.observe:observe"),
-            "play": ListedCommand("Send", "Publish a recording's messages in ROS 2.", "cli.play:play"),
+        {
+            "topic": _LOOK("List topics, or say more of one.", "cli.topics:topic", "host"),
+            "echo": _LOOK("Print the messages of a topic.", "cli.topics:echo", "host"),
+            "bw": _LOOK("Show the bytes a second of a topic.", "cli.topics:bw", "host"),
+            "delay": _LOOK("Show how old messages are.", "cli.topics:delay", "host"),
+            "observe": _RECORD("Count what ROS 2 nodes exchange.", "cli.observe:observe"),
+            "play": _SEND("Publish a recording's messages in ROS 2.", "cli.play:play"),
         },
-        adds={"parts": {"graph_hz": "cli.topics:graph_hz"}},
+        {"parts": {"graph_hz": "cli.topics:graph_hz"}},
     ),
     Addon("tui", adds={"parts": {"panes": "cli"}}, extra="tui"),
     Addon("zenoh", adds={"middleware": {"zenoh": ":ZENOH"}}, extra="zenoh"),
@@ -269,12 +221,8 @@ ADDONS: Final = (
     ),
     Addon(
         "foxglove",
-        commands={
-            "live": ListedCommand(
-                "Look", "Show a link or a recording in Foxglove.", "cli:live", before="plot"
-            )
-        },
-        adds={
+        {"live": _LOOK("Show a link or a recording in Foxglove.", "cli:live", "plot")},
+        {
             "middleware": {"foxglove": ":FOXGLOVE"},
             "parts": {"foxglove": "serving", "display": "cli", "monitor": "serving:monitor"},
         },
@@ -282,15 +230,12 @@ ADDONS: Final = (
     ),
     Addon(
         "wireshark",
-        commands={
-            "wireshark": ListedCommand(
-                "Connect",
-                "Decode the links in Wireshark and tshark, to ROS fields.",
-                "cli.wireshark:wireshark",
-                before="xtce",
+        {
+            "wireshark": _CONNECT(
+                "Decode the links in Wireshark and tshark, to ROS fields.", "cli.wireshark:wireshark", "xtce"
             )
         },
-        adds={"parts": {"wireshark": "program:open_packets"}},
+        {"parts": {"wireshark": "program:open_packets"}},
     ),
 )
 """The add-ons that ship."""
