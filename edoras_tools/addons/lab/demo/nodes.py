@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from edoras_tools import doors
-from edoras_tools.addons.lab.emulator.bridges import GroundOperator
+from edoras_tools.addons.lab.emulator.bridges import operator_command
 from edoras_tools.addons.lab.emulator.robots import Arm, Robot, Rover
 from edoras_tools.errors import WireError
 from edoras_tools.middleware import Graph, Qos
@@ -166,9 +166,6 @@ class GroundStation:
         self._index = 0
         self._quiet = False
         self._publish: list[Any] = []
-        self._operator = GroundOperator(
-            lanes[0].command.type, [lane.command.msg_id for lane in lanes], rate_hz or 1
-        )
 
     def join(self, graph: Graph) -> None:
         """Subscribe and advertise in a graph.
@@ -196,7 +193,7 @@ class GroundStation:
         for robot, publish in enumerate(self._publish):
             now = time.monotonic_ns()
             if now - self._others_ns[robot] >= _GIVES_WAY_NS:
-                cdr = self._operator.cdr(self._index, robot)
+                cdr = operator_command(self._lanes[0].command.type, self._rate_hz, self._index, robot)
                 self._commands[robot].begin(cdr, now)
                 publish(cdr)
         self._index += 1

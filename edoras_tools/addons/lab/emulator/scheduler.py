@@ -101,7 +101,7 @@ class Scheduler:
         self._free = profile.cores
         self._ready: deque[Running] = deque()
         self._waiting: dict[int, Running] = {}
-        self._agenda: list[tuple[int, int, Callable[..., None], tuple[Any, ...]]] = []
+        self._agenda: list[tuple[int, int, Callable[..., object], tuple[Any, ...]]] = []
         self._count = 0
 
     def spawn(self, steps: Task) -> Running:
@@ -113,23 +113,19 @@ class Scheduler:
     def end(self, task: Running) -> None:
         """End a task now, wherever it is."""
         task.steps = _nothing()
-        if task.waits_on is not None:
-            self._waiting.pop(id(task.waits_on), None)
-            task.waits_on = None
-        task.ticket += 1
+        self._stop_waiting(task)
         task.value = None
 
-    def call_at(self, time_ns: int, call: Callable[..., None], *arguments: Any) -> None:
+    def call_at(self, time_ns: int, call: Callable[..., object], *arguments: Any) -> None:
         """Call a function that takes no processor time: the outside world, an interrupt."""
         self._count += 1
         heapq.heappush(self._agenda, (max(time_ns, self.now), self._count, call, arguments))
 
     def notify(self, queue: Waitable) -> None:
         """Wake the task that waits for a queue, after an item was put into it; it runs after its latency."""
-        task = self._waiting.pop(id(queue), None)
+        task = self._waiting.get(id(queue))
         if task is not None:
-            task.waits_on = None
-            task.ticket += 1
+            self._stop_waiting(task)
             task.value = queue
             self._wake(task, self.now)
 
@@ -160,10 +156,13 @@ class Scheduler:
 
     def _timeout(self, task: Running, ticket: int) -> None:
         if task.ticket == ticket and task.waits_on is not None:
-            self._waiting.pop(id(task.waits_on), None)
-            task.waits_on = None
-            task.ticket += 1
+            self._stop_waiting(task)
             self._wake(task, self.now)
+
+    def _stop_waiting(self, task: Running) -> None:
+        self._waiting.pop(id(task.waits_on), None)
+        task.waits_on = None
+        task.ticket += 1
 
     def _work_done(self, task: Running) -> None:
         self._free += 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.addons.lab.emulator.apps import generator, lab
@@ -11,9 +12,8 @@ from edoras_tools.addons.lab.emulator.apps.edoras import EdorasApp, SingleRobotA
 from edoras_tools.addons.lab.emulator.apps.generator import Generator
 from edoras_tools.addons.lab.emulator.apps.lab import CiLab, SchLab, ToLab
 from edoras_tools.addons.lab.emulator.apps.sbn import SbnApp
-from edoras_tools.addons.lab.emulator.bridges import FlightBridge, GroundBridge, GroundOperator
+from edoras_tools.addons.lab.emulator.bridges import FlightBridge, GroundBridge
 from edoras_tools.addons.lab.emulator.cfs import Cfs
-from edoras_tools.addons.lab.emulator.messages import link_id
 from edoras_tools.addons.lab.emulator.robots import robot_of
 from edoras_tools.addons.lab.emulator.routes import DEMO_ROUTES, Scenario, SystemRoutes
 from edoras_tools.addons.lab.emulator.scheduler import Scheduler
@@ -24,7 +24,7 @@ from edoras_tools.model import Endpoint
 from edoras_tools.units import MICROSECOND, SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping
 
     from typing_extensions import Self
 
@@ -67,7 +67,7 @@ class Apps:
 
 
 SCENARIOS: Final[tuple[Scenario, ...]] = ("rover", "arm", "two-rovers", "two-arms")
-MISSIONS: Final[Mapping[Scenario, tuple[str, ...]]] = {
+MISSIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "rover": ("rover_ground",),
     "arm": ("single_arm_ground",),
     "two-rovers": ("two_rovers_ground", "two_rovers_flight"),
@@ -159,39 +159,9 @@ class Simulation:
         Args:
             after_ns: time until the first command, ns.
         """
-        profile, routes = self.cfs.profile, self.routes
-        commands = _on_links(routes.commands, profile)
-        command_type = routes.types[routes.commands[0]] if commands else ""
-        operator = GroundOperator(command_type, commands, command_rate_hz, after_ns, command_count, routes)
-        ground = Endpoint(profile.address, profile.to_port)
-        self.ground = GroundBridge(self._scheduler, ground, self.cfs.ci_endpoint, operator, self._send)
-        self.ground.headers = profile.headers
-        if routes.flight:
-            self.flight = self._flight(profile, state_rate_hz)
-            self.flight.headers, self.flight.routes = profile.headers, routes
-
-    def _flight(self, profile: SimProfile, rate_hz: float) -> FlightBridge:
-        if profile.sbn_tcp:
-            raise ConfigError("the flight bridge speaks SBN over UDP alone: leave it out, --no-bridges")
-        routes = self.routes
-        peer = next((item for item in profile.sbn_peers if item.peer == routes.bridge), None)
-        if peer is None:
-            raise ConfigError(f"sim profile: sbn_peers: the flight bridge, {routes.bridge}, is missing")
-        robots = [
-            robot_of(routes.types[command], routes.types[state], routes.store, now=self.now, number=number)
-            for number, (command, state) in enumerate(zip(routes.flight, routes.states, strict=True))
-        ]
-        names = (_on_links(item, profile) for item in (routes.states, routes.flight))
-        links = zip(*names, strict=True)
-        return FlightBridge(
-            self._scheduler,
-            Endpoint(peer.address, peer.port),
-            peer.peer,
-            self.cfs.sbn_endpoint,
-            dict(zip(links, robots, strict=True)),
-            rate_hz,
-            self._send,
-        )
+        self.ground = GroundBridge(self.cfs, command_rate_hz, command_count, after_ns)
+        if self.routes.flight:
+            self.flight = FlightBridge(self.cfs, state_rate_hz)
 
     def boot(self) -> Self:
         """Let the first ``BOOT_NS`` pass, dropping its datagrams; return the simulation.
@@ -238,11 +208,7 @@ class Simulation:
 
     def inject(self, time_ns: int, packet: bytes, sender: str) -> None:
         """Publish a packet on the software bus at a time, as if by application ``sender``."""
-
-        def publish() -> None:
-            self.cfs.publish(packet, sender, stamp=False)
-
-        self._scheduler.call_at(time_ns, publish)
+        self._scheduler.call_at(time_ns, partial(self.cfs.publish, packet, sender, stamp=False))
 
     def run(self, until_ns: int) -> Iterator[WireDatagram]:
         """Let time pass up to ``until_ns``; yield every datagram sent, in order of time.
@@ -259,10 +225,6 @@ class Simulation:
         self._outbox.append(WireDatagram(self.now, source, destination, payload))
         if self.routed and destination in self.endpoints:
             self._scheduler.call_at(self.now + _LOOPBACK_NS, self.deliver, destination, payload)
-
-
-def _on_links(msg_ids: Sequence[int], profile: SimProfile) -> list[int]:
-    return [link_id(item, profile) for item in msg_ids]
 
 
 _STRUCT_BYTES: Final[Mapping[str, tuple[int, ...]]] = {
