@@ -18,7 +18,7 @@ from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     import socket
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from typing_extensions import Self
 
@@ -61,13 +61,15 @@ def serve(
     Raises:
         CaptureError: a port is in use, or may not be bound.
     """
-    simulation.routed = False
+    simulation.routed, cfs, stop = False, simulation.cfs, stop or Event()
     with ExitStack() as stack:
         selector = stack.enter_context(selectors.DefaultSelector())
         sockets: dict[Endpoint, socket.socket] = {}
 
         def open_socket(endpoint: Endpoint) -> None:
-            place = Endpoint(host, endpoint.port if _is_chosen(simulation, endpoint) else 0)
+            # The operating system chooses the port of telemetry's source, unless it is set.
+            is_free = endpoint == cfs.to_endpoint and not cfs.profile.to_source_port
+            place = Endpoint(host, 0 if is_free else endpoint.port)
             opened = stack.enter_context(
                 open_bound(place, f"UDP {place}", "choose another host, as 127.0.0.2")
             )
@@ -75,18 +77,19 @@ def serve(
             selector.register(opened, selectors.EVENT_READ, partial(take, endpoint, opened))
 
         def take(endpoint: Endpoint, opened: socket.socket, now: int) -> None:
-            for data in _waiting(opened):
-                if watch:
-                    watch.received(endpoint, data)
-                # Queued, not delivered: the simulation's clock still has the time of its last run.
-                simulation.feed(now, endpoint, data)
+            with suppress(OSError):  # the error of an earlier datagram
+                for data, _ in received(opened):
+                    if watch:
+                        watch.received(endpoint, data)
+                    # Queued, not delivered: the simulation's clock still has the time of its last run.
+                    simulation.feed(now, endpoint, data)
 
         streams: PeerStreams | None = None
-        if simulation.cfs.profile.sbn_tcp:
+        if cfs.profile.sbn_tcp:
             streams = PeerStreams(simulation, host, selector)
             stack.callback(streams.close)
         for endpoint in simulation.endpoints:
-            if streams is None or endpoint != simulation.cfs.sbn_endpoint:
+            if streams is None or endpoint != cfs.sbn_endpoint:
                 open_socket(endpoint)
         if ready:
             ready()
@@ -94,14 +97,14 @@ def serve(
         offset = simulation.now - time.monotonic_ns()
         end_ns = None if duration is None else simulation.now + int(duration * SECOND)
         sent = 0
-        while not (stop and stop.is_set()):
+        while not stop.is_set():
             now = time.monotonic_ns() + offset
             if end_ns is not None and now >= end_ns:
                 break
             for item in simulation.run(now):
                 if watch:
                     watch.sent(item)
-                if streams and item.source == simulation.cfs.sbn_endpoint:
+                if streams and item.source == cfs.sbn_endpoint:
                     sent += streams.send(item)
                     continue
                 if item.source not in sockets:  # Telemetry Output restarted, with another socket
@@ -147,11 +150,6 @@ class Served:
         self._thread.join()
 
 
-def _is_chosen(simulation: Simulation, endpoint: Endpoint) -> bool:
-    """Return whether a port is fixed; the operating system chooses telemetry's source unless it is set."""
-    return endpoint != simulation.cfs.to_endpoint or simulation.cfs.profile.to_source_port != 0
-
-
 def _send(source: socket.socket, item: WireDatagram) -> int:
     try:
         to = resolve(item.destination)[1]
@@ -163,9 +161,3 @@ def _send(source: socket.socket, item: WireDatagram) -> int:
 def _wait_s(simulation: Simulation, now: int) -> float:
     due = simulation.next_ns
     return _LONGEST_WAIT_S if due is None else min(max(due - now, 0) / SECOND, _LONGEST_WAIT_S)
-
-
-def _waiting(opened: socket.socket) -> Iterator[bytes]:
-    with suppress(OSError):  # the error of an earlier datagram
-        for data, _ in received(opened):
-            yield data

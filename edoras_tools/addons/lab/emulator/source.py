@@ -21,7 +21,7 @@ from edoras_tools.model import Endpoint, Link, PacketBatch, SourceInfo, SourceSt
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.sessions.outgoing import Outgoing
@@ -32,35 +32,38 @@ _COMMAND_SENDER: Final = Endpoint("127.0.0.1", 50000)
 """Source of the user's commands: a port that no other part of the simulation uses."""
 
 
-class _SimulationSource(SourceDefaults):
-    """The common part of the sources: an identity, counts, and batches made of datagrams.
+class SimulationSource(SourceDefaults):
+    """A ``Source`` over the datagrams of a simulation.
 
     Args:
-        simulation: simulation to run; its clock continues.
+        simulation: simulation that sends them.
+        pieces: the datagrams of each batch, in order of time; empty ones are passed over.
 
     Attributes:
         info: description of the source.
         statistics: counts so far.
     """
 
-    def __init__(self, simulation: Simulation) -> None:
+    def __init__(self, simulation: Simulation, pieces: Iterable[Sequence[WireDatagram]]) -> None:
         self.info = SourceInfo(name=f"emulated {simulation.scenario}", kind="sim", time_resolution_ns=1)
         self.statistics = SourceStatistics()
-        self._simulation = simulation
+        self._pieces = pieces
         self._demux = Demux()
 
     def close(self) -> None:
         """Close nothing: a simulation has no handle."""
 
-    def _batch(self, sent: Sequence[WireDatagram]) -> PacketBatch:
-        frames = frames_of(sent, self.statistics.frames + 1)
-        self.statistics.frames += len(frames)
-        self.statistics.datagrams += len(frames)
-        self.statistics.bytes += int(frames.length.sum())
-        return self._demux.demux(frames)
+    def batches(self) -> Iterator[PacketBatch]:
+        """Yield a batch for each piece."""
+        for sent in filter(None, self._pieces):
+            frames = frames_of(sent, self.statistics.frames + 1)
+            self.statistics.frames += len(frames)
+            self.statistics.datagrams += len(frames)
+            self.statistics.bytes += int(frames.length.sum())
+            yield self._demux.demux(frames)
 
 
-class SimulatedSource(_SimulationSource):
+class SimulatedSource(SimulationSource):
     """A ``Source`` over a simulation in simulated time: one batch for every second of it.
 
     Args:
@@ -68,33 +71,9 @@ class SimulatedSource(_SimulationSource):
     """
 
     def __init__(self, simulation: Simulation, duration_ns: int) -> None:
-        super().__init__(simulation)
-        self._end_ns = simulation.now + duration_ns
-
-    def batches(self) -> Iterator[PacketBatch]:
-        """Run the simulation one second at a time."""
-        while self._simulation.now < self._end_ns:
-            until = min(self._simulation.now + SECOND, self._end_ns)
-            if sent := list(self._simulation.run(until)):
-                yield self._batch(sent)
-
-
-class WireSource(_SimulationSource):
-    """A ``Source`` over the datagrams that a simulation has already sent.
-
-    Args:
-        simulation: simulation that sent them.
-        carried: datagrams, in order of time.
-    """
-
-    def __init__(self, simulation: Simulation, carried: Sequence[WireDatagram]) -> None:
-        super().__init__(simulation)
-        self._carried = carried
-
-    def batches(self) -> Iterator[PacketBatch]:
-        """Yield all datagrams."""
-        if self._carried:
-            yield self._batch(self._carried)
+        begin_ns, end_ns = simulation.now, simulation.now + duration_ns
+        times = [*range(begin_ns + SECOND, end_ns, SECOND), end_ns]
+        super().__init__(simulation, (list(simulation.run(until_ns)) for until_ns in times))
 
 
 class SimulatedWire:
@@ -155,7 +134,7 @@ class SimulatedWire:
         return arrived
 
 
-class RealTimeSource(_SimulationSource):
+class RealTimeSource(SimulationSource):
     """A ``Source`` over a simulation in real time by the host's clock, without sockets.
 
     Args:
@@ -166,8 +145,7 @@ class RealTimeSource(_SimulationSource):
     live = True
 
     def __init__(self, simulation: Simulation, clock: Callable[[], int]) -> None:
-        super().__init__(simulation)
-        self._clock = clock
+        super().__init__(simulation, self._run(simulation, clock))
         self._commands: deque[bytes] = deque()
         self._stop = Event()
 
@@ -180,20 +158,29 @@ class RealTimeSource(_SimulationSource):
         """End the batches; for any thread or signal handler."""
         self._stop.set()
 
-    def batches(self) -> Iterator[PacketBatch]:
-        """Run the simulation, and yield the datagrams since the last batch."""
-        simulation = self._simulation
-        offset = simulation.now - self._clock()
+    def _run(self, simulation: Simulation, clock: Callable[[], int]) -> Iterator[list[WireDatagram]]:
+        """Run the simulation, and yield the datagrams since the last ones."""
+        offset = simulation.now - clock()
         while not self._stop.wait(_TICK_S):
-            if sent := [*self._commanded(), *simulation.run(self._clock() + offset)]:
-                yield self._batch(sent)
+            commands = list(self._commanded(simulation))
+            yield [*commands, *simulation.run(clock() + offset)]
 
-    def _commanded(self) -> Iterator[WireDatagram]:
-        simulation = self._simulation
+    def _commanded(self, simulation: Simulation) -> Iterator[WireDatagram]:
         while self._commands:
             data = self._commands.popleft()
             simulation.deliver(simulation.cfs.ci_endpoint, data)
             yield WireDatagram(simulation.now, _COMMAND_SENDER, simulation.cfs.ci_endpoint, data)
+
+
+def demo_bench(scenario: str, settings: Settings) -> Workbench:
+    """Return the workbench of settings, with the missions of a demo if they name none.
+
+    Raises:
+        ConfigError: a mission has errors.
+    """
+    with as_file(files("edoras_tools.samples")) as samples:
+        paths = [samples / f"missions/{name}.yaml" for name in MISSIONS.get(scenario, ())]
+        return replace(settings, configs=settings.configs or paths).workbench()
 
 
 def start_simulation(
@@ -208,11 +195,5 @@ def start_simulation(
     Raises:
         ConfigError: a mission has errors.
     """
-    if not settings.configs:
-        with as_file(files("edoras_tools.samples")) as samples:
-            paths = [samples / f"missions/{name}.yaml" for name in MISSIONS[scenario]]
-            bench = replace(settings, configs=paths).workbench()
-    else:
-        bench = settings.workbench()
     simulation = Simulation(scenario=scenario, start_ns=time.time_ns() - BOOT_NS).boot()
-    return RealTimeSource(simulation, clock), bench
+    return RealTimeSource(simulation, clock), demo_bench(scenario, settings)

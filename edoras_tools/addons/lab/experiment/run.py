@@ -11,17 +11,20 @@ from __future__ import annotations
 
 import json
 import random
-from contextlib import ExitStack
 from functools import cached_property, partial
-from importlib.resources import as_file, files
 from math import inf
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from edoras_tools.addons.lab.emulator import BOOT_NS, MISSIONS, Simulation
+from edoras_tools.addons.lab.emulator import BOOT_NS, Simulation
 from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of, with_limit
-from edoras_tools.addons.lab.emulator.source import SimulatedSource, SimulatedWire, WireSource
+from edoras_tools.addons.lab.emulator.source import (
+    SimulatedSource,
+    SimulatedWire,
+    SimulationSource,
+    demo_bench,
+)
 from edoras_tools.addons.lab.experiment.plan import RATE, Cell, ExperimentPlan
 from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.errors import ConfigError, EdorasError, InterruptError
@@ -175,12 +178,7 @@ class CellBench:
     @cached_property
     def bench(self) -> Workbench:
         """Workbench with the mission."""
-        with ExitStack() as stack:
-            paths = self.plan.missions
-            if not paths and self.cell.scenario:
-                samples = stack.enter_context(as_file(files("edoras_tools.samples")))
-                paths = [samples / f"missions/{name}.yaml" for name in MISSIONS[self.cell.scenario]]  # type: ignore[index]
-            return Settings(paths, constants=self._constants).workbench()
+        return demo_bench(self.cell.scenario, Settings(self.plan.missions, constants=self._constants))
 
     def run(self, path: Path, index: int, number: int) -> dict[str, Any]:
         """Make a run, record it, and return its results and losses."""
@@ -229,7 +227,7 @@ class CellBench:
         assert own is not None
         wire = SimulatedWire(simulation, target, own, answers, keeps_all=True)
         _sent(transmission.run(wire=wire))
-        return WireSource(simulation, wire.carried)
+        return SimulationSource(simulation, [wire.carried])
 
     def _transmission(self) -> Transmission:
         """Return the datagrams to send, and the settings of sending."""
