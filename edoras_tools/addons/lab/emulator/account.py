@@ -25,6 +25,10 @@ _Message = TypeVar("_Message")
 LOST: Final = frozenset({QueueEnd.MSG_LIMIT, QueueEnd.PIPE_OVERFLOW, QueueEnd.SOCKET_FULL, QueueEnd.CLOSED})
 
 
+def _ignore(_msg_id: int, _end: QueueEnd) -> None:
+    """Do nothing."""
+
+
 class Fifo(msgspec.Struct, Generic[_Message], eq=False):
     """A first-in, first-out queue with message limits.
 
@@ -41,7 +45,7 @@ class Fifo(msgspec.Struct, Generic[_Message], eq=False):
     limits: dict[int, int] = msgspec.field(default_factory=dict)
     messages: deque[tuple[int, _Message]] = msgspec.field(default_factory=deque)
     waiting: Counter[int] = msgspec.field(default_factory=Counter)
-    on_change: Callable[[int, QueueEnd], object] | None = None
+    on_change: Callable[[int, QueueEnd], object] = _ignore
 
     def put(self, message: _Message, msg_id: int = 0) -> QueueEnd:
         """Add a message if ``admission`` accepts it; return the result of ``admission``."""
@@ -50,8 +54,7 @@ class Fifo(msgspec.Struct, Generic[_Message], eq=False):
         if outcome is QueueEnd.WAITING:
             self.messages.append((msg_id, message))
             self.waiting[msg_id] += 1
-        if self.on_change:
-            self.on_change(msg_id, outcome)
+        self.on_change(msg_id, outcome)
         return outcome
 
     def get(self) -> _Message | None:
@@ -60,15 +63,13 @@ class Fifo(msgspec.Struct, Generic[_Message], eq=False):
             return None
         msg_id, message = self.messages.popleft()
         self.waiting[msg_id] -= 1
-        if self.on_change:
-            self.on_change(msg_id, QueueEnd.DELIVERED)
+        self.on_change(msg_id, QueueEnd.DELIVERED)
         return message
 
     def clear(self) -> None:
         """Drop all waiting messages."""
-        if self.on_change:
-            for msg_id, _ in self.messages:
-                self.on_change(msg_id, QueueEnd.CLOSED)
+        for msg_id, _ in self.messages:
+            self.on_change(msg_id, QueueEnd.CLOSED)
         self.messages.clear()
         self.waiting.clear()
 
@@ -124,10 +125,9 @@ class ArrivalAccount:
         now, waiting = self._now(), self._waiting.setdefault(hop, deque())
         if waiting and outcome in {QueueEnd.DELIVERED, QueueEnd.CLOSED}:
             arrival = waiting.popleft()
-            arrival.end, arrival.end_ns = outcome, now
-            return
-        arrival = QueueArrival(hop, msg_id, now)
-        self.arrivals.append(arrival)
+        else:
+            arrival = QueueArrival(hop, msg_id, now)
+            self.arrivals.append(arrival)
         if outcome is QueueEnd.WAITING:
             waiting.append(arrival)
         else:

@@ -78,7 +78,7 @@ def _run(cfs: Cfs, core: CoreApp, pipe: Pipe) -> Task:
             yield Work(cfs.profile.housekeeping_work_ns)
             accepted = _command(cfs, core, packet)
             counters[not accepted] += 1
-            if msg_id_of(packet) == executive_services.COMMAND_MSG_ID and _resets(packet) and accepted:
+            if core.name == executive_services.NAME and accepted and _resets(packet):
                 counters[:] = 0, 0
             if core.name == software_bus.NAME:
                 cfs.bus.counters.commands, cfs.bus.counters.command_errors = counters
@@ -152,8 +152,9 @@ def _table(cfs: Cfs, function_code: int, size: int, payload: bytes) -> bool:
     return True
 
 
-def _executive(_: Cfs, commands: int, errors: int) -> bytes:
-    return bytes([commands, errors]).ljust(148, b"\0")
+def _counters_in(size: int) -> Callable[[Cfs, int, int], bytes]:
+    """Return what makes a body of which only the two counters are emulated."""
+    return lambda _, commands, errors: bytes([commands, errors]).ljust(size, b"\0")
 
 
 def _events(cfs: Cfs, commands: int, errors: int) -> bytes:
@@ -167,10 +168,6 @@ def _events(cfs: Cfs, commands: int, errors: int) -> bytes:
     return (head.ljust(16, b"\0") + applications)[:144].ljust(144, b"\0")
 
 
-def _bus(cfs: Cfs, _commands: int, _errors: int) -> bytes:
-    return cfs.bus.housekeeping()
-
-
 def _time(cfs: Cfs, commands: int, errors: int) -> bytes:
     clock, now = cfs.clock, cfs.scheduler.now
     clock.time_ns(now)
@@ -181,14 +178,10 @@ def _time(cfs: Cfs, commands: int, errors: int) -> bytes:
     return (bytes([commands, errors]) + flags + body).ljust(32, b"\0")
 
 
-def _tables(_: Cfs, commands: int, errors: int) -> bytes:
-    return bytes([commands, errors]).ljust(284, b"\0")
-
-
 _BODIES: Final[Mapping[str, Callable[[Cfs, int, int], bytes]]] = {
-    "CFE_ES": _executive,
+    executive_services.NAME: _counters_in(148),
     event_services.NAME: _events,
-    software_bus.NAME: _bus,
-    "CFE_TIME": _time,
-    table_services.NAME: _tables,
+    software_bus.NAME: lambda cfs, _commands, _errors: cfs.bus.housekeeping(),
+    time_services.NAME: _time,
+    table_services.NAME: _counters_in(284),
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -32,28 +32,30 @@ _WAKEUP: Final = 0x182B
 """Wake-up MsgId of an application without a route for it; if a route uses it, the next free one."""
 
 
-class EdorasApp(Protocol):
-    """The interface of the EDORAS application for the emulated cFS.
+class EdorasApp:
+    """An EDORAS application of the emulated cFS.
 
     Attributes:
+        subscriptions: MsgIds that it receives.
         requests: MsgIds that the scheduler sends to it once a second.
         wakeups: MsgIds that the scheduler sends to it each ``wakeup_ns``.
         telemetry: MsgIds that go to the ground.
     """
 
-    requests: Sequence[int]
-    wakeups: Sequence[int]
-    telemetry: Sequence[int]
+    subscriptions: Sequence[int] = ()
+    requests: Sequence[int] = ()
+    wakeups: Sequence[int] = ()
+    telemetry: Sequence[int] = ()
 
     def start(self, cfs: Cfs) -> None:
         """Create its pipe and start its task."""
+        cfs.events.register(facts.NAME, now=cfs.scheduler.now)
+        pipe = cfs.create_pipe(facts.PIPE, *self.subscriptions, limit=cfs.profile.app_msg_limit)
+        cfs.say(facts.INITIALIZED, version="Emulated")
+        cfs.spawn(self._run(cfs, pipe))
 
-
-def _start(cfs: Cfs, *msg_ids: int) -> Pipe:
-    cfs.events.register(facts.NAME, now=cfs.scheduler.now)
-    pipe = cfs.create_pipe(facts.PIPE, *msg_ids, limit=cfs.profile.app_msg_limit)
-    cfs.say(facts.INITIALIZED, version="Emulated")
-    return pipe
+    def _run(self, cfs: Cfs, pipe: Pipe) -> Task:
+        raise NotImplementedError
 
 
 def _accepted(cfs: Cfs, packet: bytes) -> bool:
@@ -79,7 +81,7 @@ def _decoded(cfs: Cfs, type_name: str, packet: bytes) -> Mapping[str, Any] | Non
     return messages.decode_envelope(type_name, packet[cfe.COMMAND_HEADER_BYTES :], form, cfs.routes.store)
 
 
-class SingleRobotApp:
+class SingleRobotApp(EdorasApp):
     """Demos 1 and 2: the robot is connected to the application; its state goes to the ground once a second.
 
     As in flight, a stopped application leaves its socket to the robot open. After a restart it cannot bind
@@ -92,8 +94,6 @@ class SingleRobotApp:
         command: MsgId of the robot's commands.
     """
 
-    wakeups: Sequence[int] = ()
-
     def __init__(self, robot: Robot, routes: SystemRoutes, struct_bytes: int = 0) -> None:
         self.robot, self.robot_commands, self.has_robot = robot, 0, False
         self.command, *_ = *routes.commands, 0
@@ -101,8 +101,10 @@ class SingleRobotApp:
         used = {*routes.commands, *routes.telemetry}
         self.request = next(item for item in range(_REQUEST, cfe.HIGHEST_MSG_ID) if item not in used)
         self.housekeeping = next(item for item in range(ROBOT_HOUSEKEEPING, 0, -1) if item not in used)
-        self.requests: Sequence[int] = (self.request,)
-        self.telemetry: Sequence[int] = (self.housekeeping, *routes.telemetry)
+        self.requests = (self.request,)
+        self.telemetry = (self.housekeeping, *routes.telemetry)
+        # 0x0828 too: the flight app subscribes to it, although nothing here publishes it.
+        self.subscriptions = (self.request, *routes.commands, 0x0828)
         self._routes = routes
         self._requests = self._boot = 0
 
@@ -112,8 +114,7 @@ class SingleRobotApp:
         self._boot = cfs.boots
         if not self.has_robot:
             cfs.print(facts.PORT_TAKEN)
-        # 0x0828 too: the flight app subscribes to it, although nothing here publishes it.
-        cfs.spawn(self._run(cfs, _start(cfs, self.request, *self._routes.commands, 0x0828)))
+        super().start(cfs)
 
     def _run(self, cfs: Cfs, pipe: Pipe) -> Task:
         while cfs.executive.run_loop(facts.NAME):
@@ -160,7 +161,7 @@ class _Channel(msgspec.Struct):
     fresh: bool = False
 
 
-class TwoRobotApp:
+class TwoRobotApp(EdorasApp):
     """Demos 3 and 4: every message is decoded, encoded again and sent under another MsgId.
 
     A command from the ground waits for the next wake-up, so only the last of a burst is sent; a robot's
@@ -170,14 +171,13 @@ class TwoRobotApp:
         crossed: MsgId to the number of messages sent under it.
     """
 
-    requests: Sequence[int] = ()
-
     def __init__(self, routes: SystemRoutes, state_bytes: int = 0, command_bytes: int = 0) -> None:
         self.commands, self.states = routes.commands, routes.states
         self.flight, self.telemetry = routes.flight, routes.telemetry
         used = {*self.commands, *self.states}
         wakeup = next(item for item in range(_WAKEUP, cfe.HIGHEST_MSG_ID) if item not in used)
-        self.wakeups: Sequence[int] = (wakeup,)
+        self.wakeups = (wakeup,)
+        self.subscriptions = (*self.commands, *self.states, wakeup)
         self.crossed = dict.fromkeys((*self.flight, *self.telemetry), 0)
         self._types = routes.types
         self._channels = [
@@ -187,10 +187,6 @@ class TwoRobotApp:
             )
             for command, state in zip(self.flight, self.telemetry, strict=True)
         ]
-
-    def start(self, cfs: Cfs) -> None:
-        """Create its pipe and start its task."""
-        cfs.spawn(self._run(cfs, _start(cfs, *self.commands, *self.states, *self.wakeups)))
 
     def _run(self, cfs: Cfs, pipe: Pipe) -> Task:
         while cfs.executive.run_loop(facts.NAME):

@@ -11,6 +11,7 @@ Rules, as in the flight code:
 
 from __future__ import annotations
 
+from itertools import count
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import msgspec
@@ -84,13 +85,13 @@ class ExecutiveServices:
     def __init__(self, cfs: Flight) -> None:
         self.applications: dict[str, LoadedApp] = {}
         self._cfs = cfs
-        self._next_id = _FIRST_ID + len(CORE)
+        self._numbers = count(_FIRST_ID + len(CORE))
         self._beginning: LoadedApp | None = None
 
     def load(self, name: str, file: str, begin: Callable[[], object]) -> None:
         """Load an application and start it now."""
         application = self.applications[name] = LoadedApp(name, file, begin)
-        self._start(application)
+        self._begin(application, next(self._numbers))
 
     def run_loop(self, name: str) -> bool:
         """Return whether an application continues; its main loop calls this in each cycle."""
@@ -136,7 +137,7 @@ class ExecutiveServices:
             why = facts.DUPLICATE_NAME if application and application.runs else facts.NOT_LOADED
             self._cfs.say(facts.NOT_STARTED, name=name, file=file, status=why)
             return False
-        self._start(application)
+        self._begin(application, next(self._numbers))
         self._cfs.say(facts.STARTED_APP, name=name, file=file, number=application.number)
         return True
 
@@ -169,17 +170,11 @@ class ExecutiveServices:
         if verb == facts.STOP:
             self._cfs.say(facts.STOPPED_APP, name=application.name)
             return
-        self._next_id += 1
+        number = next(self._numbers)
         event = facts.RESTARTED_APP if verb == facts.RESTART_VERB else facts.RELOADED_APP
-        self._cfs.say(event, name=application.name, number=self._next_id - 1)
+        self._cfs.say(event, name=application.name, number=number)
         scheduler = self._cfs.scheduler
-        scheduler.call_at(
-            scheduler.now + self._cfs.profile.app_start_ns, self._begin, application, self._next_id - 1
-        )
-
-    def _start(self, application: LoadedApp) -> None:
-        self._next_id += 1
-        self._begin(application, self._next_id - 1)
+        scheduler.call_at(scheduler.now + self._cfs.profile.app_start_ns, self._begin, application, number)
 
     def _begin(self, application: LoadedApp, number: int) -> None:
         application.number, application.runs = number, True

@@ -86,7 +86,7 @@ class SoftwareBus:
 
     def __init__(self, profile: SimProfile, account: ArrivalAccount | None = None) -> None:
         self.profile = profile
-        self._account = account
+        self._account = account or ArrivalAccount(lambda: 0, is_on=False)
         self.counters = Counters()
         self.losses: Counter[tuple[int, str]] = Counter()
         self.pipes: dict[str, Pipe] = {}
@@ -104,8 +104,7 @@ class SoftwareBus:
             raise ConfigError(f"pipe {name}: depth {depth}; a pipe is made once and holds 1 packet or more")
         depth = min(depth, self.profile.msg_max or depth)
         pipe = self.pipes[name] = Pipe(depth, name=name, ignores=ignores)
-        if self._account:
-            self._account.watch(pipe, name)
+        self._account.watch(pipe, name)
         return pipe
 
     def delete_pipe(self, pipe: Pipe) -> None:
@@ -163,11 +162,11 @@ class SoftwareBus:
         route = self._routes.get(msg_id)
         if route is None:
             self.counters.no_subscribers += 1
-            if self._account:
-                self._account.note(HOP, msg_id, QueueEnd.CLOSED)
+            self._account.note(HOP, msg_id, QueueEnd.CLOSED)
             return Publication(packet, events=(_event(NO_SUBSCRIBERS, msg_id=msg_id, sender=sender),))
         if stamp:
-            packet = self._stamped(packet, msg_id)
+            count = self._sequence[msg_id] = (self._sequence[msg_id] + 1) % MODULUS
+            packet = _with_sequence_count(packet, count)
         delivered, events = [], []
         for pipe in route:
             if sender and pipe.ignores == sender:
@@ -176,21 +175,16 @@ class SoftwareBus:
             if outcome is QueueEnd.WAITING:
                 delivered.append(pipe)
                 continue
-            if outcome is QueueEnd.MSG_LIMIT:
-                self.counters.msg_limits += 1
-                events.append(_event(MSG_LIMIT, msg_id=msg_id, pipe=pipe.name, sender=sender))
-            else:
-                self.counters.pipe_overflows += 1
-                events.append(_event(PIPE_OVERFLOW, msg_id=msg_id, pipe=pipe.name, sender=sender))
+            over_limit = outcome is QueueEnd.MSG_LIMIT
+            self.counters.msg_limits += over_limit
+            self.counters.pipe_overflows += not over_limit
+            reason = MSG_LIMIT if over_limit else PIPE_OVERFLOW
+            events.append(_event(reason, msg_id=msg_id, pipe=pipe.name, sender=sender))
             self.losses[msg_id, pipe.name] += 1
-        if not route and self._account:
+        if not route:
             self._account.note(HOP, msg_id, QueueEnd.CLOSED)
         self.counters.send_errors += len(events)
         return Publication(packet, tuple(delivered), tuple(events))
-
-    def _stamped(self, packet: bytes, msg_id: int) -> bytes:
-        count = self._sequence[msg_id] = (self._sequence[msg_id] + 1) % MODULUS
-        return with_sequence_count(packet, count)
 
     def housekeeping(self) -> bytes:
         """Return the payload of housekeeping packet 0x803, 28 bytes; counters wrap as in flight."""
@@ -212,11 +206,6 @@ def _event(event_id: int, **values: object) -> Event:
     return Event.of(EVENTS[event_id], **values)
 
 
-def with_sequence_count(packet: bytes, count: int) -> bytes:
-    """Return the packet with an unsegmented sequence word, as cFE stamps it.
-
-    Args:
-        packet: at least a primary header.
-        count: 0 to 16383.
-    """
+def _with_sequence_count(packet: bytes, count: int) -> bytes:
+    """Return the packet with an unsegmented sequence word, as cFE stamps it."""
     return packet[:2] + (ccsds.UNSEGMENTED << 14 | count).to_bytes(2, "big") + packet[4:]
