@@ -160,7 +160,7 @@ class Panes(App[None]):
         prompt: line that asks for a search text or a packet number.
     """
 
-    CSS = themes.CSS
+    CSS_PATH = "panes.tcss"
     ENABLE_COMMAND_PALETTE = False
     BINDINGS: ClassVar[list[Any]] = [
         Binding("F", "follow", "Follow", show=False),
