@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from textual import on, work
+from textual import work
 from textual.binding import Binding
 from textual.worker import get_current_worker
 
@@ -16,7 +16,7 @@ from edoras_tools.addons.tui.data.search import matcher, next_number
 from edoras_tools.addons.tui.lists.drawings import Drawing
 from edoras_tools.addons.tui.lists.lines import Lines
 from edoras_tools.addons.tui.panes import Panes
-from edoras_tools.addons.tui.prompts import Prompt, Sheet
+from edoras_tools.addons.tui.prompts import Sheet
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.errors import EdorasError
@@ -99,23 +99,22 @@ class Navigation(Panes):
     def action_search(self) -> None:
         """Ask for a search."""
         hint = "text, bytes such as 0x0b0c, or a comparison such as apid == 39"
-        self.prompt.ask("search", "Find", hint, self._searched)
+        self._ask("Find", hint, self._find, self._searched)
 
     def action_number(self) -> None:
         """Ask for a packet's number."""
-        self.prompt.ask("number", "Go to packet", "its number")
+        self._ask("Go to packet", "its number", self._go_to_number)
 
     def action_columns(self) -> None:
         """Ask for the columns of the list; the field selected among the layers is added."""
         selected = self._selected_filter() if self.layers.has_focus else ""
         names = [*self.packets.columns, *selected.split()[:1]]
-        self.prompt.ask(
-            "columns", "Columns", f"{' '.join(COLUMNS)}, and fields", " ".join(dict.fromkeys(names))
-        )
+        hint = f"{' '.join(COLUMNS)}, and fields"
+        self._ask("Columns", hint, self._choose_columns, " ".join(dict.fromkeys(names)), extends=True)
 
-    def _choose_columns(self, names: list[str]) -> None:
+    def _choose_columns(self, names: str) -> None:
         try:
-            self.packets.choose(names)
+            self.packets.choose(names.replace(",", " ").split())
         except WhereError as error:
             self._notice(clean(error.why), Level.WARNING)
 
@@ -123,9 +122,12 @@ class Navigation(Panes):
         """Ask for a file for the packets of the list."""
         if len(self.store):
             packets_text = plural(len(self.store), "packet")
-            self.prompt.ask("save", f"Save {packets_text} to", f"a new file: {WRITTEN}")
+            self._ask(f"Save {packets_text} to", f"a new file: {WRITTEN}", self._save_to)
         else:
             self._notice("there is no packet to save yet")
+
+    def _save_to(self, path: str) -> None:
+        self._save(Path(path).expanduser(), self.filter_line.input.value)
 
     @work(thread=True, exclusive=True, group="save")
     def _save(self, path: Path, selection: str) -> None:
@@ -136,22 +138,23 @@ class Navigation(Panes):
         else:
             self._later(self._notice, f"{clean(str(path))}: {plural(count, 'packet')}")
 
-    @on(Prompt.Given)
-    def _answer(self, event: Prompt.Given) -> None:
-        self.packets.focus()
-        text = event.text.strip()
-        if not text and event.kind != "columns":
-            return
-        if event.kind == "columns":
-            self._choose_columns(text.replace(",", " ").split())
-            return
-        if event.kind == "save":
-            self._save(Path(text).expanduser(), self.filter_line.input.value)
-            return
-        if event.kind == "search":
-            self._searched = text
-            self.action_again(back=False)
-            return
+    def _ask(
+        self, label: str, hint: str, then: Callable[[str], object], value: str = "", *, extends: bool = False
+    ) -> None:
+        """Ask for a text, see ``Prompt.ask``; an empty one is an answer only if it extends the first one."""
+
+        def answer(text: str) -> None:
+            self.packets.focus()
+            if text or extends:
+                then(text)
+
+        self.prompt.ask(label, hint, answer, value, extends=extends)
+
+    def _find(self, text: str) -> None:
+        self._searched = text
+        self.action_again(back=False)
+
+    def _go_to_number(self, text: str) -> None:
         row = self.store.find_number(int(text)) if text.isdecimal() else None
         if row is None:
             self._notice(f"there is no packet {clean(text)}", Level.WARNING)
@@ -198,14 +201,10 @@ class Navigation(Panes):
         ahead = [item for item in marks if (item < current if back else item > current)]
         for number in [*ahead, *marks]:
             row = self.store.find_number(number)
-            if row is not None and self._is_at(row, number):
+            if row is not None and self.store.number(row) == number:
                 self.packets.go(row, centre=True)
                 return
         self._notice("none of the packets shown is marked; m marks one")
-
-    def _is_at(self, row: int, number: int) -> bool:
-        block, index = self.store.locate(row)
-        return int(block.batch.number[index]) == number
 
     @property
     def _number(self) -> int:
@@ -214,10 +213,7 @@ class Navigation(Panes):
     @property
     def _at_cursor(self) -> int:
         """Number of the packet under the cursor; 0 if there is none."""
-        if not len(self.store):
-            return 0
-        block, index = self.store.locate(self.packets.cursor)
-        return int(block.batch.number[index])
+        return self.store.number(self.packets.cursor) if len(self.store) else 0
 
     def _later(self, call: Callable[..., object], *arguments: Any) -> None:
         """Call a function in the drawing thread, from another thread; do nothing after the end of the app."""

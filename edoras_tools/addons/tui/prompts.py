@@ -21,7 +21,7 @@ from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean, wrap
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from textual.app import ComposeResult
     from textual.events import Key
@@ -236,23 +236,13 @@ class FilterLine(Vertical):
 class Prompt(Horizontal):
     """A line at the bottom that asks for a text; hidden at other times.
 
-    Posts ``Given`` with the kind of question and the answer.
-
     Attributes:
         input: text field.
     """
 
-    class Given(Message):
-        """A text was entered."""
-
-        def __init__(self, kind: str, text: str) -> None:
-            super().__init__()
-            self.kind = kind
-            self.text = text
-
     def __init__(self) -> None:
         super().__init__(id="prompt")
-        self._kind = ""
+        self._answer: Callable[[str], object] = str
         self._label = Static(id="prompt-label")
         self.input: Input = _Line(id="prompt-input", compact=True)
 
@@ -261,29 +251,38 @@ class Prompt(Horizontal):
         yield self._label
         yield self.input
 
-    def ask(self, kind: str, label: str, placeholder: str, value: str = "") -> None:
+    def ask(
+        self,
+        label: str,
+        placeholder: str,
+        answer: Callable[[str], object],
+        value: str = "",
+        *,
+        extends: bool = False,
+    ) -> None:
         """Ask for a text.
 
         Args:
-            kind: returned with the answer.
             label: shown in front of the line.
             placeholder: shown while the line is empty.
+            answer: called with the text, without white space around it.
             value: the initial text.
+            extends: whether the user extends the initial text, rather than replaces it.
         """
-        self._kind = kind
+        self._answer = answer
         self.display = True
         self._label.update(f"{label} ")
         self.input.placeholder = placeholder
         self.input.value = value
-        self.input.select_on_focus = kind != "columns"  # the user extends a list, but replaces a word
+        self.input.select_on_focus = not extends
         self.input.cursor_position = len(value)
         self.input.focus()
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Post the answer."""
+        """Pass the answer on."""
         event.stop()
         self.display = False
-        self.post_message(self.Given(self._kind, event.value))
+        self._answer(event.value.strip())
 
 
 class Sheet(ModalScreen[str]):

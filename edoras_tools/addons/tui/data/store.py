@@ -134,6 +134,11 @@ class Store:
         block, index = self.locate(row)
         return block.batch[index]
 
+    def number(self, row: int) -> int:
+        """Return the number of the packet of a shown row."""
+        block, index = self.locate(row)
+        return int(block.batch.number[index])
+
     def time_ns(self, row: int) -> int:
         """Return the capture time of a shown row."""
         block, index = self.locate(row)

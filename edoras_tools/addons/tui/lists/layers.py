@@ -126,13 +126,10 @@ class Layers(Lines):
             for line, (place, _) in enumerate(self._lines)
             if not line or self._lines[line - 1][0] != place
         ]
-        ahead = (
-            [line for line in starts if line > self.cursor]
-            if by > 0
-            else [line for line in reversed(starts) if line < self.cursor]
-        )
-        if ahead:
-            self.go(ahead[0])
+        if by > 0:
+            self.go(next((line for line in starts if line > self.cursor), self.cursor))
+        else:
+            self.go(max((line for line in starts if line < self.cursor), default=self.cursor))
 
     def on_resize(self) -> None:
         """Lay out the lines for another width."""
