@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from edoras_tools.errors import CaptureError
 from edoras_tools.io.frames.build import ends_of
-from edoras_tools.io.net.address import Address, host_of
+from edoras_tools.io.net.address import Address, host_of, resolve
 from edoras_tools.io.net.forward import Direction, Outlet
 from edoras_tools.io.net.sockets import bind, connect, kernel_drops, open_socket
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     import numpy as np
     from numpy.typing import NDArray
+
+    from edoras_tools.addons.proxy.plan import ProxyPlan
 
 
 class ProxyClient(msgspec.Struct, eq=False):
@@ -52,33 +54,15 @@ class ProxyClient(msgspec.Struct, eq=False):
         return [*self.to_target, self.to_client]
 
 
-class Routing(msgspec.Struct, frozen=True):
-    """The common settings of all clients of a proxy.
-
-    Attributes:
-        listen: socket that clients send to.
-        targets: family and address of each target.
-        to_target: counters of the direction to each target.
-        to_client: counters of the direction to the clients.
-        queue_bytes: maximum bytes that wait while a socket's buffer is full.
-        most: maximum number of clients; a new one replaces the one that was idle longest.
-        bind: address of the socket of the only client; None: each client has its own sockets.
-    """
-
-    listen: socket.socket
-    targets: list[tuple[int, Address]]
-    to_target: list[Direction]
-    to_client: Direction
-    queue_bytes: int
-    most: int
-    bind: Address | None = None
-
-
 class Clients:
     """The clients, by address and by number.
 
     Args:
-        routing: common settings.
+        plan: settings of the proxy.
+        listen: socket that clients send to.
+        targets: family and address of each target.
+        to_target: counters of the direction to each target.
+        to_client: counters of the direction to the clients.
         watch: called with every socket that is opened, and its client.
         forget: called with every socket before it is closed.
 
@@ -91,13 +75,20 @@ class Clients:
 
     def __init__(
         self,
-        routing: Routing,
+        plan: ProxyPlan,
+        listen: socket.socket,
+        targets: list[tuple[int, Address]],
+        to_target: list[Direction],
+        to_client: Direction,
         *,
         watch: Callable[[socket.socket, ProxyClient | None], None],
         forget: Callable[[socket.socket], None],
     ) -> None:
         self.evicted = 0
-        self._routing, self._watch, self._forget = routing, watch, forget
+        self._plan, self._listen, self._targets = plan, listen, targets
+        self._to_target, self._to_client = to_target, to_client
+        self._watch, self._forget = watch, forget
+        self._bind = resolve(plan.bind, f"--bind {plan.bind}")[1] if plan.bind else None
         self._by_address: dict[bytes, ProxyClient] = {}
         self._by_number: dict[int, ProxyClient] = {}
         self._number = 0
@@ -105,7 +96,7 @@ class Clients:
         self._closed = False
         self._bound: list[socket.socket] | None = None
         sockets = self._open()  # a target that cannot be reached is reported at once
-        if routing.bind is None:
+        if self._bind is None:
             for opened in sockets:
                 opened.close()
         else:
@@ -149,9 +140,9 @@ class Clients:
             opened.close()
 
     def _begin(self, packed: bytes, now: int) -> ProxyClient:
-        routing, address = self._routing, host_of(packed)
+        address, queue_bytes = host_of(packed), self._plan.queue_bytes
         if self._bound is None:
-            if len(self._by_address) >= routing.most:
+            if len(self._by_address) >= self._plan.clients:
                 self.evicted += 1
                 self._end(min(self, key=attrgetter("last_ns")))
             sockets = self._open()
@@ -160,16 +151,16 @@ class Clients:
             for client in self:
                 self._leave(client)
             sockets, number = self._bound, 0
-        target = routing.targets[0][1].endpoint
+        target = self._targets[0][1].endpoint
         client = ProxyClient(
             number,
             address,
             sockets,
             [
-                Outlet(opened, None, direction, routing.queue_bytes)
-                for opened, direction in zip(sockets, routing.to_target, strict=True)
+                Outlet(opened, None, direction, queue_bytes)
+                for opened, direction in zip(sockets, self._to_target, strict=True)
             ],
-            Outlet(routing.listen, address, routing.to_client, routing.queue_bytes),
+            Outlet(self._listen, address, self._to_client, queue_bytes),
             (ends_of(address.endpoint, target), ends_of(target, address.endpoint)),
             now,
         )
@@ -181,17 +172,14 @@ class Clients:
 
     def _open(self) -> list[socket.socket]:
         sockets: list[socket.socket] = []
-        try:
-            for family, target in self._routing.targets:
-                opened = open_socket(family)
+        with ExitStack() as stack:
+            for family, target in self._targets:
+                opened = stack.enter_context(open_socket(family))
                 sockets.append(opened)
-                if (own := self._routing.bind) is not None:
-                    bind(opened, own, f"--bind {own.endpoint}")
+                if self._bind is not None:
+                    bind(opened, self._bind, f"--bind {self._bind.endpoint}")
                 connect(opened, target, f"--target {target.endpoint}")
-        except CaptureError:
-            for opened in sockets:
-                opened.close()
-            raise
+            stack.pop_all()
         return sockets
 
     def _sockets(self) -> list[socket.socket]:

@@ -18,13 +18,14 @@ from __future__ import annotations
 
 import select
 import time
+from contextlib import ExitStack
+from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.addons.proxy.clients import Clients, ProxyClient, Routing
+from edoras_tools.addons.proxy.clients import Clients, ProxyClient
 from edoras_tools.addons.proxy.faults import FaultStage, Outbox
-from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.buffer import SLOTS, SPARE, make_buffer
 from edoras_tools.io.net.forward import Direction
@@ -97,7 +98,6 @@ class Proxy:
         targets = [resolve(target, f"--target {target}") for target in plan.targets]
         self.to_target = [Direction(f"to {address.endpoint}") for _, address in targets]
         self.to_client = Direction("to clients")
-        bind = resolve(plan.bind, f"--bind {plan.bind}")[1] if plan.bind else None
         client = resolve(plan.client, f"--client {plan.client}")[1] if plan.client else None
         self._precedence = Precedence()
         self._active_ns = self._upkeep_ns = self._untimed = 0
@@ -106,20 +106,21 @@ class Proxy:
         self._listen = open_bound(plan.listen, f"--listen {plan.listen}")
         self.endpoint = local_endpoint(self._listen)
         self._poll.register(self._listen, select.POLLIN)
-        routing = Routing(
-            self._listen, targets, self.to_target, self.to_client, plan.queue_bytes, plan.clients, bind
-        )
-        try:
-            self.clients = Clients(routing, watch=self._watch, forget=self._forget)
-        except CaptureError:
-            self._listen.close()
-            raise
-        if recorder is not None:
-            try:
+        with ExitStack() as stack:
+            stack.callback(self._listen.close)
+            self.clients = Clients(
+                plan,
+                self._listen,
+                targets,
+                self.to_target,
+                self.to_client,
+                watch=self._watch,
+                forget=self._forget,
+            )
+            stack.callback(self.clients.close)
+            if recorder is not None:
                 self.recorder = recorder()
-            except CaptureError:
-                self.close()
-                raise
+            stack.pop_all()
         if client is not None:
             self.clients.at(client.packed, self._now())
 
@@ -343,15 +344,11 @@ class Proxy:
         """Send delayed datagrams that are due."""
         self._times[SLOTS:] = now
         self._active_ns = now
-        outbox, last = None, None
-        for delivery in self.machine.due(now):
-            key = (delivery.stream, delivery.to_cfs is self.plan.to_cfs)
-            if outbox is None or key != last:
-                if outbox is not None:
-                    outbox.flush()
-                outbox, last = self._outbox(*key), key
-            outbox.put(delivery.payload)
-        if outbox is not None:
+        ways = groupby(self.machine.due(now), key=lambda item: (item.stream, item.to_cfs is self.plan.to_cfs))
+        for (number, to_target), deliveries in ways:
+            outbox = self._outbox(number, to_target)
+            for delivery in deliveries:
+                outbox.put(delivery.payload)
             outbox.flush()
 
     def _outbox(self, number: int, to_target: bool) -> Outbox:

@@ -69,35 +69,34 @@ def plan(summary: Mapping[str, Any], output: Path | None) -> Group:
     return Group(*lines)
 
 
+_NOTES_OF_A_WAY: Final = {
+    "refused": ("time", "refused {}: nothing listens there; start it, or see --target"),
+    "failed": ("datagram", "{} not sent: {reason}"),
+    "unclaimed": ("datagram", "{} for no client"),
+    "kernel_drops": ("datagram", "{} lost before the proxy read them: the receive buffer was full"),
+    "overflowed": ("datagram", "{} lost: the queue was full"),
+}
+"""What each count of a direction counts, and what it says if it is not 0."""
+_NOTES: Final = {
+    "held": ("datagram", "{} still held back on purpose at the end"),
+    "held_overflowed": ("datagram", "{} lost: too much was held back"),
+    "unrecorded": ("datagram", "{} relayed, but not recorded"),
+    "clients_evicted": ("client", "{} forgotten: too many clients"),
+}
+"""The same for counts of the whole."""
+
+
 def notes(summary: Mapping[str, Any]) -> list[str]:
     """Return notes, one line each: refusals, losses, datagrams not delivered at the end."""
-    lines = []
-    for way in summary["ways"]:
-        if way["refused"]:
-            answers = plural(way["refused"], "time")
-            lines.append(
-                f"{way['name']}: refused {answers}: nothing listens there; start it, or see --target"
-            )
-        if way["failed"]:
-            lines.append(f"{way['name']}: {plural(way['failed'], 'datagram')} not sent: {way['reason']}")
-        if way["unclaimed"]:
-            lines.append(f"{way['name']}: {plural(way['unclaimed'], 'datagram')} for no client")
-        if way["kernel_drops"]:
-            drops = plural(way["kernel_drops"], "datagram")
-            lines.append(
-                f"{way['name']}: {drops} lost before the proxy read them: the receive buffer was full"
-            )
-        if way["overflowed"]:
-            lines.append(f"{way['name']}: {plural(way['overflowed'], 'datagram')} lost: the queue was full")
-    if summary["held"]:
-        lines.append(f"{plural(summary['held'], 'datagram')} still held back on purpose at the end")
-    if summary["held_overflowed"]:
-        lines.append(f"{plural(summary['held_overflowed'], 'datagram')} lost: too much was held back")
-    if summary["unrecorded"]:
-        lines.append(f"{plural(summary['unrecorded'], 'datagram')} relayed, but not recorded")
-    if summary["clients_evicted"]:
-        lines.append(f"{plural(summary['clients_evicted'], 'client')} forgotten: too many clients")
-    return lines
+    lines = [
+        f"{way['name']}: {text.format(plural(way[key], noun), reason=way['reason'])}"
+        for way in summary["ways"]
+        for key, (noun, text) in _NOTES_OF_A_WAY.items()
+        if way[key]
+    ]
+    return lines + [
+        text.format(plural(summary[key], noun)) for key, (noun, text) in _NOTES.items() if summary[key]
+    ]
 
 
 def _title(summary: Mapping[str, Any]) -> str:
