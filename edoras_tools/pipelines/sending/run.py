@@ -177,7 +177,7 @@ class Transmission(NamedTuple):
         )
         with ExitStack() as stack:
             if wire is None:
-                wire, local = self._open(stack, keys)
+                wire, local = open_wire(options, stack, keys)
             else:
                 local = wire.ends[0]
             recorded = recording(wire) if recording else None
@@ -218,23 +218,6 @@ class Transmission(NamedTuple):
             report.losses = list(recorded.losses)
         return report
 
-    def _open(self, stack: ExitStack, keys: Keys | None) -> tuple[Wire, Endpoint]:
-        """Open the sockets; return them as a wire, with the address that receives answers."""
-        options = self.options
-        is_sbn = options.to is Receiver.SBN
-        transmitter = _transmitter(options)
-        stack.enter_context(transmitter)
-        listeners: list[tuple[Link, Listener]] = []
-        if options.listen is not None and not (is_sbn or options.to.sending):
-            listener = stack.enter_context(Listener(options.listen))
-            listeners.append((carrying("ground", to_cfs=options.to is not Receiver.CI), listener))
-        local = listeners[0][1].local if listeners else transmitter.local
-        if options.events is not None:
-            with suppress(CaptureError):  # a bridge that has the port gets the events
-                listener = stack.enter_context(Listener(options.events))
-                listeners.append((carrying("ground", to_cfs=False), listener))
-        return UdpWire(transmitter, options.to.link, listeners, [keys.fileno()] if keys else ()), local
-
     def _unanswered(self, responses: Responses, local: Endpoint) -> Iterator[str]:
         """Yield reasons why nothing shows whether cFS read the datagrams sent to CI."""
         if not responses.telemetry:
@@ -273,6 +256,31 @@ class Transmission(NamedTuple):
         if self.options.tcp:
             habits = TCP_CLIENT
         return SbnConnection(self.options.identity(self.mission), self.subscriptions, habits=habits, now=now)
+
+
+def open_wire(options: SendOptions, stack: ExitStack, keys: Keys | None = None) -> tuple[Wire, Endpoint]:
+    """Open the sockets; return them as a wire, with the address that receives answers.
+
+    Args:
+        options: from ``placed``.
+        stack: closes the sockets.
+        keys: end a wait.
+
+    Raises:
+        CaptureError: a socket cannot be opened.
+    """
+    transmitter = _transmitter(options)
+    stack.enter_context(transmitter)
+    listeners: list[tuple[Link, Listener]] = []
+    if options.listen is not None and not (options.to is Receiver.SBN or options.to.sending):
+        listener = stack.enter_context(Listener(options.listen))
+        listeners.append((carrying("ground", to_cfs=options.to is not Receiver.CI), listener))
+    local = listeners[0][1].local if listeners else transmitter.local
+    if options.events is not None:
+        with suppress(CaptureError):  # a bridge that has the port gets the events
+            listener = stack.enter_context(Listener(options.events))
+            listeners.append((carrying("ground", to_cfs=False), listener))
+    return UdpWire(transmitter, options.to.link, listeners, [keys.fileno()] if keys else ()), local
 
 
 def _transmitter(options: SendOptions) -> Any:

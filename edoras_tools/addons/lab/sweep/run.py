@@ -19,11 +19,11 @@ from edoras_tools.cfs import software_bus
 from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT_BRIDGE_BUFFER
 from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.net.transmit import Listener, Transmitter
-from edoras_tools.io.net.wire import UdpWire, Wire, precise_timing
+from edoras_tools.io.net.wire import Wire, precise_timing
 from edoras_tools.links.table import carrying
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.sending.options import called
+from edoras_tools.pipelines.sending.run import open_wire
 from edoras_tools.pipelines.sending.wait_for import Condition, conditions
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.sessions.sbn.connection import SbnConnection
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.lab.sweep.plan import SweepPlan
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Endpoint, Link
+    from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.workbench import Workbench
 
 
@@ -114,20 +114,12 @@ def sweep(
     assert options.listen is not None
     result = Sweep(plan)
     with ExitStack() as stack:
-        local = options.listen
         if plan.scenario is not None:
-            name = f"the emulated cFS ({plan.scenario})"
+            name, local = f"the emulated cFS ({plan.scenario})", options.listen
             wire: Wire = emulated(plan, profile_of(plan, bench.mission), bench)
         else:
             name = str(options.target)
-            is_sbn = plan.route.link.peers
-            transmitter = stack.enter_context(Transmitter(options.target, options.listen if is_sbn else None))
-            listeners: list[tuple[Link, Listener]] = []
-            if not is_sbn:
-                listeners.append((carrying("ground", to_cfs=False), Listener(options.listen)))
-                stack.callback(listeners[0][1].close)
-            local = listeners[0][1].local if listeners else transmitter.local
-            wire = UdpWire(transmitter, options.to.link, listeners)
+            wire, local = open_wire(replace(options, events=None), stack)
             stack.enter_context(precise_timing())
         ready(local)
         sweeper = _Sweeper(plan, bench, result, wire, name, local, trying)
