@@ -144,19 +144,18 @@ class ChartOptions(NamedTuple):
     png: Annotated[Path | None, Option(hidden=True)] = None
     force: recordings.Force = False
 
-    def merged(self) -> ChartOptions:
-        """Return these options with the output file assigned to the option of its format.
+    def files(self) -> dict[str, Path]:
+        """Return the files to write, by format.
 
         Raises:
-            ConfigError: its suffix is of neither format.
+            ConfigError: the suffix of ``--output`` is of neither format.
         """
-        if self.output is None:
-            return self
-        if self.output.suffix not in {".svg", ".png"}:
-            raise ConfigError(f"{self.output}: a chart is a .svg or a .png file")
-        return (
-            self._replace(svg=self.output) if self.output.suffix == ".svg" else self._replace(png=self.output)
-        )
+        files = {"svg": self.svg, "png": self.png}
+        if self.output is not None:
+            if self.output.suffix not in {".svg", ".png"}:
+                raise ConfigError(f"{self.output}: a chart is a .svg or a .png file")
+            files[self.output.suffix[1:]] = self.output
+        return {form: path for form, path in files.items() if path is not None}
 
 
 @grouped
@@ -186,11 +185,10 @@ def sweep(
 
     json, quiet = printing
     steps.check(how.target)
-    charts = charts.merged()
-    for path in (charts.svg, charts.png):
-        if path is not None:
-            check_new(path, force=charts.force)
-    if charts.png is not None:
+    pictures = charts.files()
+    for path in pictures.values():
+        check_new(path, force=charts.force)
+    if "png" in pictures:
         svg.need_png()
     bench = decoding.settings().workbench()
     link = next((item for item in links() if item.label == to.lower()), None)
@@ -224,21 +222,19 @@ def sweep(
     elif not quiet and (result.steps or result.failure is None):
         print_view(lambda width: view.outcome(summary, width))
     if result.steps:
-        _draw(summary, charts)
+        _draw(summary, pictures)
     if result.failure is not None:
         raise result.failure
     if result.interrupted:
         raise Exit(INTERRUPTED)
 
 
-def _draw(summary: dict[str, Any], charts: ChartOptions) -> None:
+def _draw(summary: dict[str, Any], pictures: dict[str, Path]) -> None:
     from edoras_tools.addons.lab.views.sweep import chart, threshold_line
     from edoras_tools.io.outputs import write_bytes
     from edoras_tools.render.plot.svg import PLOT_WIDTH, plot_svg
     from edoras_tools.render.svg import png
 
     picture = plot_svg(chart(summary, f"threshold {threshold_line(summary)}"))
-    if charts.svg is not None:
-        write_bytes(charts.svg, picture.encode())
-    if charts.png is not None:
-        write_bytes(charts.png, png(picture, 2 * PLOT_WIDTH))
+    for form, path in pictures.items():
+        write_bytes(path, png(picture, 2 * PLOT_WIDTH) if form == "png" else picture.encode())

@@ -108,15 +108,12 @@ class Judge:
         not_ingested = sum(verdict.lost or 0 for verdict in ours if verdict.hop in CI_SOCKETS)
         altered = (after.arrived - before.arrived) - (after.whole - before.whole)
         lost = min(sent, by_cfs + altered)
-        hop = reason = ""
-        if main is not None:
-            hop, reason = main.hop or "", main.reason
-        elif altered:
-            cut = after.differs_at == self._profile.ci_buffer
-            hop, reason = (cut and _first_verdict(diagnosis, "ci_cut")) or (
-                command_ingest.NAME,
-                f"the echo differs from byte {after.differs_at} on",
-            )
+        hop, reason = _cause(main)
+        if main is None and altered:
+            hop, reason = command_ingest.NAME, f"the echo differs from byte {after.differs_at} on"
+            cut = next((item for item in diagnosis.verdicts if item.rule == "ci_cut"), None)
+            if cut and after.differs_at == self._profile.ci_buffer:
+                hop, reason = _cause(cut)
         return StepOutcome(
             sent,
             sent - lost,
@@ -155,7 +152,7 @@ class Judge:
         unseen = requested - delivered - lost if delivered + lost < least else 0
         hop = reason = ""
         if main is not None and lost:
-            hop, reason = main.hop or "", main.reason
+            hop, reason = _cause(main)
         elif altered:
             hop, reason = "network", f"{altered:,} arrived with another length than they were published with"
         elif lost or unseen:
@@ -207,10 +204,9 @@ def _main(verdicts: Iterable[Verdict]) -> Verdict | None:
     return max(verdicts, key=lambda item: item.lost or 0, default=None)
 
 
-def _first_verdict(diagnosis: Diagnosis, rule: str) -> tuple[str, str] | None:
-    """Return hop and reason of a rule's first verdict."""
-    verdict = next((item for item in diagnosis.verdicts if item.rule == rule), None)
-    return (verdict.hop or "", verdict.reason) if verdict else None
+def _cause(verdict: Verdict | None) -> tuple[str, str]:
+    """Return the place and the cause of a loss, from a verdict on it; empty without one."""
+    return (verdict.hop or "", verdict.reason) if verdict else ("", "")
 
 
 class SweepStep(msgspec.Struct, frozen=True):
