@@ -5,6 +5,8 @@ from __future__ import annotations
 import heapq
 import threading
 import time
+from contextlib import suppress
+from functools import partial
 from itertools import count
 from math import atan2, dist
 from queue import Empty, SimpleQueue
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from edoras_tools.addons.lab.demo.scene import Lane
-    from edoras_tools.addons.lab.demo.trace import Leg
+    from edoras_tools.addons.lab.demo.trace import Leg, Trace
     from edoras_tools.ros import TypeStore
 
     Call = Callable[..., None]
@@ -139,8 +141,7 @@ class GroundStation:
     It pauses for some seconds when another node commands a robot.
 
     Args:
-        commands: counts of each robot's commands.
-        states: counts of each robot's states.
+        trace: counts of each robot's commands and states.
         rate_hz: commands per second for each robot; 0 for none.
 
     Attributes:
@@ -151,15 +152,14 @@ class GroundStation:
     def __init__(
         self,
         lanes: tuple[Lane, ...],
-        commands: list[Leg],
-        states: list[Leg],
+        trace: Trace,
         rate_hz: float,
         types: TypeStore,
         scheduler: CallScheduler,
     ) -> None:
         self.seen = [RobotState() for _ in lanes]
         self.others = [0] * len(lanes)
-        self._lanes, self._commands, self._states = lanes, commands, states
+        self._lanes, self._trace = lanes, trace
         self._rate_hz, self._types, self._scheduler = rate_hz, types, scheduler
         self._others_ns = [-_GIVES_WAY_NS] * len(lanes)
         self._newest = [b""] * len(lanes)
@@ -175,8 +175,8 @@ class GroundStation:
         """
         for index, lane in enumerate(self._lanes):
             self._publish.append(graph.advertise(lane.command.topic, lane.command.type, _QOS))
-            graph.subscribe(lane.command.topic, lane.command.type, _QOS, self._other(index))
-            graph.subscribe(lane.state.topic, lane.state.type, _QOS, self._state(index))
+            graph.subscribe(lane.command.topic, lane.command.type, _QOS, partial(self._other, index))
+            graph.subscribe(lane.state.topic, lane.state.type, _QOS, partial(self._state, index))
 
     def start(self) -> None:
         """Start sending commands; call it on the scheduler's thread."""
@@ -194,36 +194,25 @@ class GroundStation:
             now = time.monotonic_ns()
             if now - self._others_ns[robot] >= _GIVES_WAY_NS:
                 cdr = operator_command(self._lanes[0].command.type, self._rate_hz, self._index, robot)
-                self._commands[robot].begin(cdr, now)
+                self._trace.commands[robot].begin(cdr, now)
                 publish(cdr)
         self._index += 1
 
-    def _other(self, robot: int) -> Any:
-        def heard(_cdr: bytes) -> None:
-            self.others[robot] += 1
-            self._others_ns[robot] = time.monotonic_ns()
+    def _other(self, robot: int, _cdr: bytes) -> None:
+        self.others[robot] += 1
+        self._others_ns[robot] = time.monotonic_ns()
 
-        return heard
-
-    def _state(self, robot: int) -> Any:
-        leg, ask, look, newest = self._states[robot], self._scheduler.ask, self._read_state, self._newest
-
-        def heard(cdr: bytes) -> None:
-            leg.arrive(cdr, time.monotonic_ns())
-            # Telemetry comes in bursts: only the last state of a burst is decoded.
-            waits, newest[robot] = newest[robot], cdr
-            if not waits:
-                ask(look, robot)
-
-        return heard
+    def _state(self, robot: int, cdr: bytes) -> None:
+        self._trace.states[robot].arrive(cdr, time.monotonic_ns())
+        # Telemetry comes in bursts: only the last state of a burst is decoded.
+        waits, self._newest[robot] = self._newest[robot], cdr
+        if not waits:
+            self._scheduler.ask(self._read_state, robot)
 
     def _read_state(self, robot: int) -> None:
         cdr, self._newest[robot] = self._newest[robot], b""
-        try:
-            values = self._types.decode(self._lanes[robot].state.type, cdr)
-        except WireError:
-            return
-        self.seen[robot].take(values)
+        with suppress(WireError):
+            self.seen[robot].take(self._types.decode(self._lanes[robot].state.type, cdr))
 
 
 class RobotNode:
@@ -262,11 +251,9 @@ class RobotNode:
         self._scheduler.ask(self._obey, cdr)
 
     def _obey(self, cdr: bytes) -> None:
-        try:
+        with suppress(WireError):
             values = self._types.decode(self._lane.command.type, cdr)
-        except WireError:
-            return
-        self._robot.obey(values, now=time.time_ns())
+            self._robot.obey(values, now=time.time_ns())
 
     def _tell(self) -> None:
         if not self._quiet:

@@ -25,7 +25,7 @@ from edoras_tools.addons.lab.demo.nodes import (
 from edoras_tools.addons.lab.demo.scene import LAYOUTS, free_ports, lanes_of, profile, write_missions
 from edoras_tools.addons.lab.demo.trace import Leg, Trace
 from edoras_tools.addons.lab.emulator import BOOT_NS, Scenario, Served, Simulation
-from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp, TwoRobotApp
+from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp
 from edoras_tools.cfs.edoras_app import PIPE
 from edoras_tools.errors import CaptureError, ConfigError, EdorasError
 from edoras_tools.io.outputs import to_write, write_files
@@ -178,6 +178,7 @@ class Demo:
         self._say = say
         self._elapsed_ns = self._began_ns = 0
         self._begun = False
+        self._watcher: Watcher[Demo] | None = None
         self._stack = ExitStack()
         with ExitStack() as stack:
             stack.enter_context(router(plan.ros, plan.options, say))
@@ -223,17 +224,22 @@ class Demo:
         Raises:
             CaptureError: a socket failed.
         """
-        self._began_ns = time.monotonic_ns()
+        self._began_ns, self._watcher = time.monotonic_ns(), watcher
         self._scheduler.at(self._began_ns + _PATIENCE_NS, self._begin)
         if duration_ns:
             active_ns = max(duration_ns - _DRAIN_NS, duration_ns // 2)
             self._scheduler.at(self._began_ns + active_ns, self._stop_commands)
         self._scheduler.start()
         self._add_note("")
-        self.bridges.run(duration_ns=duration_ns, watcher=_DemoWatcher(self, watcher) if watcher else None)
+        self.bridges.run(duration_ns=duration_ns, watcher=self if watcher else None)
         self._elapsed_ns = time.monotonic_ns() - self._began_ns
         self._stop_commands()
         self._scheduler.close()
+
+    def update(self, _bridges: Bridges, /) -> None:
+        """Update the watcher of the demo, when the bridges update theirs."""
+        if self._watcher:
+            self._watcher.update(self)
 
     def stop(self) -> None:
         """End ``run``; for any thread."""
@@ -324,9 +330,7 @@ class Demo:
     def _start_nodes(self, stack: ExitStack) -> None:
         """Let the ground station and the robots join the graph."""
         trace, types, scheduler = self.trace, self._types, self._scheduler
-        self.station = GroundStation(
-            self.lanes, trace.commands, trace.states, self.plan.command_hz, types, scheduler
-        )
+        self.station = GroundStation(self.lanes, trace, self.plan.command_hz, types, scheduler)
         self.station.join(self._node(stack, "ground_station"))
         self.robots = [
             RobotNode(
@@ -380,15 +384,12 @@ class Demo:
 
     def _robot(self, index: int, bridges: Mapping[str, Any]) -> dict[str, Any]:
         lane, motion = self.lanes[index], self.station.seen[index]
-        crossed = (
-            self.simulation.apps.edoras.crossed
-            if isinstance(self.simulation.apps.edoras, TwoRobotApp)
-            else {}
-        )
         command = self._leg(self.trace.commands[index], lane.command, lane.board_command, bridges)
         if lane.board_command:
             into_app = command["into_cfs"] - command["lost"].get(PIPE, 0)
-            command["replaced"] = max(into_app - crossed.get(lane.board_command.msg_id, 0), 0)
+            command["replaced"] = max(
+                into_app - self.simulation.apps.edoras.crossed[lane.board_command.msg_id], 0
+            )
         state = self._leg(self.trace.states[index], lane.board_state, lane.state, bridges)
         return {
             "robot": lane.robot,
@@ -417,13 +418,3 @@ class Demo:
             "lost": dict(losses),
             "replaced": 0,
         }
-
-
-class _DemoWatcher:
-    """Updates a watcher of the demo when the bridges' watcher is updated."""
-
-    def __init__(self, demo: Demo, watcher: Watcher[Demo]) -> None:
-        self._demo, self._watcher = demo, watcher
-
-    def update(self, _bridges: Bridges, /) -> None:
-        self._watcher.update(self._demo)

@@ -11,15 +11,17 @@ import msgspec
 from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator import MISSIONS, Scenario
+from edoras_tools.addons.lab.emulator.routes import routes_of_kind
 from edoras_tools.cfs.profile import Ports, SimProfile
 from edoras_tools.io.net.sockets import local_endpoint, open_bound
 from edoras_tools.io.outputs import write_bytes
-from edoras_tools.mission import Bridge, GroundLink, Route
 from edoras_tools.model import Endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
+
+    from edoras_tools.mission import Bridge, Route
 
 
 HOST: Final = "127.0.0.1"
@@ -108,18 +110,10 @@ def write_missions(scenario: Scenario, folder: Path, ports: Ports, max_rate: flo
 
 def lanes_of(scenario: Scenario, bridges: Iterable[Bridge]) -> tuple[Lane, ...]:
     """Return the robots of a demo, from its bridges."""
-    commands: list[Route] = []
-    states: list[Route] = []
-    board_commands: list[Route] = []
-    board_states: list[Route] = []
-    for bridge in bridges:
-        ground = isinstance(bridge.link, GroundLink)
-        for route in bridge.routes:
-            if ground:
-                (commands if route.to_cfs else states).append(route)
-            else:
-                (board_states if route.to_cfs else board_commands).append(route)
-    if not board_states:
-        return tuple(Lane(scenario, *pair) for pair in zip(commands, states, strict=True))
-    rows = zip(commands, states, board_commands, board_states, strict=True)
+    bridges = list(bridges)
+    ways = (("ground", True), ("ground", False), ("flight", False), ("flight", True))
+    groups = [routes_of_kind(bridges, kind, to_cfs=to_cfs) for kind, to_cfs in ways]
+    if not groups[-1]:
+        return tuple(Lane(scenario, *pair) for pair in zip(*groups[:2], strict=True))
+    rows = zip(*groups, strict=True)
     return tuple(Lane(row[0].topic.split("/")[1], *row) for row in rows)

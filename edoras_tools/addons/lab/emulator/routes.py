@@ -16,7 +16,7 @@ from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from edoras_tools.mission import Route
+    from edoras_tools.mission import Bridge, Route
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.ros import TypeStore
 
@@ -77,12 +77,11 @@ def routes_of(bench: Workbench) -> SystemRoutes:
         ConfigError: its ground bridge has no topic, or there is none.
     """
     mission, standard = bench.mission, bench.mission.msg_ids.standard
-
-    def some(kind: str, *, to_cfs: bool) -> list[Route]:
-        bridge = next((item for item in mission.bridges if item.link.kind == kind), None)
-        return [item for item in bridge.routes if item.to_cfs == to_cfs] if bridge else []
-
-    groups = [some(kind, to_cfs=to_cfs) for kind in ("ground", "flight") for to_cfs in (True, False)]
+    groups = [
+        routes_of_kind(mission.bridges, kind, to_cfs=to_cfs)
+        for kind in ("ground", "flight")
+        for to_cfs in (True, False)
+    ]
     if not groups[0] and not groups[1]:
         raise ConfigError("the mission has no ground bridge with a topic: sim has nothing to emulate")
     routes = [item for group in groups for item in group]
@@ -98,6 +97,12 @@ def routes_of(bench: Workbench) -> SystemRoutes:
         bridge=next((Peer(own.spacecraft_id, own.processor_id) for own in mission.flight), FLIGHT_BRIDGE),
         store=bench.types,
     )
+
+
+def routes_of_kind(bridges: Sequence[Bridge], kind: str, *, to_cfs: bool) -> list[Route]:
+    """Return the routes in one direction of the first bridge of a kind, ``ground`` or ``flight``."""
+    bridge = next((item for item in bridges if item.link.kind == kind), None)
+    return [item for item in bridge.routes if item.to_cfs == to_cfs] if bridge else []
 
 
 def mission_profile(bench: Workbench) -> SimProfile:

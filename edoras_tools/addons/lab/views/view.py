@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import pi
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
@@ -20,6 +20,8 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
+
+    from edoras_tools.addons.lab.demo.run import Demo
 
 
 COLOURS: Final = ("cyan", "yellow")
@@ -118,25 +120,7 @@ _PICTURE: Final = (76, 9)
 _LEGS: Final = ("commands", "states")
 
 
-class _Demo(Protocol):
-    """A running demo."""
-
-    @property
-    def tracks(self) -> Sequence[Sequence[tuple[float, float]]]:
-        """Track of each rover."""
-        ...
-
-    @property
-    def last_events(self) -> Sequence[str]:
-        """The last events of cFS."""
-        ...
-
-    def summary(self) -> Mapping[str, Any]:
-        """Return the results so far, in the shape of ``demo SCENARIO --json``."""
-        ...
-
-
-def live_table(console: Console, output: Path) -> LiveTable[_Demo]:
+def live_table(console: Console, output: Path) -> LiveTable[Demo]:
     """Return the view of a demo while it runs."""
     return LiveTable(_show, _counts, console, output)
 
@@ -150,7 +134,7 @@ def _counts(summary: Mapping[str, Any]) -> dict[object, int]:
     }
 
 
-def _show(demo: _Demo, moment: Moment) -> Group:
+def _show(demo: Demo, moment: Moment) -> Group:
     return Group(
         *_view(moment, demo.tracks),
         Text(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -40,12 +41,16 @@ class EdorasApp:
         requests: MsgIds that the scheduler sends to it once a second.
         wakeups: MsgIds that the scheduler sends to it each ``wakeup_ns``.
         telemetry: MsgIds that go to the ground.
+        crossed: MsgId to the number of messages sent under it in place of another MsgId.
     """
 
     subscriptions: Sequence[int] = ()
     requests: Sequence[int] = ()
     wakeups: Sequence[int] = ()
     telemetry: Sequence[int] = ()
+
+    def __init__(self) -> None:
+        self.crossed: Counter[int] = Counter()
 
     def start(self, cfs: Cfs) -> None:
         """Create its pipe and start its task."""
@@ -95,6 +100,7 @@ class SingleRobotApp(EdorasApp):
     """
 
     def __init__(self, robot: Robot, routes: SystemRoutes, struct_bytes: int = 0) -> None:
+        super().__init__()
         self.robot, self.robot_commands, self.has_robot = robot, 0, False
         self.command, *_ = *routes.commands, 0
         self._states = [(item, FixedStruct(struct_bytes, routes.envelope(item))) for item in routes.telemetry]
@@ -166,19 +172,16 @@ class TwoRobotApp(EdorasApp):
 
     A command from the ground waits for the next wake-up, so only the last of a burst is sent; a robot's
     state is sent at once.
-
-    Attributes:
-        crossed: MsgId to the number of messages sent under it.
     """
 
     def __init__(self, routes: SystemRoutes, state_bytes: int = 0, command_bytes: int = 0) -> None:
+        super().__init__()
         self.commands, self.states = routes.commands, routes.states
         self.flight, self.telemetry = routes.flight, routes.telemetry
         used = {*self.commands, *self.states}
         wakeup = next(item for item in range(_WAKEUP, cfe.HIGHEST_MSG_ID) if item not in used)
         self.wakeups = (wakeup,)
         self.subscriptions = (*self.commands, *self.states, wakeup)
-        self.crossed = dict.fromkeys((*self.flight, *self.telemetry), 0)
         self._types = routes.types
         self._channels = [
             _Channel(
