@@ -181,7 +181,6 @@ ADDONS: Final = (
             "parts": {
                 "partition": "partition:export_by_recording",
                 "arrow_tables": "arrow",
-                "lazy_tables": "lazy",
                 "recordings": "recordings:read_recordings",
                 "performance_trace": "trace:export_trace",
             }

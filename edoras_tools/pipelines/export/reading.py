@@ -94,7 +94,7 @@ class TopicTable(msgspec.Struct, frozen=True, dict=True):
             ) from error
         head = TableHead(self.topic, self.type)
         if lazy:
-            return doors.part("lazy_tables").record_batches(head, self.pieces())
+            return arrays.record_batches(head, self.pieces())
         return arrays.arrow_table([arrays.arrow_batch(self.columns, arrays.arrow_schema(head, self.columns))])
 
     def to_polars(self, *, lazy: bool = False) -> Any:
@@ -107,7 +107,7 @@ class TopicTable(msgspec.Struct, frozen=True, dict=True):
         Raises:
             ConfigError: polars or pyarrow is not installed.
         """
-        return doors.part("lazy_tables").polars_frame(self, lazy=lazy)
+        return doors.part("arrow_tables").polars_frame(self, lazy=lazy)
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame``; lists are arrays, times are timestamps in UTC.
