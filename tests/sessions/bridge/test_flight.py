@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.addons.lab.emulator.services.sbn_node import SbnNode
+from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnNode
 from edoras_tools.addons.lab.emulator.services.software_bus import SoftwareBus
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.model import Peer

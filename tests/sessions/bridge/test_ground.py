@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from edoras_tools.addons.lab.emulator.apps.telemetry_output import TelemetryOutput
 from edoras_tools.addons.lab.emulator.services.software_bus import SoftwareBus
-from edoras_tools.addons.lab.emulator.services.telemetry_output import TelemetryOutput
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.pipelines.sending.wait_for import enable_output
 from edoras_tools.sessions.bridge.ground import ASK_NS, SILENCE_NS, STEP_NS, GroundSession

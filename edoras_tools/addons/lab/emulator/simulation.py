@@ -6,12 +6,13 @@ from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from edoras_tools.addons.lab.emulator.apps import generator, lab
-from edoras_tools.addons.lab.emulator.apps.core import start_core
+from edoras_tools.addons.lab.emulator.apps import generator
+from edoras_tools.addons.lab.emulator.apps.command_ingest import CiLab
+from edoras_tools.addons.lab.emulator.apps.core import SCHEDULER, SchLab, start_core
 from edoras_tools.addons.lab.emulator.apps.edoras import EdorasApp, SingleRobotApp, TwoRobotApp
 from edoras_tools.addons.lab.emulator.apps.generator import Generator
-from edoras_tools.addons.lab.emulator.apps.lab import CiLab, SchLab, ToLab
-from edoras_tools.addons.lab.emulator.apps.sbn import SbnApp
+from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnApp
+from edoras_tools.addons.lab.emulator.apps.telemetry_output import ToLab
 from edoras_tools.addons.lab.emulator.bridges import FlightBridge, GroundBridge
 from edoras_tools.addons.lab.emulator.cfs import Cfs
 from edoras_tools.addons.lab.emulator.robots import robot_of
@@ -55,7 +56,7 @@ class Apps:
             (telemetry_output.NAME, "to_lab", lambda: ToLab(cfs, self.edoras.telemetry)),
             (edoras_app.NAME, "edoras_app", lambda: self.edoras.start(cfs)),
             *[(generator.NAME, "edoras_gen", lambda: Generator(cfs))] * bool(cfs.profile.generator_msg_id),
-            (lab.SCHEDULER, "sch_lab", lambda: SchLab(cfs, self.edoras)),
+            (SCHEDULER, "sch_lab", lambda: SchLab(cfs, self.edoras)),
         ):
             cfs.executive.load(name, f"/cf/{file}.so", begin)
 

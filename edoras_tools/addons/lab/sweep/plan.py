@@ -9,7 +9,7 @@ import msgspec
 
 from edoras_tools.addons.lab.emulator import Scenario, messages
 from edoras_tools.addons.lab.emulator.apps import generator
-from edoras_tools.addons.lab.sweep.line import reset_filters
+from edoras_tools.addons.lab.sweep.observer import reset_filters
 from edoras_tools.cfs import edoras_app, telemetry_output
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import is_loopback

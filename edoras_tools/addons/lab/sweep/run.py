@@ -13,8 +13,7 @@ from edoras_tools.addons.lab.emulator.routes import routes_of
 from edoras_tools.addons.lab.emulator.source import SimulatedWire
 from edoras_tools.addons.lab.sweep import plan as packets
 from edoras_tools.addons.lab.sweep.judge import Judge, StepOutcome, Sweep, SweepStep
-from edoras_tools.addons.lab.sweep.line import COMMAND_NS, Line, reset_filters
-from edoras_tools.addons.lab.sweep.observer import Observer
+from edoras_tools.addons.lab.sweep.observer import COMMAND_NS, Line, Observer, reset_filters
 from edoras_tools.cfs import software_bus
 from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT_BRIDGE_BUFFER
 from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile

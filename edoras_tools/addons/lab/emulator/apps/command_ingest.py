@@ -11,15 +11,19 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from edoras_tools.addons.lab.emulator.account import Fifo
+from edoras_tools.addons.lab.emulator.account import Fifo, socket
 from edoras_tools.addons.lab.emulator.messages import bus_id, command_length, from_link
+from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
 from edoras_tools.addons.lab.emulator.services.events import Event
 from edoras_tools.cfs import command_ingest as facts
+from edoras_tools.cfs import software_bus
 from edoras_tools.cfs.queues import QueueEnd
 from edoras_tools.wire import cfe
-from edoras_tools.wire.cfe import function_code_of, length_of
+from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of
 
 if TYPE_CHECKING:
+    from edoras_tools.addons.lab.emulator.cfs import Cfs
+    from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.cfs.profile import SimProfile
 
 
@@ -125,3 +129,42 @@ class CommandIngest:
                 "ingest_errors": self.ingest_errors & 0xFFFFFFFF,
             }
         )
+
+
+class CiLab:
+    """Command Ingest's task: it reads the socket after each message and after each time-out."""
+
+    def __init__(self, cfs: Cfs) -> None:
+        self.socket = CommandIngest(cfs.profile)
+        cfs.account.watch(self.socket.queue, socket(cfs.profile.ci_port))
+        self._cfs = cfs
+        self._pipe = cfs.create_pipe(facts.PIPE, facts.COMMAND_MSG_ID, facts.REQUEST_MSG_ID)
+        cfs.events.register(facts.NAME, now=cfs.scheduler.now)
+        cfs.say(facts.INITIALIZED, version="Emulated")
+        cfs.listen(cfs.profile.ci_port, self.socket.receive_datagram)
+        cfs.spawn(self._run())
+
+    def _run(self) -> Task:
+        cfs, profile = self._cfs, self._cfs.profile
+        while cfs.executive.run_loop(facts.NAME):
+            packet = yield Receive(self._pipe, profile.ci_wake_ns)
+            if packet is not None:
+                yield Work(profile.work_ns)
+                self._message(packet)
+            for _ in range(profile.ci_datagrams_per_wake):
+                ingested = self.socket.read()
+                if ingested is None:
+                    break
+                if ingested.event:
+                    cfs.report(ingested.event)
+                if ingested.packet is not None:
+                    status = cfs.publish(ingested.packet, facts.NAME, stamp=False).status
+                    if status != software_bus.SUCCESS:
+                        cfs.report(self.socket.refused(status))
+                yield Work(profile.ci_read_ns)
+
+    def _message(self, packet: bytes) -> None:
+        if msg_id_of(packet) == facts.REQUEST_MSG_ID:
+            self._cfs.telemetry(facts.HOUSEKEEPING_MSG_ID, self.socket.housekeeping(), facts.NAME)
+        elif event := self.socket.command(packet):
+            self._cfs.report(event)

@@ -1,4 +1,7 @@
-"""cFE's own five applications, as a link shows them: no-op, counters, housekeeping once a second."""
+"""cFE's own five applications, as a link shows them: no-op, counters, housekeeping once a second.
+
+SCH_LAB is here too: it asks them, and others, for their housekeeping.
+"""
 
 from __future__ import annotations
 
@@ -7,26 +10,29 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.addons.lab.emulator.cfs import EMULATOR_VERSION, Cfs
 from edoras_tools.addons.lab.emulator.core_apps import CORE, CoreApp
 from edoras_tools.addons.lab.emulator.messages import command_length, whole_packet
-from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
+from edoras_tools.addons.lab.emulator.scheduler import Receive, SleepUntil, Work
 from edoras_tools.cfs import (
+    command_ingest,
     event_services,
     executive_services,
     sbn,
     software_bus,
     table_services,
+    telemetry_output,
     time_services,
 )
 from edoras_tools.cfs.arguments import ARGUMENTS, TBL_MSG_ID
 from edoras_tools.cfs.event_services import EventType
 from edoras_tools.cfs.executive_services import ENDING_COMMANDS
 from edoras_tools.cfs.names import COMMANDS
-from edoras_tools.units import SECOND
+from edoras_tools.units import MICROSECOND, MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from edoras_tools.addons.lab.emulator.apps.edoras import EdorasApp
     from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.addons.lab.emulator.services.software_bus import Pipe
 
@@ -185,3 +191,31 @@ _BODIES: Final[Mapping[str, Callable[[Cfs, int, int], bytes]]] = {
     time_services.NAME: _time,
     table_services.NAME: _counters_in(284),
 }
+
+
+SCHEDULER: Final = "SCH_LAB_APP"
+SCHEDULE_LEAD_NS: Final = 17 * MILLISECOND
+"""Time by which the first housekeeping request comes before a whole period after start, as captured."""
+
+
+class SchLab:
+    """The scheduler's tasks: housekeeping requests, and the wake-ups that applications request."""
+
+    def __init__(self, cfs: Cfs, edoras: EdorasApp) -> None:
+        self._cfs = cfs
+        requests = [item.request for item in CORE]
+        requests += [command_ingest.REQUEST_MSG_ID, telemetry_output.REQUEST_MSG_ID, *edoras.requests]
+        cfs.spawn(self._run(requests, cfs.profile.housekeeping_ns))
+        if edoras.wakeups:
+            cfs.spawn(self._run(list(edoras.wakeups), cfs.profile.wakeup_ns))
+
+    def _run(self, msg_ids: list[int], period_ns: int) -> Task:
+        cfs = self._cfs
+        due = cfs.scheduler.now + cfs.profile.housekeeping_ns
+        due -= min(SCHEDULE_LEAD_NS, cfs.profile.housekeeping_ns // 2)
+        while cfs.executive.run_loop(SCHEDULER):
+            yield SleepUntil(due)
+            for item in msg_ids:
+                cfs.publish(cfe.emit_command(item, 0), SCHEDULER)
+                yield Work(3 * MICROSECOND)
+            due += period_ns

@@ -7,16 +7,20 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from edoras_tools.addons.lab.emulator.messages import bus_id, whole_packet
+from edoras_tools.addons.lab.emulator.messages import bus_id, to_link, whole_packet
+from edoras_tools.addons.lab.emulator.scheduler import Sleep, Work
 from edoras_tools.addons.lab.emulator.services.events import Event
 from edoras_tools.cfs import software_bus
 from edoras_tools.cfs import telemetry_output as facts
+from edoras_tools.model import Endpoint
 from edoras_tools.wire import cfe
-from edoras_tools.wire.cfe import function_code_of
+from edoras_tools.wire.cfe import function_code_of, msg_id_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
+    from edoras_tools.addons.lab.emulator.cfs import Cfs
+    from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.addons.lab.emulator.services.software_bus import Pipe, SoftwareBus
     from edoras_tools.cfs.event_services import EventText
     from edoras_tools.cfs.profile import SimProfile
@@ -138,3 +142,44 @@ class TelemetryOutput:
 
 def _says(event: EventText, **values: object) -> Answer:
     return Answer((Event.of(event, **values),))
+
+
+class ToLab:
+    """Telemetry Output's task: a delay, then it sends everything in the pipe, then it reads its commands."""
+
+    def __init__(self, cfs: Cfs, telemetry: Sequence[int]) -> None:
+        self.output = TelemetryOutput(cfs.profile, cfs.bus)
+        self._cfs = cfs
+        cfs.executive.owns(pipe=facts.PIPE)
+        cfs.open_telemetry_socket()
+        cfs.events.register(facts.NAME, now=cfs.scheduler.now)
+        self._commands = cfs.create_pipe(facts.COMMAND_PIPE, facts.COMMAND_MSG_ID, facts.REQUEST_MSG_ID)
+        self.output.subscribe(telemetry)
+        cfs.say(facts.INITIALIZED, version="Emulated")
+        cfs.spawn(self._run())
+
+    def _run(self) -> Task:
+        cfs, profile, output = self._cfs, self._cfs.profile, self.output
+        while cfs.executive.run_loop(facts.NAME):
+            yield Sleep(profile.to_wake_ns)
+            more, data = output.forward()
+            while more:
+                if data is not None and output.destination is not None:
+                    ground = Endpoint(output.destination, profile.to_port)
+                    cfs.send(cfs.to_endpoint, ground, to_link(data, profile))
+                yield Work(profile.work_ns)
+                more, data = output.forward()
+            while (packet := self._commands.get()) is not None:
+                self._command(packet)
+                yield Work(profile.work_ns)
+
+    def _command(self, packet: bytes) -> None:
+        cfs, name = self._cfs, facts.NAME
+        if msg_id_of(packet) == facts.REQUEST_MSG_ID:
+            cfs.telemetry(facts.HOUSEKEEPING_MSG_ID, self.output.housekeeping(), name)
+            return
+        answer = self.output.command(packet)
+        for event in answer.events:
+            cfs.report(event)
+        if answer.publish:
+            cfs.telemetry(*answer.publish, name)

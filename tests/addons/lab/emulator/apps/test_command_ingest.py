@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edoras_tools.addons.lab.emulator.apps.command_ingest import CommandIngest
 from edoras_tools.addons.lab.emulator.messages import whole_packet
-from edoras_tools.addons.lab.emulator.services.command_ingest import CommandIngest
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.wire import cfe
 

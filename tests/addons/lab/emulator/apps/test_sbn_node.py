@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from msgspec.structs import replace
 
-from edoras_tools.addons.lab.emulator.services.sbn_node import Actions, SbnNode
+from edoras_tools.addons.lab.emulator.apps.sbn_node import Actions, SbnNode
 from edoras_tools.addons.lab.emulator.services.software_bus import SoftwareBus
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
 from edoras_tools.model import Peer

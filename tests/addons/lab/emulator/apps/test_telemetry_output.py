@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edoras_tools.addons.lab.emulator.apps.telemetry_output import TelemetryOutput
 from edoras_tools.addons.lab.emulator.services.software_bus import SoftwareBus
-from edoras_tools.addons.lab.emulator.services.telemetry_output import TelemetryOutput
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.wire import cfe
 
