@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -15,7 +16,7 @@ from textual.widgets import Input
 from textual.worker import get_current_worker
 
 from edoras_tools import doors
-from edoras_tools.addons.tui.data.feed import Feed, FilterThread, WatchThread
+from edoras_tools.addons.tui.data.feed import Feed, WatchThread
 from edoras_tools.addons.tui.data.figures import field_figure, rate_figure
 from edoras_tools.addons.tui.data.sort import sort_order
 from edoras_tools.addons.tui.lists.control_room import room_rows
@@ -141,9 +142,7 @@ class Viewer(Navigation):
         self._watch: WatchThread | None = None
         self._wireshark: list[subprocess.Popen[bytes]] = []
         bench.dissector.detail = True
-        self._filter_thread = FilterThread(
-            lambda where, block, rows: self._later(self._take_answer, where, block, rows)
-        )
+        self._filter_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="filter")
         self._feed = Feed(
             source,
             bench,
@@ -166,7 +165,6 @@ class Viewer(Navigation):
             for number in ENDING:
                 with suppress(NotImplementedError):  # this event loop has no signals, as on Windows
                     asyncio.get_running_loop().add_signal_handler(number, self.exit)
-        self._filter_thread.start()
         self._feed.start()
         if self._choice.selection.where:
             self.filter_line.accept(self._choice.selection.where, None)
@@ -174,7 +172,8 @@ class Viewer(Navigation):
     def on_unmount(self) -> None:
         """Stop the threads; a live source is read up to what has already arrived."""
         self._feed.stop()
-        self._filter_thread.stop()
+        self._where = None
+        self._filter_thread.shutdown(wait=False, cancel_futures=True)
         if self._watch is not None:
             self._watch.stop()
         for process in self._wireshark:
@@ -189,11 +188,17 @@ class Viewer(Navigation):
         if self._watch is not None:
             self._watch.put(block)
         dropped = self.store.append(block)
-        if self.store.filtered:
-            self._filter_thread.put(block)
+        if self._where is not None:
+            self._filter_thread.submit(self._filter, self._where, block)
         if first:
             self.packets.forget()
         self._more_rows(dropped)
+
+    def _filter(self, where: Where, block: PacketBlock) -> None:
+        """Run a filter on a block, in the thread for that; unless it was replaced meanwhile."""
+        if where is self._where:
+            rows = np.flatnonzero(where.mask(block.batch, block.columns))
+            self._later(self._take_answer, where, block, rows)
 
     def _take_answer(self, where: Where, block: PacketBlock, rows: NDArray[np.int64]) -> None:
         if where is not self._where:
@@ -326,7 +331,9 @@ class Viewer(Navigation):
         listed = Ledger(self._bench.mission, structs=self._decoding.structs)
         self.routes.count(listed if event.where else self.ledger)
         self.store.restart(filtered=event.where is not None)
-        self._filter_thread.begin(event.where, self.store.blocks)
+        if event.where is not None:
+            for block in self.store.blocks:
+                self._filter_thread.submit(self._filter, event.where, block)
         self.packets.forget()
         self._more_rows(0)
         self._update_lower()

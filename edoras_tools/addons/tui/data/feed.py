@@ -1,15 +1,10 @@
-"""The threads that read a source and decode its packets in blocks, and that run the filter on these.
-
-So the view stays responsive.
-"""
+"""The threads that read a source, decode its packets in blocks and judge these, so that the view goes on."""
 
 from __future__ import annotations
 
 import queue
 import threading
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from edoras_tools.addons.tui.data.store import PacketBlock
 from edoras_tools.errors import EdorasError
@@ -21,50 +16,9 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from numpy.typing import NDArray
-
-    from edoras_tools.decode.filters.filter import Where
     from edoras_tools.io import Source
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
-
-
-class FilterThread(threading.Thread):
-    """Runs a filter on blocks, in the order in which they are put.
-
-    Args:
-        settled: called with the filter, the block and its rows that pass, in this thread.
-    """
-
-    def __init__(self, settled: Callable[[Where, PacketBlock, NDArray[np.int64]], None]) -> None:
-        super().__init__(name="filter", daemon=True)
-        self._settled = settled
-        self._current: Where | None = None
-        self._blocks: queue.SimpleQueue[tuple[Where, PacketBlock] | None] = queue.SimpleQueue()
-
-    def begin(self, where: Where | None, blocks: Iterable[PacketBlock] = ()) -> None:
-        """Start again with another filter, or none; blocks that still wait for the old one are dropped."""
-        self._current = where
-        if where is not None:
-            for block in blocks:
-                self._blocks.put((where, block))
-
-    def put(self, block: PacketBlock) -> None:
-        """Add a block."""
-        if self._current is not None:
-            self._blocks.put((self._current, block))
-
-    def stop(self) -> None:
-        """End the thread."""
-        self._current = None
-        self._blocks.put(None)
-
-    def run(self) -> None:
-        """Filter blocks until stopped."""
-        while (task := self._blocks.get()) is not None:
-            where, block = task
-            if where is self._current:
-                self._settled(where, block, np.flatnonzero(where.mask(block.batch, block.columns)))
 
 
 class WatchThread(threading.Thread):
