@@ -111,7 +111,7 @@ def _export(
     if len(files) == 1 and is_cfe_file(files[0]):
         trace = doors.part("performance_trace")(files, path, force=table.force)
         if trace is not None:
-            tell_written(trace.summary(), printing)
+            tell_written(trace, printing)
             return
     target = ExportTarget.of(path, name=table.layout, folder=output.endswith("/"), force=table.force)
     target.check(files)

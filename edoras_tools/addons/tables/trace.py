@@ -5,47 +5,30 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-import msgspec
-
 from edoras_tools.errors import ConfigError
-from edoras_tools.io.formats.cfe.contents import CfeFile, marker_name, read_cfe_file
+from edoras_tools.io.formats.cfe.contents import marker_name, read_cfe_file
 from edoras_tools.io.outputs import check_new, write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from edoras_tools.io.formats.cfe.contents import CfeFile
+
 _MICROSECOND = 1000.0
 
 
-class TraceReport(msgspec.Struct, frozen=True):
-    """The result of writing a trace.
-
-    Attributes:
-        log: the performance log.
-        path: the trace.
-        spans: number of periods from an entry to its exit.
-    """
-
-    log: CfeFile
-    path: Path
-    spans: int
-
-    def summary(self) -> dict[str, Any]:
-        """Return the report in the shape of ``export --json``; unpaired markers are ``left_out``."""
-        assert self.log.markers is not None
-        file = {"path": str(self.path), "topic": self.log.kind, "type": "", "rows": self.spans}
-        left_out = len(self.log.markers) - 2 * self.spans
-        return {"source": str(self.log.path), "files": [file], "left_out": left_out, "warnings": []}
-
-
-def export_trace(files: Sequence[Path], path: Path, *, force: bool) -> TraceReport | None:
-    """Write the Trace Event Format's JSON of a performance log; return None if the input is something else.
+def export_trace(files: Sequence[Path], path: Path, *, force: bool) -> dict[str, Any] | None:
+    """Write the Trace Event Format's JSON of a performance log.
 
     Args:
         files: the input.
         path: a ``.json`` file.
         force: replace an existing one.
+
+    Returns:
+        The shape of ``export --json``, with unpaired markers as ``left_out``; None if the input is not such a
+        log.
 
     Raises:
         CaptureError: the log is damaged, or the trace cannot be written.
@@ -59,7 +42,10 @@ def export_trace(files: Sequence[Path], path: Path, *, force: bool) -> TraceRepo
     check_new(path, files, force=force)
     events = [*_events(log)]
     write_bytes(path, json.dumps({"traceEvents": events, "displayTimeUnit": "ns"}).encode(), folders=True)
-    return TraceReport(log, path, len(log.spans))
+    spans = len(log.spans)
+    file = {"path": str(path), "topic": log.kind, "type": "", "rows": spans}
+    left_out = len(log.markers) - 2 * spans
+    return {"source": str(log.path), "files": [file], "left_out": left_out, "warnings": []}
 
 
 def _events(log: CfeFile) -> Iterator[dict[str, Any]]:

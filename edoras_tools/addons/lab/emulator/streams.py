@@ -76,7 +76,7 @@ class PeerStreams:
         """
         if not self._simulation.cfs.is_listening(self._port):
             for opened in list(self._rest):
-                self._close(opened, self._peer_of(opened), now)
+                self._close(opened, now)
             return
         if not self._is_listening:
             self._is_listening = True
@@ -101,12 +101,12 @@ class PeerStreams:
         """Send a message to its peer; return 1, or 0 if there is no connection."""
         peer = self._by_place.get(item.destination)
         opened = self._open.get(peer) if peer else None
-        if opened is None or peer is None:
+        if opened is None:
             return 0
         try:
             opened.sendall(item.payload)
         except OSError:
-            self._close(opened, peer, item.time_ns)
+            self._close(opened, item.time_ns)
             return 0
         return 1
 
@@ -145,7 +145,7 @@ class PeerStreams:
             at += size
         self._rest[opened] = data[at:]
         if size == NOT_A_MESSAGE:
-            self._close(opened, peer, now)
+            self._close(opened, now)
 
     def _introduce(self, opened: socket.socket, message: bytes) -> Peer:
         """Identify the peer of a connection by its first message; the latest connection of a peer is used."""
@@ -155,14 +155,11 @@ class PeerStreams:
         self._selector.modify(opened, selectors.EVENT_READ, partial(self._receive, opened, peer))
         return peer
 
-    def _peer_of(self, opened: socket.socket) -> Peer | None:
-        return next((peer for peer, own in self._open.items() if own is opened), None)
-
-    def _close(self, opened: socket.socket, peer: Peer | None, now: int) -> None:
+    def _close(self, opened: socket.socket, now: int) -> None:
         self._selector.unregister(opened)
         del self._rest[opened]
         opened.close()
-        if peer is not None and self._open.get(peer) is opened:
+        for peer in [item for item, own in self._open.items() if own is opened]:
             del self._open[peer]
             if peer in self._peers:  # call it after the earlier messages, as the end of a stream is read last
                 end = sbn.emit(sbn.MsgType.DISCONNECT, peer)
