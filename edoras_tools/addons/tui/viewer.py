@@ -16,9 +16,10 @@ from textual.widgets import Input
 from textual.worker import get_current_worker
 
 from edoras_tools import doors
-from edoras_tools.addons.tui.data.feed import Feed, WatchThread
+from edoras_tools.addons.tui.data.feed import WatchThread
 from edoras_tools.addons.tui.data.figures import field_figure, rate_figure
 from edoras_tools.addons.tui.data.sort import sort_order
+from edoras_tools.addons.tui.data.store import PacketBlock
 from edoras_tools.addons.tui.lists.control_room import room_rows
 from edoras_tools.addons.tui.lists.drawings import Drawing, finding_rows, sum_rows
 from edoras_tools.addons.tui.lists.hex_pane import HexPane
@@ -33,9 +34,13 @@ from edoras_tools.errors import EdorasError
 from edoras_tools.io.outputs import ENDING
 from edoras_tools.links.table import among
 from edoras_tools.pipelines.capture.conversation import Conversation
+from edoras_tools.pipelines.capture.flushing import compact
 from edoras_tools.pipelines.capture.ledger import Ledger
+from edoras_tools.pipelines.reading import reading
+from edoras_tools.render import units
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     import subprocess
@@ -45,7 +50,7 @@ if TYPE_CHECKING:
     from rich.text import Text
     from textual.driver import Driver
 
-    from edoras_tools.addons.tui.data.store import PacketBlock, Part
+    from edoras_tools.addons.tui.data.store import Part
     from edoras_tools.decode.filters.filter import Where
     from edoras_tools.io import Source
     from edoras_tools.pipelines.workbench import Settings, Workbench
@@ -143,15 +148,8 @@ class Viewer(Navigation):
         self._wireshark: list[subprocess.Popen[bytes]] = []
         bench.dissector.detail = True
         self._filter_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="filter")
-        self._feed = Feed(
-            source,
-            bench,
-            replace(choice.selection, where=""),
-            deliver=lambda block: self._later(self._take, block),
-            ended=lambda why, failed: self._later(self._end, why, failed),
-            limits=choice.limits,
-            size=0 if self.live else choice.limit,
-        )
+        self._feed = threading.Thread(target=self._read, name="packets", daemon=True)
+        self._stopping = threading.Event()
 
     def get_driver_class(self) -> type[Driver]:
         """Return the terminal's driver, which also ends if the terminal was closed."""
@@ -171,7 +169,8 @@ class Viewer(Navigation):
 
     def on_unmount(self) -> None:
         """Stop the threads; a live source is read up to what has already arrived."""
-        self._feed.stop()
+        self._stopping.set()
+        self._source.stop()
         self._where = None
         self._filter_thread.shutdown(wait=False, cancel_futures=True)
         if self._watch is not None:
@@ -180,7 +179,39 @@ class Viewer(Navigation):
             # Wireshark may still run: with a return code, Popen does not warn about that.
             process.returncode = process.poll() or 0
 
-    # Called by the threads
+    # The thread that reads, and what the threads call
+
+    def _read(self) -> None:
+        """Read to the end of the source, or until stopped."""
+        why, failed = "", True
+        try:
+            why = self._read_blocks()
+            failed = False
+        except EdorasError as error:
+            why = str(error)
+        except Exception as error:  # noqa: BLE001  if the thread died silently, the link would look idle
+            why = f"reading stopped: {type(error).__name__}: {error}"
+        finally:
+            self._later(self._end, why, failed)
+
+    def _read_blocks(self) -> str:
+        """Read in blocks; return why reading ended early, if it did."""
+        count = size = 0
+        selection = replace(self._choice.selection, where="")  # the view filters
+        with reading(self._source, self._bench, selection, self._choice.limits) as loop:
+            for rows in loop:
+                if self._stopping.is_set():
+                    break
+                if len(rows):
+                    block = PacketBlock(*compact(*rows.alone()), begin_ns=rows.begin_ns)
+                    count, size = count + len(block), size + block.size
+                    self._later(self._take, block)
+                if not self.live and size >= self._choice.limit:  # of a live link the oldest are dropped
+                    return (
+                        f"only the first {plural(count, 'packet')} were read: the limit is "
+                        f"{units.size(size)}; select fewer with --link, --topic or --msg-id"
+                    )
+        return ""
 
     def _take(self, block: PacketBlock) -> None:
         first = not self.store.packets
