@@ -42,6 +42,7 @@ class CallScheduler:
         self._requests: SimpleQueue[tuple[Call, tuple[Any, ...]] | None] = SimpleQueue()
         self._due: list[tuple[int, int, int, Call]] = []
         self._numbers = count()
+        self._repeats = True
         self._thread = threading.Thread(target=self._run, name="demo nodes", daemon=True)
 
     def ask(self, call: Call, *arguments: Any) -> None:
@@ -55,6 +56,10 @@ class CallScheduler:
     def at(self, due_ns: int, call: Call) -> None:
         """Make a call once, at a monotonic time; before ``start``, or from the scheduler's thread."""
         self._put(due_ns, 0, call)
+
+    def cease(self) -> None:
+        """Make no more periodic calls; only from the scheduler's thread."""
+        self._repeats = False
 
     def start(self) -> None:
         """Start the thread."""
@@ -74,6 +79,8 @@ class CallScheduler:
             now = time.monotonic_ns()
             while self._due and self._due[0][0] <= now:
                 due_ns, _, period_ns, call = heapq.heappop(self._due)
+                if period_ns and not self._repeats:
+                    continue
                 if period_ns:
                     self._put(max(due_ns, now - _BEHIND_NS) + period_ns, period_ns, call)
                 call()
@@ -164,7 +171,6 @@ class GroundStation:
         self._others_ns = [-_GIVES_WAY_NS] * len(lanes)
         self._newest = [b""] * len(lanes)
         self._index = 0
-        self._quiet = False
         self._publish: list[Any] = []
 
     def join(self, graph: Graph) -> None:
@@ -183,13 +189,7 @@ class GroundStation:
         if self._rate_hz:
             self._scheduler.every(self._rate_hz, self._command)
 
-    def stop(self) -> None:
-        """Stop sending commands."""
-        self._quiet = True
-
     def _command(self) -> None:
-        if self._quiet:
-            return
         for robot, publish in enumerate(self._publish):
             now = time.monotonic_ns()
             if now - self._others_ns[robot] >= _GIVES_WAY_NS:
@@ -223,7 +223,6 @@ class RobotNode:
     ) -> None:
         self._lane, self._robot, self._types, self._scheduler = lane, robot, types, scheduler
         self._command, self._state = command, state
-        self._quiet = False
 
     def join(self, graph: Graph) -> None:
         """Subscribe and advertise in a graph.
@@ -242,10 +241,6 @@ class RobotNode:
         if rate_hz:
             self._scheduler.every(rate_hz, self._tell)
 
-    def stop(self) -> None:
-        """Stop publishing."""
-        self._quiet = True
-
     def _heard(self, cdr: bytes) -> None:
         self._command.arrive(cdr, time.monotonic_ns())
         self._scheduler.ask(self._obey, cdr)
@@ -256,10 +251,9 @@ class RobotNode:
             self._robot.obey(values, now=time.time_ns())
 
     def _tell(self) -> None:
-        if not self._quiet:
-            cdr = self._robot.state(now=time.time_ns())
-            self._state.begin(cdr, time.monotonic_ns())
-            self._publish(cdr)
+        cdr = self._robot.state(now=time.time_ns())
+        self._state.begin(cdr, time.monotonic_ns())
+        self._publish(cdr)
 
 
 class AppRobot:

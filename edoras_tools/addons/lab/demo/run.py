@@ -228,12 +228,11 @@ class Demo:
         self._scheduler.at(self._began_ns + _PATIENCE_NS, self._begin)
         if duration_ns:
             active_ns = max(duration_ns - _DRAIN_NS, duration_ns // 2)
-            self._scheduler.at(self._began_ns + active_ns, self._stop_commands)
+            self._scheduler.at(self._began_ns + active_ns, self._scheduler.cease)  # the last messages arrive
         self._scheduler.start()
         self._add_note("")
         self.bridges.run(duration_ns=duration_ns, watcher=self if watcher else None)
         self._elapsed_ns = time.monotonic_ns() - self._began_ns
-        self._stop_commands()
         self._scheduler.close()
 
     def update(self, _bridges: Bridges, /) -> None:
@@ -370,12 +369,6 @@ class Demo:
             self.station.start()
             for robot in self.robots:
                 robot.start(STATE_HZ if self.plan.state_hz is None else self.plan.state_hz)
-
-    def _stop_commands(self) -> None:
-        """Stop all nodes, so that the last messages can arrive."""
-        self.station.stop()
-        for robot in self.robots:
-            robot.stop()
 
     def _event(self, _time_ns: int, text: str) -> None:
         self.events.append(text)

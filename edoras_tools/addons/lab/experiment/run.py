@@ -63,46 +63,33 @@ AFTER_COMMANDS_NS: Final = 4 * SECOND
 PLAN, REPORT = "plan.json", "report.json"
 
 
-class CellReport:
-    """The results of a cell.
+def cell_report(cell: Cell, runs: Sequence[Mapping[str, Any]], width: float) -> dict[str, Any]:
+    """Return the results of a cell, in the shape of ``experiment --json``.
 
     Args:
         cell: scenario and settings.
         runs: ``topics`` of each run, by name: ``sent``, ``lost``, ``rate_hz`` and ``delay_ms``.
         width: required precision of the loss; 0: none.
-
-    Attributes:
-        topics: intervals of the means: loss as a share, rate in Hz, delay in ms.
     """
+    names = dict.fromkeys(name for run in runs for name in run["topics"])
+    topics = [_topic(name, [run["topics"][name] for run in runs if name in run["topics"]]) for name in names]
+    losses = [item["loss"] for item in topics if item["loss"]]
+    return {
+        "cell": cell.name,
+        "scenario": cell.scenario or None,
+        "settings": dict(cell.settings),
+        "runs": len(runs),
+        "known": all(item["high"] - item["low"] <= 2 * width for item in losses) if width else None,
+        "topics": topics,
+    }
 
-    def __init__(self, cell: Cell, runs: Sequence[Mapping[str, Any]], width: float) -> None:
-        self.cell, self.runs, self.width = cell, runs, width
-        names = dict.fromkeys(name for run in runs for name in run["topics"])
-        self.topics = [self._topic(name) for name in names]
 
-    def _topic(self, name: str) -> dict[str, Any]:
-        own = [run["topics"][name] for run in self.runs if name in run["topics"]]
-        sent = [item["sent"] for item in own if item["sent"]]
-        loss = [item["lost"] / item["sent"] for item in own if item["sent"]]
-        row: dict[str, Any] = {"topic": name, "loss": _interval(loss, 1 / min(sent, default=1), most=1.0)}
-        return row | {key: _interval([item[key] for item in own]) for key in ("rate_hz", "delay_ms")}
-
-    @property
-    def is_known(self) -> bool:
-        """Whether the loss of every topic is precise enough."""
-        losses = [item["loss"] for item in self.topics if item["loss"]]
-        return bool(self.width) and all(item["high"] - item["low"] <= 2 * self.width for item in losses)
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the report in the shape of ``experiment --json``."""
-        return {
-            "cell": self.cell.name,
-            "scenario": self.cell.scenario or None,
-            "settings": dict(self.cell.settings),
-            "runs": len(self.runs),
-            "known": self.is_known if self.width else None,
-            "topics": self.topics,
-        }
+def _topic(name: str, figures: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the intervals of a topic's means: loss as a share, rate in Hz, delay in ms."""
+    sent = [item["sent"] for item in figures if item["sent"]]
+    loss = [item["lost"] / item["sent"] for item in figures if item["sent"]]
+    row: dict[str, Any] = {"topic": name, "loss": _interval(loss, 1 / min(sent, default=1), most=1.0)}
+    return row | {key: _interval([item[key] for item in figures]) for key in ("rate_hz", "delay_ms")}
 
 
 def _interval(
@@ -150,19 +137,20 @@ class Experiment:
         """
         reports = []
         for index, (name, bench) in enumerate(self.benches.items()):
-            report = CellReport(bench.cell, [], self.plan.width)
-            while len(report.runs) < self.plan.most:
-                if len(report.runs) >= self.plan.least and (not self.plan.width or report.is_known):
+            runs: list[dict[str, Any]] = []
+            report = cell_report(bench.cell, runs, self.plan.width)
+            while len(runs) < self.plan.most:
+                if len(runs) >= self.plan.least and report["known"] is not False:
                     break
-                number = len(report.runs) + 1
+                number = len(runs) + 1
                 path = self.folder / name / f"{number:03}.mcap"
                 result = path.with_suffix(".json")
                 if not result.exists():
                     on_run(f"{name}, run {number}")
                     write_bytes(result, json.dumps(bench.run(path, index, number)).encode(), folders=True)
-                runs = [*report.runs, json.loads(result.read_text())]
-                report = CellReport(bench.cell, runs, self.plan.width)
-            reports.append(report.as_json())
+                runs.append(json.loads(result.read_text()))
+                report = cell_report(bench.cell, runs, self.plan.width)
+            reports.append(report)
         whole = {"schema": 1, "folder": str(self.folder), "cells": reports}
         write_bytes(self.folder / REPORT, json.dumps(whole, indent=1).encode())
         return whole

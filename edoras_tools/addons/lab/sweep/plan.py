@@ -15,7 +15,7 @@ from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import is_loopback
 from edoras_tools.links.table import carrying
 from edoras_tools.mission import Mission, Route
-from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver, SendOptions, check_allowed, names_of
+from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver, SendOptions, check_allowed
 from edoras_tools.pipelines.sending.topics import Encoder
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.units import SECOND
@@ -211,7 +211,9 @@ def route_of(name: str, link: Link | None, mission: Mission) -> Route:
         item
         for item in mission.routes
         if (link is None or item.link is link)
-        and (number == item.msg_id if number else name in names_of(item.msg_id, mission) and _is(name, item))
+        and (
+            number == item.msg_id if number else name in {item.topic, item.topic.removeprefix("/"), item.key}
+        )
     ]
     if len(routes) == 1:
         return routes[0]
@@ -226,10 +228,6 @@ def route_of(name: str, link: Link | None, mission: Mission) -> Route:
         f"{route.topic} uses {route.link.label}, not {link.label if link else 'this link'}; "
         "leave --to out, or name the route by its MsgId"
     )
-
-
-def _is(name: str, route: Route) -> bool:
-    return name in {route.topic, route.topic.removeprefix("/"), route.key}
 
 
 def command_receiver(link: Link) -> Receiver:
