@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 import msgspec
 import numpy as np
 
+from edoras_tools.wire.arrays.window import PADDING
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -101,6 +103,18 @@ class Framing:
     def length(self, data: memoryview, at: int, end: int) -> int:
         """Return the same as ``lengths`` for one position; override it if that is faster."""
         return int(self.lengths(np.frombuffer(data, np.uint8), np.array([at], np.int64), end)[0])
+
+    def cut(self, data: bytes) -> tuple[list[bytes], bytes, bool]:
+        """Return the complete messages at the start of a stream, the rest, and whether that is no message."""
+        messages: list[bytes] = []
+        at, size, padded = 0, NOT_YET, memoryview(data + bytes(PADDING))
+        while at < len(data):
+            size = self.length(padded, at, len(data))
+            if size <= 0 or at + size > len(data):
+                break
+            messages.append(data[at : at + size])
+            at += size
+        return messages, data[at:], size == NOT_A_MESSAGE
 
     def likely(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Mask:
         """Return where a message probably starts, bool (n,): used to find the first one after missing bytes.

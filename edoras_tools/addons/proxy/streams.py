@@ -28,9 +28,7 @@ import msgspec
 from edoras_tools.addons.proxy.stream_faults import StreamFaults
 from edoras_tools.errors import os_errors
 from edoras_tools.io.net.sockets import local_endpoint
-from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET
 from edoras_tools.links.table import protocol
-from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from edoras_tools.addons.proxy.plan import ProxyPlan
@@ -297,9 +295,8 @@ class StreamProxy:
         framing = protocol(self._plan.link).framing
         if framing is None or pipe.size > framing.largest:
             return bool(pipe.waiting)
-        data = b"".join(piece for _, piece in pipe.waiting)
-        length = framing.length(memoryview(data + bytes(PADDING)), 0, len(data)) if data else NOT_YET
-        return length == NOT_A_MESSAGE or 0 < length <= len(data)
+        messages, _, is_foreign = framing.cut(b"".join(piece for _, piece in pipe.waiting))
+        return bool(messages) or is_foreign
 
     def _watch(self, connection: _Connection) -> None:
         """Wait for a source if there is space and it sends, and for a target if it is full."""

@@ -17,14 +17,13 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.sockets import local_endpoint
 from edoras_tools.io.net.transmit import SendStatistics
-from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing
-from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from typing_extensions import Self
 
+    from edoras_tools.links.framing import Framing
     from edoras_tools.model import Endpoint
 
 ANSWER_WITHIN_S: Final = 5.0
@@ -106,19 +105,10 @@ class StreamTransmitter:
             raise self._broken(error) from error
         if not more:
             raise CaptureError(f"{self._name}: closed the connection after {self.statistics.sent:,} messages")
-        self._rest += more
-        answers: list[tuple[bytes, Endpoint]] = []
-        at, end, padded = 0, len(self._rest), memoryview(self._rest + bytes(PADDING))
-        while at < end:
-            size = self._framing.length(padded, at, end)
-            if size == NOT_A_MESSAGE:
-                raise CaptureError(f"{self._name}: sends another protocol; name the target with --target")
-            if size == NOT_YET or at + size > end:
-                break
-            answers.append((self._rest[at : at + size], self.target))
-            at += size
-        self._rest = self._rest[at:]
-        return answers
+        messages, self._rest, is_foreign = self._framing.cut(self._rest + more)
+        if is_foreign:
+            raise CaptureError(f"{self._name}: sends another protocol; name the target with --target")
+        return [(message, self.target) for message in messages]
 
     def _send(self, octets: bytes | memoryview, count: int) -> int:
         try:

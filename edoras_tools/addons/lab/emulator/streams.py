@@ -16,12 +16,10 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.sockets import bind
-from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from edoras_tools.addons.lab.emulator.simulation import Simulation, WireDatagram
@@ -134,17 +132,12 @@ class PeerStreams:
             more = opened.recv(_AT_ONCE)
         except OSError:
             more = b""
-        data = self._rest[opened] + more
-        at, padded = 0, memoryview(data + bytes(PADDING))
-        size = NOT_A_MESSAGE if not more else NOT_YET
-        while more and (size := SBN.framing.length(padded, at, len(data))) > 0 and at + size <= len(data):
-            message = data[at : at + size]
+        messages, self._rest[opened], is_foreign = SBN.framing.cut(self._rest[opened] + more)
+        for message in messages:
             if peer is None:
                 peer = self._introduce(opened, message)
             self._simulation.feed(now, self._simulation.cfs.sbn_endpoint, message)
-            at += size
-        self._rest[opened] = data[at:]
-        if size == NOT_A_MESSAGE:
+        if is_foreign or not more:
             self._close(opened, now)
 
     def _introduce(self, opened: socket.socket, message: bytes) -> Peer:
