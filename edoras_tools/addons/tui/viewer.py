@@ -450,7 +450,9 @@ class Viewer(Navigation):
         """Rebuild the view of the lower half from the packets of the list."""
         listed = self.routes.ledger
         if self._view == "room":
-            self._show_room()
+            assert self._watch is not None
+            state, live = self._watch.state(), self.live and self.reading
+            self.room.show(lambda width: room_rows(state, width, self.console, live=live))
         elif self._view == "findings":
             self.findings.show(lambda width: finding_rows(listed.findings, width))
         elif self._view == "sums":
@@ -469,11 +471,6 @@ class Viewer(Navigation):
             self._wireshark.remove(process)
             if process.returncode:
                 self._notice(f"Wireshark ended with exit code {process.returncode}", Level.WARNING)
-
-    def _show_room(self) -> None:
-        assert self._watch is not None
-        state = self._watch.state()
-        self.room.show(lambda width: room_rows(state, width, self.console, live=self.live and self.reading))
 
     @work(thread=True, exclusive=True, group="view")
     def _build(self, view: str, every: bool) -> None:

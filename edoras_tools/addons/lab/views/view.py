@@ -296,31 +296,26 @@ def _arrived(row: Mapping[str, Any]) -> Text:
     return Text(units.count(row["arrived"] + row["of_others"]), palette.STRONG)
 
 
-def _now(name: str) -> Any:
-    def cell(row: Mapping[str, Any]) -> Text:
-        return Text(units.rate(row[name]).removesuffix(" Hz"), "" if row[name] else palette.DIM)
-
-    return cell
+def _hertz(value: float | None) -> Text:
+    return Text(units.rate(value).removesuffix(" Hz"), "" if value else palette.DIM)
 
 
 def _latency(name: str, percent: str) -> Any:
-    def cell(row: Mapping[str, Any]) -> Text:
-        value = row[name][percent]
-        return Text(units.milliseconds(None if value is None else value / 1000))
-
-    return cell
+    return lambda row: Text(
+        units.milliseconds(None if row[name][percent] is None else row[name][percent] / 1000)
+    )
 
 
 _COLUMNS: Final = (
     Column("", lambda row: Text(row["leg"], palette.DIM), justify="left", rank=3),
     Column("Topic", _way, justify="left", elastic=True),
     Column("Said", figure("said")),
-    Column("in Hz", _now("in"), rank=1),
+    Column("in Hz", lambda row: _hertz(row["in"]), rank=1),
     Column("Held", figure("held"), rank=2),
     Column("Lost", _lost),
     Column("Replaced", figure("replaced"), rank=2),
     Column("Arrived", _arrived),
-    Column("out Hz", _now("out"), rank=1),
+    Column("out Hz", lambda row: _hertz(row["out"]), rank=1),
     Column("p50", _latency("latency_us", "p50"), rank=1),
     Column("p99", _latency("latency_us", "p99"), rank=2),
     Column("added p50", _latency("added_us", "p50"), rank=1),
