@@ -36,13 +36,11 @@ class Tour(msgspec.Struct, frozen=True):
         live: the recording of the live link.
         real: recording of the sample capture, which was made on a running cFS.
         folder: folder with the recordings, the missions and the Foxglove layout.
-        captured: whether the link was captured; if not, it ran in simulated time.
     """
 
     live: CaptureReport
     real: CaptureReport
     folder: Path
-    captured: bool
 
 
 def unpack(folder: Path, *, replace: bool = False) -> tuple[Path, Path]:
@@ -115,7 +113,7 @@ def tour(
         report = record(source, bench, live, limits=limits, tap=tap)
     rover = Settings((missions / "rover_ground.yaml",)).workbench()
     real = record(open_files([capture]), rover, recording)
-    return Tour(report, real, folder, captured)
+    return Tour(report, real, folder)
 
 
 def _source(

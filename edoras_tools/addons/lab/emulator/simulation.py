@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.addons.lab.emulator.apps.command_ingest import CiLab
-from edoras_tools.addons.lab.emulator.apps.core import SCHEDULER, SchLab, start_core
+from edoras_tools.addons.lab.emulator.apps.core import SCHEDULER, start_core, start_scheduler
 from edoras_tools.addons.lab.emulator.apps.edoras import EdorasApp, SingleRobotApp, TwoRobotApp
 from edoras_tools.addons.lab.emulator.apps.generator import Generator
 from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnApp
-from edoras_tools.addons.lab.emulator.apps.telemetry_output import ToLab
+from edoras_tools.addons.lab.emulator.apps.telemetry_output import start_output
 from edoras_tools.addons.lab.emulator.bridges import FlightBridge, GroundBridge
 from edoras_tools.addons.lab.emulator.cfs import Cfs
 from edoras_tools.addons.lab.emulator.robots import robot_of
@@ -53,10 +53,10 @@ class Apps:
         for name, file, begin in (
             (sbn.NAME, "sbn", self._sbn),
             (command_ingest.NAME, "ci_lab", self._ci),
-            (telemetry_output.NAME, "to_lab", lambda: ToLab(cfs, self.edoras.telemetry)),
+            (telemetry_output.NAME, "to_lab", lambda: start_output(cfs, self.edoras.telemetry)),
             (edoras_app.NAME, "edoras_app", lambda: self.edoras.start(cfs)),
             *[(generator.NAME, "edoras_gen", lambda: Generator(cfs))] * bool(cfs.profile.generator_msg_id),
-            (SCHEDULER, "sch_lab", lambda: SchLab(cfs, self.edoras)),
+            (SCHEDULER, "sch_lab", lambda: start_scheduler(cfs, self.edoras)),
         ):
             cfs.executive.load(name, f"/cf/{file}.so", begin)
 

@@ -30,7 +30,7 @@ from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from edoras_tools.addons.lab.emulator.apps.edoras import EdorasApp
     from edoras_tools.addons.lab.emulator.scheduler import Task
@@ -198,24 +198,21 @@ SCHEDULE_LEAD_NS: Final = 17 * MILLISECOND
 """Time by which the first housekeeping request comes before a whole period after start, as captured."""
 
 
-class SchLab:
-    """The scheduler's tasks: housekeeping requests, and the wake-ups that applications request."""
+def start_scheduler(cfs: Cfs, edoras: EdorasApp) -> None:
+    """Start SCH_LAB: it sends housekeeping requests, and the wake-ups that applications request."""
+    requests = [item.request for item in CORE]
+    requests += [command_ingest.REQUEST_MSG_ID, telemetry_output.REQUEST_MSG_ID, *edoras.requests]
+    cfs.spawn(_ask(cfs, requests, cfs.profile.housekeeping_ns))
+    if edoras.wakeups:
+        cfs.spawn(_ask(cfs, edoras.wakeups, cfs.profile.wakeup_ns))
 
-    def __init__(self, cfs: Cfs, edoras: EdorasApp) -> None:
-        self._cfs = cfs
-        requests = [item.request for item in CORE]
-        requests += [command_ingest.REQUEST_MSG_ID, telemetry_output.REQUEST_MSG_ID, *edoras.requests]
-        cfs.spawn(self._run(requests, cfs.profile.housekeeping_ns))
-        if edoras.wakeups:
-            cfs.spawn(self._run(list(edoras.wakeups), cfs.profile.wakeup_ns))
 
-    def _run(self, msg_ids: list[int], period_ns: int) -> Task:
-        cfs = self._cfs
-        due = cfs.scheduler.now + cfs.profile.housekeeping_ns
-        due -= min(SCHEDULE_LEAD_NS, cfs.profile.housekeeping_ns // 2)
-        while cfs.executive.run_loop(SCHEDULER):
-            yield SleepUntil(due)
-            for item in msg_ids:
-                cfs.publish(cfe.emit_command(item, 0), SCHEDULER)
-                yield Work(3 * MICROSECOND)
-            due += period_ns
+def _ask(cfs: Cfs, msg_ids: Sequence[int], period_ns: int) -> Task:
+    due = cfs.scheduler.now + cfs.profile.housekeeping_ns
+    due -= min(SCHEDULE_LEAD_NS, cfs.profile.housekeeping_ns // 2)
+    while cfs.executive.run_loop(SCHEDULER):
+        yield SleepUntil(due)
+        for item in msg_ids:
+            cfs.publish(cfe.emit_command(item, 0), SCHEDULER)
+            yield Work(3 * MICROSECOND)
+        due += period_ns

@@ -144,42 +144,45 @@ def _says(event: EventText, **values: object) -> Answer:
     return Answer((Event.of(event, **values),))
 
 
-class ToLab:
-    """Telemetry Output's task: a delay, then it sends everything in the pipe, then it reads its commands."""
+def start_output(cfs: Cfs, telemetry: Sequence[int]) -> None:
+    """Start Telemetry Output's task.
 
-    def __init__(self, cfs: Cfs, telemetry: Sequence[int]) -> None:
-        self.output = TelemetryOutput(cfs.profile, cfs.bus)
-        self._cfs = cfs
-        cfs.executive.owns(pipe=facts.PIPE)
-        cfs.open_telemetry_socket()
-        cfs.events.register(facts.NAME, now=cfs.scheduler.now)
-        self._commands = cfs.create_pipe(facts.COMMAND_PIPE, facts.COMMAND_MSG_ID, facts.REQUEST_MSG_ID)
-        self.output.subscribe(telemetry)
-        cfs.say(facts.INITIALIZED, version="Emulated")
-        cfs.spawn(self._run())
+    Args:
+        telemetry: MsgIds that go to the ground, besides those of the table.
+    """
+    output = TelemetryOutput(cfs.profile, cfs.bus)
+    cfs.executive.owns(pipe=facts.PIPE)
+    cfs.open_telemetry_socket()
+    cfs.events.register(facts.NAME, now=cfs.scheduler.now)
+    commands = cfs.create_pipe(facts.COMMAND_PIPE, facts.COMMAND_MSG_ID, facts.REQUEST_MSG_ID)
+    output.subscribe(telemetry)
+    cfs.say(facts.INITIALIZED, version="Emulated")
+    cfs.spawn(_run(cfs, output, commands))
 
-    def _run(self) -> Task:
-        cfs, profile, output = self._cfs, self._cfs.profile, self.output
-        while cfs.executive.run_loop(facts.NAME):
-            yield Sleep(profile.to_wake_ns)
+
+def _run(cfs: Cfs, output: TelemetryOutput, commands: Pipe) -> Task:
+    """Wait for a time, send everything in the pipe, read the commands, and again."""
+    profile = cfs.profile
+    while cfs.executive.run_loop(facts.NAME):
+        yield Sleep(profile.to_wake_ns)
+        more, data = output.forward()
+        while more:
+            if data is not None and output.destination is not None:
+                ground = Endpoint(output.destination, profile.to_port)
+                cfs.send(cfs.to_endpoint, ground, to_link(data, profile))
+            yield Work(profile.work_ns)
             more, data = output.forward()
-            while more:
-                if data is not None and output.destination is not None:
-                    ground = Endpoint(output.destination, profile.to_port)
-                    cfs.send(cfs.to_endpoint, ground, to_link(data, profile))
-                yield Work(profile.work_ns)
-                more, data = output.forward()
-            while (packet := self._commands.get()) is not None:
-                self._command(packet)
-                yield Work(profile.work_ns)
+        while (packet := commands.get()) is not None:
+            _command(cfs, output, packet)
+            yield Work(profile.work_ns)
 
-    def _command(self, packet: bytes) -> None:
-        cfs, name = self._cfs, facts.NAME
-        if msg_id_of(packet) == facts.REQUEST_MSG_ID:
-            cfs.telemetry(facts.HOUSEKEEPING_MSG_ID, self.output.housekeeping(), name)
-            return
-        answer = self.output.command(packet)
-        for event in answer.events:
-            cfs.report(event)
-        if answer.publish:
-            cfs.telemetry(*answer.publish, name)
+
+def _command(cfs: Cfs, output: TelemetryOutput, packet: bytes) -> None:
+    if msg_id_of(packet) == facts.REQUEST_MSG_ID:
+        cfs.telemetry(facts.HOUSEKEEPING_MSG_ID, output.housekeeping(), facts.NAME)
+        return
+    answer = output.command(packet)
+    for event in answer.events:
+        cfs.report(event)
+    if answer.publish:
+        cfs.telemetry(*answer.publish, facts.NAME)

@@ -86,16 +86,12 @@ class EventServices:
     Attributes:
         applications: registered applications, in order.
         sent: events that were sent, of all applications.
-        commands: accepted ground commands.
-        command_errors: refused ground commands.
     """
 
     def __init__(self, profile: SimProfile) -> None:
         self.profile = profile
         self.applications: dict[str, Application] = {}
         self.sent = 0
-        self.commands = 0
-        self.command_errors = 0
 
     def register(self, name: str, *, now: int, stop_after: Mapping[int, int] | None = None) -> None:
         """Register an application with its filters.
