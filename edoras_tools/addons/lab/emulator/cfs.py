@@ -131,11 +131,6 @@ class Cfs:
             self._to_sockets += 1
             self.to_endpoint = Endpoint(self.profile.address, ANY_PORT + self._to_sockets)
 
-    @property
-    def endpoints(self) -> tuple[Endpoint, ...]:
-        """The sockets: Command Ingest, SBN, and the source of telemetry."""
-        return self.ci_endpoint, self.sbn_endpoint, self.to_endpoint
-
     def receive_datagram(self, destination: Endpoint, data: bytes) -> None:
         """Process a datagram now; it is dropped if no application listens on its port."""
         receive = self._listening.get(destination.port)

@@ -189,7 +189,7 @@ class Simulation:
         parts = [item.endpoint for item in (self.ground, self.flight) if item is not None]
         if parts and (port := self.cfs.profile.robot_port):
             parts.append(Endpoint(self.cfs.profile.address, port))
-        return *self.cfs.endpoints, *parts
+        return self.cfs.ci_endpoint, self.cfs.sbn_endpoint, self.cfs.to_endpoint, *parts
 
     def deliver(self, destination: Endpoint, data: bytes) -> None:
         """Pass a datagram now to the part that listens at a port."""

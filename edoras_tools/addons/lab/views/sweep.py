@@ -1,4 +1,4 @@
-"""The result of a sweep: its steps, a chart, and the limit."""
+"""The result of a sweep: its steps, a chart, and the limit; and of an experiment: a row for each setting."""
 
 from __future__ import annotations
 
@@ -157,3 +157,36 @@ def _steps(steps: list[Mapping[str, Any]], width: int) -> Table:
         Column("At", lambda step: plain(step["hop"] or ""), justify="left", elastic=True),
     )
     return build(columns, steps, width)
+
+
+def cells_table(report: Mapping[str, Any], width: int) -> RenderableType:
+    """Return a row for each cell and topic.
+
+    Args:
+        report: in the shape of ``experiment --json``.
+    """
+    rows = [{**cell, **topic} for cell in report["cells"] for topic in cell["topics"]]
+    columns = (
+        Column("Setting", lambda row: plain(row["cell"]), justify="left", elastic=True),
+        Column("Runs", lambda row: plain(row["runs"])),
+        Column("Topic", lambda row: plain(row["topic"]), justify="left"),
+        Column("Lost", _interval_of("loss", lambda value: f"{value:.2%}")),
+        Column("Hz", _interval_of("rate_hz", lambda value: f"{value:.3g}"), rank=2),
+        Column("Delay", _interval_of("delay_ms", units.milliseconds), rank=1),
+    )
+    table = build(columns, rows, width, apart=lambda row: row["cell"])
+    end = (
+        f"Mean of the runs, and in which interval the mean of all possible ones is (95 %). {report['folder']}"
+    )
+    return Group(table, Text(), plain(end, palette.DIM))
+
+
+def _interval_of(name: str, text: Callable[[float], str]) -> Callable[[Mapping[str, Any]], Text]:
+    def cell(row: Mapping[str, Any]) -> Text:
+        interval = row[name]
+        if interval is None:
+            return plain(units.NONE)
+        mean, low, high = (text(interval[key]) for key in ("mean", "low", "high"))
+        return plain(mean if low == high else f"{mean} ({low} to {high})")
+
+    return cell
