@@ -123,8 +123,8 @@ def _tour(output: Path | None, duration: int | None, *, force: bool) -> None:
         raise ConfigError(f"{folder}: not an empty folder; name a new one, or --force replaces a tour in it")
     guide = Guide(sys.stdout, detect_terminal(sys.stdout))
     guide.begin(seconds, folder)
-    result = tour(folder, seconds, show=guide.packet, notice=guide.notice, replace=force)
-    guide.end(result.live.summary(), result.real.summary(), result.folder)
+    live, real = tour(folder, seconds, show=guide.packet, notice=guide.notice, replace=force)
+    guide.end(live.summary(), real.summary(), folder)
 
 
 def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> None:

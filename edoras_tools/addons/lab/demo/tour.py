@@ -8,8 +8,6 @@ from pathlib import Path
 from time import time_ns
 from typing import TYPE_CHECKING, Final
 
-import msgspec
-
 from edoras_tools.addons.lab.emulator import BOOT_NS, Served, Simulation
 from edoras_tools.addons.lab.emulator.source import SimulatedSource
 from edoras_tools.errors import CaptureError
@@ -27,20 +25,6 @@ if TYPE_CHECKING:
 
 SAMPLES: Final = files("edoras_tools.samples")
 _COMMAND_RATE_HZ: Final = 10.0
-
-
-class Tour(msgspec.Struct, frozen=True):
-    """The results of the tour.
-
-    Attributes:
-        live: the recording of the live link.
-        real: recording of the sample capture, which was made on a running cFS.
-        folder: folder with the recordings, the missions and the Foxglove layout.
-    """
-
-    live: CaptureReport
-    real: CaptureReport
-    folder: Path
 
 
 def unpack(folder: Path, *, replace: bool = False) -> tuple[Path, Path]:
@@ -76,8 +60,8 @@ def tour(
     show: Callable[[Decoded], None],
     notice: Callable[[str], None],
     replace: bool = False,
-) -> Tour:
-    """Run the tour.
+) -> tuple[CaptureReport, CaptureReport]:
+    """Run the tour; return the reports of the live link's recording, and of the sample capture's.
 
     Args:
         show: called with every packet of the live link.
@@ -102,26 +86,26 @@ def tour(
         state_rate_hz=_COMMAND_RATE_HZ,
     ).boot()
     duration_ns = int(seconds * 1e9)
-    source, captured = _source(simulation, duration_ns, bench, notice)
+    source = _source(simulation, duration_ns, bench, notice)
 
     def tap(batch: PacketBatch, _columns: Columns) -> None:
         for row in range(len(batch)):
             show(bench.dissector.dissect(batch[row]))
 
-    with Served(simulation) if captured else nullcontext():
+    with Served(simulation) if source.live else nullcontext():
         limits = Limits(duration_ns=duration_ns)
         report = record(source, bench, live, limits=limits, tap=tap)
     rover = Settings((missions / "rover_ground.yaml",)).workbench()
     real = record(open_files([capture]), rover, recording)
-    return Tour(report, real, folder)
+    return report, real
 
 
 def _source(
     simulation: Simulation, duration_ns: int, bench: Workbench, notice: Callable[[str], None]
-) -> tuple[Source, bool]:
+) -> Source:
     try:
-        return open_live("lo", bench.columns.context.capture_ports()), True
+        return open_live("lo", bench.columns.context.capture_ports())
     except CaptureError as error:
         notice(f"{error}")
         notice("therefore the same link runs in simulated time")
-        return SimulatedSource(simulation, duration_ns), False
+        return SimulatedSource(simulation, duration_ns)

@@ -69,17 +69,14 @@ if TYPE_CHECKING:
     Task = Generator[Receive | Sleep | SleepUntil | Work, Any, None]
 
 
-class Running:
+class Running(msgspec.Struct, eq=False):
     """A task and its request to wait. A time-out whose ``ticket`` is old is ignored."""
 
-    __slots__ = ("is_done", "steps", "ticket", "value", "waits_on")
-
-    def __init__(self, steps: Task) -> None:
-        self.steps = steps
-        self.waits_on: Waitable | None = None
-        self.ticket = 0
-        self.value: Any = None
-        self.is_done = False
+    steps: Task
+    waits_on: Waitable | None = None
+    ticket: int = 0
+    value: Any = None
+    is_done: bool = False
 
 
 def _nothing() -> Task:
