@@ -6,6 +6,8 @@ import json
 import os
 import re
 import time
+from contextlib import contextmanager
+from functools import partial
 from itertools import count
 from threading import Lock, RLock
 from typing import TYPE_CHECKING, Any, Final
@@ -69,17 +71,18 @@ def session_config(options: Mapping[str, str]) -> zenoh.Config:
     Raises:
         ConfigError: an option, a file or a value that cannot be honoured.
     """
-    check_options(options)
+    mistakes = unknown_options("zenoh", options, _OPTIONS)
+    mode = options.get("mode", _MODES[0])
+    if mode not in _MODES:
+        mistakes.append(f"zenoh: mode {mode!r} does not exist; write {' or '.join(_MODES)}")
+    if mistakes:
+        raise ConfigError(*mistakes)
     file = options.get("config") or os.environ.get(_CONFIG_FILE)
-    try:
+    with _zenoh_errors(f"{file}: no configuration of a Zenoh session"):
         config = zenoh.Config.from_file(file) if file else zenoh.Config()
-    except zenoh.ZError as error:
-        raise ConfigError(f"{file}: no configuration of a Zenoh session: {reason(error)}") from error
     for source, key, value in _settings(options, defaults=not file):
-        try:
+        with _zenoh_errors(f"{source}: {key} cannot be {value}"):
             config.insert_json5(key, value)
-        except zenoh.ZError as error:
-            raise ConfigError(f"{source}: {key} cannot be {value}: {reason(error)}") from error
     return config
 
 
@@ -117,25 +120,15 @@ def _mode(config: zenoh.Config) -> str:
     return str(json.loads(config.get_json("mode")) or _MODES[0])
 
 
-def check_options(options: Mapping[str, str]) -> None:
-    """Reject options that do not exist here.
-
-    Raises:
-        ConfigError: the options have mistakes; all are listed.
-    """
-    mistakes = unknown_options("zenoh", options, _OPTIONS)
-    mode = options.get("mode", _MODES[0])
-    if mode not in _MODES:
-        mistakes.append(f"zenoh: mode {mode!r} does not exist; write {' or '.join(_MODES)}")
-    if mistakes:
-        raise ConfigError(*mistakes)
-
-
-def reason(error: Exception) -> str:
-    """Return Zenoh's own text of an error in one line, without positions in its source files."""
-    text = _PLACE.sub("", str(error))
-    inner = _INNER.search(text)
-    return (inner[1] if inner else text).strip(" .!")
+@contextmanager
+def _zenoh_errors(what: str, remedy: str = "") -> Iterator[None]:
+    """Report an error of Zenoh as a ``ConfigError``: one line, without positions in its source files."""
+    try:
+        yield
+    except zenoh.ZError as error:
+        text = _PLACE.sub("", str(error))
+        inner = _INNER.search(text)
+        raise ConfigError(f"{what}: {(inner[1] if inner else text).strip(' .!')}{remedy}") from error
 
 
 def _settings(options: Mapping[str, str], *, defaults: bool) -> Iterator[tuple[str, str, str]]:
@@ -218,23 +211,16 @@ class ZenohGraph:
         )
         listener = _Listener(heard, self._own if qos.transient_local else frozenset())
         self._states[topic] = lambda: TopicState((qos,), listener.missed)
-        key = topic_.key(self._node.domain)
+        declare: Callable[..., Any] = self._session.declare_subscriber
+        more: dict[str, Any] = {}
         if qos.transient_local:
-            entity: Any = self._declare(
-                topic_,
-                ext.declare_advanced_subscriber,
-                self._session,
-                key,
-                listener,
-                allowed_origin=zenoh.Locality.REMOTE,
-                history=ext.HistoryConfig(detect_late_publishers=True, max_samples=depth(qos)),
-                recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if qos.reliable else None,
-                subscriber_detection=True,
-            )
-        else:
-            entity = self._declare(
-                topic_, self._session.declare_subscriber, key, listener, allowed_origin=zenoh.Locality.REMOTE
-            )
+            declare = partial(ext.declare_advanced_subscriber, self._session)
+            recovery = ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if qos.reliable else None
+            history = ext.HistoryConfig(detect_late_publishers=True, max_samples=depth(qos))
+            more = {"history": history, "recovery": recovery, "subscriber_detection": True}
+        with _zenoh_errors(f"{topic}: refused by Zenoh"):
+            key = topic_.key(self._node.domain)
+            entity = declare(key, listener, allowed_origin=zenoh.Locality.REMOTE, **more)
         self._listening.append(listener)
         self._announce(entity, TokenKind.SUBSCRIPTION, topic_, qos)
 
@@ -242,26 +228,20 @@ class ZenohGraph:
         """Return a function that publishes a message of a topic, until the graph is closed; see ``Graph``."""
         topic_ = self._topic(topic, type_name)
         all_kept = qos.reliable and not qos.depth
-        wire = {
+        options: dict[str, Any] = {
             "congestion_control": zenoh.CongestionControl.BLOCK if all_kept else zenoh.CongestionControl.DROP,
             "reliability": zenoh.Reliability.RELIABLE if qos.reliable else zenoh.Reliability.BEST_EFFORT,
             "allowed_destination": zenoh.Locality.REMOTE,
         }
-        key = topic_.key(self._node.domain)
+        declare: Callable[..., Any] = self._session.declare_publisher
         if qos.transient_local:
+            declare = partial(ext.declare_advanced_publisher, self._session)
             detection = ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT)
-            publisher: Any = self._declare(
-                topic_,
-                ext.declare_advanced_publisher,
-                self._session,
-                key,
-                cache=ext.CacheConfig(depth(qos)),
-                sample_miss_detection=detection if qos.reliable else None,
-                publisher_detection=True,
-                **wire,
-            )
-        else:
-            publisher = self._declare(topic_, self._session.declare_publisher, key, **wire)
+            options["cache"] = ext.CacheConfig(depth(qos))
+            options["sample_miss_detection"] = detection if qos.reliable else None
+            options["publisher_detection"] = True
+        with _zenoh_errors(f"{topic}: refused by Zenoh"):
+            publisher = declare(topic_.key(self._node.domain), **options)
         self._states.setdefault(topic, lambda: TopicState((qos,)))
         source = gid(self._announce(publisher, TokenKind.PUBLISHER, topic_, qos))
         self._own.add(source)
@@ -269,10 +249,11 @@ class ZenohGraph:
 
         def publish(cdr: bytes) -> None:
             try:
-                put(cdr, attachment=attach(next(numbers), now(), GID, source))
-            except zenoh.ZError as error:
+                with _zenoh_errors(f"{topic}: cannot be published on"):
+                    put(cdr, attachment=attach(next(numbers), now(), GID, source))
+            except ConfigError:
                 if not self._closed:
-                    raise ConfigError(f"{topic}: cannot be published on: {reason(error)}") from error
+                    raise
 
         return publish
 
@@ -321,14 +302,6 @@ class ZenohGraph:
         self._entities.append(entity)
         self._tokens.append(self._session.liveliness().declare_token(token))
         return token
-
-    def _declare(
-        self, topic: KeyedTopic, declare: Callable[..., Any], *arguments: Any, **options: Any
-    ) -> Any:
-        try:
-            return declare(*arguments, **options)
-        except zenoh.ZError as error:
-            raise ConfigError(f"{topic.name}: refused by Zenoh: {reason(error)}") from error
 
 
 class _Listener:
@@ -396,14 +369,9 @@ def open_graph(
     NodeTokens.of_node(node, domain, "")  # a wrong name is reported before a session is opened
     config = session_config(options)
     places = listen_beside(config, _TAKEN)
-    try:
+    router = "start a router there: ros2 run rmw_zenoh_cpp rmw_zenohd"
+    remedy = router if options.get("mode") == "client" else "listen somewhere else"
+    with _zenoh_errors("zenoh: no session", f"; {remedy}"):
         session = zenoh.open(config)
-    except zenoh.ZError as error:
-        remedy = (
-            "start a router there: ros2 run rmw_zenoh_cpp rmw_zenohd"
-            if options.get("mode") == "client"
-            else "listen somewhere else"
-        )
-        raise ConfigError(f"zenoh: no session: {reason(error)}; {remedy}") from error
     tokens = NodeTokens.of_node(node, domain, str(session.zid()))
     return ZenohGraph(session, tokens, store, hashed=_HASHES[hash_kind], places=places)
