@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.reading import Reading
     from edoras_tools.links.sending import LinkSending
     from edoras_tools.links.site import Site
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
     from edoras_tools.wire.layout import Layout
 
 _SOURCE, _SEQUENCE = "source_entity_id", "transaction_sequence_number"
@@ -71,7 +72,7 @@ class FileDeliveryLink(LinkProtocol):
         """Return what sends files to the receiver's entity; ``--target`` determines the direction."""
         return None if up else self.part("sending:FileSending")(self)
 
-    def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+    def locate(self, batch: PacketBatch, rows: Places, site: Site) -> Located:
         """Judge whether PDUs are complete; see :meth:`LinkProtocol.locate`."""
         located = Located(len(rows))
         for finding, wrong in self.judge_units(batch.data, batch.offset[rows], batch.length[rows]):
@@ -82,9 +83,7 @@ class FileDeliveryLink(LinkProtocol):
         """Read one PDU."""
         read_pdu(reading, 0)
 
-    def places(
-        self, layout: Layout, rows: BatchRows, field: str = ""
-    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    def places(self, layout: Layout, rows: BatchRows, field: str = "") -> tuple[Places, Integers]:
         """Find the header, the directive code, or the parameters of one kind."""
         owner, offset, length = _pdu_places(rows, self)
         if layout is cfdp.PDU_HEADER:
@@ -99,13 +98,13 @@ class FileDeliveryLink(LinkProtocol):
                 present |= (item is layout) & (pdus.kind == kind) & (pdus.large == large)
         return owner[present], pdus.start[present]
 
-    def holds_units(self, column: Callable[[str], NDArray[Any]], site: Site) -> NDArray[np.bool_]:
+    def holds_units(self, column: Callable[[str], NDArray[Any]], site: Site) -> Mask:
         """Return which rows are space packets with a PDU behind their cFE header: bool (n,)."""
         return holds_pdu(column, site.pdu_msg_ids)
 
     def judge_units(
-        self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
-    ) -> Iterator[tuple[Finding, NDArray[np.bool_]]]:
+        self, data: Octets, offset: Integers, length: NDArray[np.int32]
+    ) -> Iterator[tuple[Finding, Mask]]:
         """Yield whether PDUs are cut, or have a wrong CRC."""
         pdus = cfdp.read_pdus(data, offset, length)
         for name, finding in _FINDINGS.items():
@@ -143,9 +142,7 @@ _FINDINGS: Final = {"truncated": Finding.TRUNCATED, "corrupt": Finding.CHECKSUM_
 _NO_PDU: Final = np.uint32(Finding.HEADER_ONLY)
 
 
-def _pdu_places(
-    rows: BatchRows, link: FileDeliveryLink
-) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int32]]:
+def _pdu_places(rows: BatchRows, link: FileDeliveryLink) -> tuple[Places, Integers, NDArray[np.int32]]:
     """Return the rows with a PDU, the start of each, and the number of bytes that exist."""
     own = rows.column("link") == link
     offset = rows.datagram("offset").astype(np.int64)
@@ -159,14 +156,14 @@ def _pdu_places(
     return owner, offset[owner], length[owner]
 
 
-def holds_pdu(column: Callable[[str], NDArray[Any]], msg_ids: NDArray[np.int32]) -> NDArray[np.bool_]:
+def holds_pdu(column: Callable[[str], NDArray[Any]], msg_ids: NDArray[np.int32]) -> Mask:
     """Return which rows are space packets with a PDU behind their cFE header: bool (n,).
 
     Args:
         column: returns a column of ``Columns`` by its name.
         msg_ids: MsgIds of such packets.
     """
-    present: NDArray[np.bool_] = np.isin(column("msg_id"), msg_ids)
+    present: Mask = np.isin(column("msg_id"), msg_ids)
     present &= (column("header_length") > ccsds.PRIMARY.size) & ((column("findings") & _NO_PDU) == 0)
     return present
 

@@ -21,9 +21,8 @@ from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.model import Columns, Link, PacketBatch
+    from edoras_tools.wire.arrays.order import Integers, Mask
 
 _AGAIN_NS: Final = SECOND
 """Time after which EOF is sent again, until it is acknowledged."""
@@ -150,7 +149,7 @@ class FileSending(LinkSending):
         super().__init__(link)
         self.session: FileSender = FileSender()
 
-    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> Mask:
         """Return which PDUs are pieces, Metadata and EOF, as they were sent: bool (n,)."""
         own = super().outgoing_rows(batch, columns)
         rows = np.flatnonzero(own)
@@ -158,9 +157,7 @@ class FileSending(LinkSending):
         own[rows] = np.isin(pdus.kind, _OF_SENDER) & ~pdus.toward_sender & ~pdus.corrupt
         return own
 
-    def renew(
-        self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
-    ) -> tuple[list[bytes], NDArray[np.int64]]:
+    def renew(self, messages: Sequence[bytes], time_ns: Integers) -> tuple[list[bytes], Integers]:
         """Give the transactions new numbers, which start at the recording's time: no receiver knows them."""
         numbers: dict[tuple[int, int], int] = {}
         files: dict[tuple[int, int], SentFile] = {}

@@ -36,7 +36,7 @@ from edoras_tools.addons.cfdp.wire import (
 from edoras_tools.links.doors import LinkEvidence
 from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.wire.arrays.crc import FileCrc
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import Integers, Octets, Places, numbered
 from edoras_tools.wire.arrays.window import copy_rows
 
 if TYPE_CHECKING:
@@ -201,10 +201,7 @@ class FileEvidence(LinkEvidence):
         return [(item.first_ns, item.last_ns) for item in self.transactions]
 
     def take(
-        self,
-        batch: PacketBatch,
-        rows: NDArray[np.intp],
-        place: tuple[NDArray[np.int64], NDArray[np.int32]] | None = None,
+        self, batch: PacketBatch, rows: Places, place: tuple[Integers, NDArray[np.int32]] | None = None
     ) -> None:
         """Add the PDUs in some rows of a batch, in order; no contents can raise an error.
 
@@ -271,7 +268,7 @@ class FileEvidence(LinkEvidence):
         self.transactions.append(transaction)
         return transaction
 
-    def _file_data(self, transaction: Transaction, data: NDArray[np.uint8], pdus: Pdus, rows: slice) -> None:
+    def _file_data(self, transaction: Transaction, data: Octets, pdus: Pdus, rows: slice) -> None:
         """Add pieces that follow each other in the file."""
         offset, begin = pdus.file_offset[rows].tolist(), pdus.data[rows]
         sizes = pdus.end[rows] - begin

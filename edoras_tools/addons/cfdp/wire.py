@@ -19,6 +19,8 @@ from edoras_tools.wire.layout import Field, Layout
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+
 
 class Directive(IntEnum):
     """Kinds of PDUs: the directive code; 0 for ``FILE_DATA``, which has none."""
@@ -193,23 +195,23 @@ class Pdus(msgspec.Struct, frozen=True, eq=False):
     """
 
     kind: NDArray[np.int16]
-    truncated: NDArray[np.bool_]
-    corrupt: NDArray[np.bool_]
-    directive: NDArray[np.bool_]
-    toward_sender: NDArray[np.bool_]
-    acknowledged: NDArray[np.bool_]
-    large: NDArray[np.uint8]
+    truncated: Mask
+    corrupt: Mask
+    directive: Mask
+    toward_sender: Mask
+    acknowledged: Mask
+    large: Octets
     source_entity_id: NDArray[np.uint64]
     transaction_sequence_number: NDArray[np.uint64]
     destination_entity_id: NDArray[np.uint64]
-    code: NDArray[np.int64]
-    start: NDArray[np.int64]
-    data: NDArray[np.int64]
-    end: NDArray[np.int64]
+    code: Integers
+    start: Integers
+    data: Integers
+    end: Integers
     file_offset: NDArray[np.uint64]
 
 
-def read_pdus(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> Pdus:
+def read_pdus(data: Octets, offset: Integers, length: NDArray[np.int32]) -> Pdus:
     """Read many PDUs; no contents can raise an error.
 
     Args:
@@ -257,9 +259,7 @@ def read_pdus(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArra
     )
 
 
-def _corrupt(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], end: NDArray[np.int64], ended: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _corrupt(data: Octets, offset: Integers, end: Integers, ended: Mask) -> Mask:
     """Return which PDUs have a wrong CRC, among those that are complete and ``ended`` by one: bool (n,)."""
     rows = np.flatnonzero(ended)
     if len(rows):
@@ -269,9 +269,7 @@ def _corrupt(
     return ended
 
 
-def _numbers(
-    data: NDArray[np.uint8], at: NDArray[np.int64], width: NDArray[np.integer[Any]]
-) -> NDArray[np.uint64]:
+def _numbers(data: Octets, at: Integers, width: NDArray[np.integer[Any]]) -> NDArray[np.uint64]:
     """Read unsigned numbers of 1 to 8 bytes."""
     word = gather(data, at, 8).view(">u8")[:, 0].astype(np.uint64)
     return word >> (64 - 8 * width).astype(np.uint64)

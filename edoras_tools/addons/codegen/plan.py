@@ -27,11 +27,10 @@ from edoras_tools.ros.types.schema import PLACEHOLDER, PRIMITIVES, STRINGS, Mess
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
     from edoras_tools.addons.codegen.bounds import Bounds
     from edoras_tools.ros import TypeStore
     from edoras_tools.ros.types.schema import Constant, Definition
+    from edoras_tools.wire.arrays.order import Integers
 
 
 _PLACES: Final = 8
@@ -40,12 +39,12 @@ _MOST: Final = 1 << 50
 """Larger sizes are cut to this, so that sums do not overflow 64 bits."""
 
 
-def nothing() -> NDArray[np.int64]:
+def nothing() -> Integers:
     """Return the matrix of an empty value."""
     return np.where(np.eye(_PLACES, dtype=bool), 0, _NEVER)
 
 
-def aligned(size: int) -> NDArray[np.int64]:
+def aligned(size: int) -> Integers:
     """Return the matrix of a primitive, aligned to its size."""
     matrix = np.full((_PLACES, _PLACES), _NEVER)
     for start in range(_PLACES):
@@ -54,13 +53,13 @@ def aligned(size: int) -> NDArray[np.int64]:
     return matrix
 
 
-def then(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
+def then(first: Integers, second: Integers) -> Integers:
     """Return the matrix of two values in sequence."""
-    total: NDArray[np.int64] = (first[:, :, None] + second[None, :, :]).max(axis=1)
+    total: Integers = (first[:, :, None] + second[None, :, :]).max(axis=1)
     return np.where(total < 0, _NEVER, np.minimum(total, _MOST))
 
 
-def times(matrix: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+def times(matrix: Integers, count: int) -> Integers:
     """Return the matrix of a value repeated ``count`` times."""
     result = nothing()
     while count:
@@ -71,12 +70,12 @@ def times(matrix: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     return result
 
 
-def up_to(matrix: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+def up_to(matrix: Integers, most: int) -> Integers:
     """Return the matrix of a value repeated 0 to ``most`` times."""
     return times(np.maximum(matrix, nothing()), most)
 
 
-def longest(matrix: NDArray[np.int64]) -> int:
+def longest(matrix: Integers) -> int:
     """Return the maximum size from an aligned start, bytes."""
     return int(matrix[0].max())
 
@@ -159,7 +158,7 @@ class Message(msgspec.Struct, frozen=True, dict=True):
         return hashlib.sha256(self.definition.text.encode()).hexdigest()[:16]
 
     @cached_property
-    def matrix(self) -> NDArray[np.int64]:
+    def matrix(self) -> Integers:
         """Matrix of its longest CDR, see the top of this file."""
         matrix = nothing()
         for member in self.members:
@@ -296,7 +295,7 @@ def utf16(value: str) -> tuple[int, ...]:
     return struct.unpack(f"<{len(data) // 2}H", data)
 
 
-def _matrix(member: CMember) -> NDArray[np.int64]:
+def _matrix(member: CMember) -> Integers:
     """Return the matrix of a field's longest CDR."""
     if member.message:
         one = member.message.matrix

@@ -24,6 +24,8 @@ from edoras_tools.wire.arrays.window import gather
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers
+
 
 class GroundStream(msgspec.Struct, eq=False):
     """The space packets of one APID from one endpoint.
@@ -105,7 +107,7 @@ class GroundCounts(LinkEvidence):
         return self.streams[-1]
 
 
-def _columns(start: NDArray[np.int64], end: NDArray[np.int64], word: NDArray[np.integer[Any]]) -> Columns:
+def _columns(start: Integers, end: Integers, word: NDArray[np.integer[Any]]) -> Columns:
     """Return space packets in the follower's form: the first word of each takes the place of a MsgId."""
     none = np.zeros(len(start), np.int64)
     blank: dict[str, NDArray[Any]] = dict.fromkeys(Columns.__struct_fields__, none)

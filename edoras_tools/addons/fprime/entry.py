@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.structs.shapes import Key, Member, Struct, StructLayout
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
 _LENGTH_BYTES: Final = 2
 _WORDS: Final = {
@@ -155,7 +156,7 @@ class BoundEntry(Bound):
         """Return the metadata of its topic: its kind, ID and name."""
         return {"link": "fprime", "id": self.entry.id_text, self.entry.word: self.entry.name}
 
-    def fits(self, length: NDArray[np.integer[Any]] | int) -> NDArray[np.bool_]:
+    def fits(self, length: NDArray[np.integer[Any]] | int) -> Mask:
         """Return which values are complete: their measured length is not -1."""
         return np.asarray(length) >= 0
 
@@ -168,9 +169,7 @@ class BoundEntry(Bound):
         """Start of each text in the struct, and its maximum size, bytes; in order."""
         return [(leaf.start, leaf.end - leaf.start) for leaf in self.plan(0).leaves if leaf.member.text]
 
-    def measure(
-        self, data: NDArray[np.uint8], start: NDArray[np.int64], end: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
+    def measure(self, data: Octets, start: Integers, end: Integers) -> Integers:
         """Return the size of the values at each position, i64 (n,); -1 if they do not fit.
 
         Args:
@@ -182,11 +181,7 @@ class BoundEntry(Bound):
         return np.where(good, cursor - start, -1)
 
     def encode(
-        self,
-        data: NDArray[np.uint8],
-        offset: NDArray[np.int64],
-        length: NDArray[np.integer[Any]],
-        heads: NDArray[np.void],
+        self, data: Octets, offset: Integers, length: NDArray[np.integer[Any]], heads: NDArray[np.void]
     ) -> Encoded:
         """Return the messages of many payloads; see :meth:`Bound.encode`."""
         if not self.texts:
@@ -266,8 +261,8 @@ class BoundEntry(Bound):
         return self.values(member).get(value) or (f"{value:.9g}" if isinstance(value, float) else str(value))
 
     def _walk(
-        self, data: NDArray[np.uint8], start: NDArray[np.int64], end: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sequence[tuple[NDArray[np.int64], NDArray[np.int64]]]]:
+        self, data: Octets, start: Integers, end: Integers
+    ) -> tuple[Integers, Mask, Sequence[tuple[Integers, Integers]]]:
         """Walk from text to text.
 
         Returns:

@@ -15,12 +15,11 @@ from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch, 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from edoras_tools.links.doors import LinkEvidence
     from edoras_tools.links.reading import Reading
     from edoras_tools.links.sending import LinkSending
     from edoras_tools.links.site import Site
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
     from edoras_tools.wire.layout import Layout
 
 _VERDICTS: Final = {
@@ -39,16 +38,12 @@ class GroundDataFraming(Framing):
     def __init__(self, tm_bytes: int = fprime.TM_FRAME_BYTES) -> None:
         self.tm_bytes = tm_bytes
 
-    def lengths(
-        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-    ) -> NDArray[np.int64]:
+    def lengths(self, data: Octets, at: Integers, end: Integers | int) -> Integers:
         """Return the size of the frame that starts at each position, bytes."""
         starts, size = fprime.frame_lengths(data, at, self.tm_bytes)
         return prefixed(starts, size, end - at, self.head, self.largest)
 
-    def likely(
-        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-    ) -> NDArray[np.bool_]:
+    def likely(self, data: Octets, at: Integers, end: Integers | int) -> Mask:
         """Return at which positions a complete frame with a correct check starts."""
         size = self.lengths(data, at, end)
         likely = (size > 0) & (at + size <= end)
@@ -88,7 +83,7 @@ class GroundDataLink(LinkProtocol):
         own, space, command, telemetry = fprime.frame_shapes_of(facts.field, facts.length)
         return BY_CONTENT * (own | space | command | telemetry)
 
-    def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+    def locate(self, batch: PacketBatch, rows: Places, site: Site) -> Located:
         """Judge frames; see :meth:`LinkProtocol.locate`."""
         located = Located(len(rows))
         frames = fprime.read_ground_frames(batch.data, batch.offset[rows], batch.length[rows])
@@ -117,9 +112,7 @@ class GroundDataLink(LinkProtocol):
         for index in range(len(frames.packets.row)):
             _packet(reading, frames.packets, index)
 
-    def places(
-        self, layout: Layout, rows: BatchRows, field: str = ""
-    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    def places(self, layout: Layout, rows: BatchRows, field: str = "") -> tuple[Places, Integers]:
         """Find the frame, the first packet of each datagram, or the first header of one kind."""
         owner = np.flatnonzero(rows.column("link") == self)
         offset, length = rows.datagram("offset")[owner], rows.datagram("length")[owner]

@@ -12,10 +12,9 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.links.sending import LinkSending
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from edoras_tools.links.framing import Framing
     from edoras_tools.model import Columns, Link, PacketBatch
+    from edoras_tools.wire.arrays.order import Mask
 
 _PORT: Final = 50000
 """Port of the ground system, and of flight software's TCP server."""
@@ -38,7 +37,7 @@ class GroundDataSending(LinkSending):
         self.framing, self._up = framing, up
         self._bare = 0
 
-    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> Mask:
         """Return which frames go this way: TC frames and commands up, all others down; bool (n,)."""
         rows = np.flatnonzero(super().outgoing_rows(batch, columns))
         frames = fprime.read_ground_frames(batch.data, batch.offset[rows], batch.length[rows], checked=False)

@@ -12,7 +12,7 @@ from edoras_tools.model import Finding, Layer, LayerField, RosMessage
 from edoras_tools.structs.messages import parts
 from edoras_tools.structs.payloads import StructPayloads
 from edoras_tools.structs.shapes import ENTRY_KEY, Struct, StructLayout
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -83,13 +83,11 @@ class EntryTable:
         packets = fprime.PacketPlaces(row, space, start, stop, code.astype(np.int32), np.array([True]))
         return self.in_packets(np.frombuffer(data, np.uint8), packets)
 
-    def payloads(
-        self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
-    ) -> StructPayloads:
+    def payloads(self, data: Octets, offset: Integers, length: NDArray[np.int32]) -> StructPayloads:
         """Return all contents of datagrams; see ``structs.entries.LayoutEntryTable``."""
         return self.in_packets(data, fprime.read_ground_frames(data, offset, length, checked=False).packets)
 
-    def in_packets(self, data: NDArray[np.uint8], packets: PacketPlaces) -> StructPayloads:
+    def in_packets(self, data: Octets, packets: PacketPlaces) -> StructPayloads:
         """Return all contents of packets, behind their IDs, in order; of each packet up to an unknown one.
 
         Args:
@@ -162,9 +160,7 @@ class EntryTable:
         message = RosMessage(bound.type, bound.topic, values, cdr)
         reading.add(message, Layer(VALUES_LAYER, bound.line(values), at + bound.time_bytes, end, fields))
 
-    def logs(
-        self, payloads: StructPayloads, data: NDArray[np.uint8]
-    ) -> Iterator[tuple[int, int, dict[str, Any]]]:
+    def logs(self, payloads: StructPayloads, data: Octets) -> Iterator[tuple[int, int, dict[str, Any]]]:
         """Yield row, position and log message of each event.
 
         ``name`` is the component, ``function`` the event, ``msg`` its text, ``line`` 0, ``file`` empty; the
@@ -211,12 +207,7 @@ class EntryTable:
         }
 
     def _identify(
-        self,
-        data: NDArray[np.uint8],
-        cursor: NDArray[np.int64],
-        whole: NDArray[np.bool_],
-        kind: NDArray[np.int32],
-        key: NDArray[np.int32],
+        self, data: Octets, cursor: Integers, whole: Mask, kind: NDArray[np.int32], key: NDArray[np.int32]
     ) -> None:
         """Write the key of each ``whole`` ID."""
         window = gather(data, np.minimum(cursor, len(data)), 4)
@@ -227,13 +218,7 @@ class EntryTable:
         matches = self._codes[place] == code
         key[whole] = np.where(matches, ENTRY_KEY + place, self.unknown)[whole]
 
-    def _measure(
-        self,
-        data: NDArray[np.uint8],
-        key: NDArray[np.int32],
-        offset: NDArray[np.int64],
-        end: NDArray[np.int64],
-    ) -> NDArray[np.int64]:
+    def _measure(self, data: Octets, key: NDArray[np.int32], offset: Integers, end: Integers) -> Integers:
         """Return the size of each value, bytes; -1 if it does not fit."""
         length = self._fixed[key - ENTRY_KEY]
         length[(length >= 0) & (offset + length > end)] = -1

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
+
 
 class PacketType(IntEnum):
     """Contents of a packet: ``ComCfg.Apid`` of the default configuration."""
@@ -158,12 +160,12 @@ class PacketPlaces(NamedTuple):
         whole: bool (m,), whether the header of its contents exists, and its space packet is complete.
     """
 
-    row: NDArray[np.intp]
-    space: NDArray[np.int64]
-    start: NDArray[np.int64]
-    end: NDArray[np.int64]
+    row: Places
+    space: Integers
+    start: Integers
+    end: Integers
     kind: NDArray[np.int32]
-    whole: NDArray[np.bool_]
+    whole: Mask
 
     def take(self, mask: NDArray[Any]) -> PacketPlaces:
         """Return the packets that a mask or indices select."""
@@ -184,12 +186,12 @@ class Frames(msgspec.Struct, frozen=True):
         packets: packets of complete frames.
     """
 
-    shape: NDArray[np.int64]
-    check: NDArray[np.int64]
-    cut: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    longer: NDArray[np.bool_]
-    corrupt: NDArray[np.bool_]
+    shape: Integers
+    check: Integers
+    cut: Mask
+    truncated: Mask
+    longer: Mask
+    corrupt: Mask
     packets: PacketPlaces
 
 
@@ -231,7 +233,7 @@ _TM_WITH_PACKETS: Final = {
 
 
 def read_ground_frames(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], *, checked: bool = True
+    data: Octets, offset: Integers, length: NDArray[np.int32], *, checked: bool = True
 ) -> Frames:
     """Read many frames; no contents can raise an error.
 
@@ -244,7 +246,7 @@ def read_ground_frames(
     window = gather(data, offset, FRAME.size)
     length = length.astype(np.int64)
 
-    def field(layout: Layout, name: str, at: int = 0) -> NDArray[np.int64]:
+    def field(layout: Layout, name: str, at: int = 0) -> Integers:
         present = length >= at + layout.by_name[name].end
         return np.where(present, layout.column(name, window, at).astype(np.int64), -1)
 
@@ -278,9 +280,7 @@ def read_ground_frames(
     return Frames(framing, check, cut, truncated, ~truncated & (size < length), corrupt, whole)
 
 
-def frame_lengths(
-    data: NDArray[np.uint8], at: NDArray[np.int64], tm_bytes: int = TM_FRAME_BYTES
-) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+def frame_lengths(data: Octets, at: Integers, tm_bytes: int = TM_FRAME_BYTES) -> tuple[Mask, Integers]:
     """Return where in a stream frames start, and their sizes.
 
     A TM frame does not contain its length; a TC frame must be as long as its single space packet.
@@ -295,7 +295,7 @@ def frame_lengths(
     """
     window = gather(data, at, STREAM_HEAD)
 
-    def field(layout: Layout, name: str, start: int = 0) -> NDArray[np.int64]:
+    def field(layout: Layout, name: str, start: int = 0) -> Integers:
         return layout.column(name, window, start).astype(np.int64)
 
     stated = field(COMMAND_FRAME, "frame_length") + headers.TC_LENGTH_BIAS
@@ -308,9 +308,7 @@ def frame_lengths(
     return own | tc | tm | alive, np.select([alive, own, tc], sizes, np.int64(tm_bytes))
 
 
-def _space_packets(
-    data: NDArray[np.uint8], row: NDArray[np.intp], start: NDArray[np.int64], end: NDArray[np.int64]
-) -> PacketPlaces:
+def _space_packets(data: Octets, row: Places, start: Integers, end: Integers) -> PacketPlaces:
     """Read space packets that follow each other from ``start`` to ``end``; idle ones are left out."""
     parts = [_packets(data, row[:0], start[:0], start[:0], end[:0])]
     while True:
@@ -331,13 +329,7 @@ def _space_packets(
     return PacketPlaces(*both).take(np.argsort(both[0], kind="stable"))
 
 
-def _packets(
-    data: NDArray[np.uint8],
-    row: NDArray[np.intp],
-    space: NDArray[np.int64],
-    start: NDArray[np.int64],
-    end: NDArray[np.int64],
-) -> PacketPlaces:
+def _packets(data: Octets, row: Places, space: Integers, start: Integers, end: Integers) -> PacketPlaces:
     """Read the types of packets, and whether the header behind each type is complete."""
     whole = end - start >= PACKET.size
     kind = np.full(len(row), -1, np.int32)

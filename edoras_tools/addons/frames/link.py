@@ -16,7 +16,7 @@ from edoras_tools.links.protocol import BatchRows, LinkProtocol, Seen
 from edoras_tools.model import Datagram, Decoded, Finding, LayerField, Link, PacketBatch
 from edoras_tools.wire import transfer_frames as headers
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16, crc16_rows
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FRAME_VERSIONS, NO_FIRST, FrameFormat
 
@@ -49,9 +49,7 @@ class TransferFraming(Framing):
         self.form = form
         self.checked = form.fecf
 
-    def lengths(
-        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-    ) -> NDArray[np.int64]:
+    def lengths(self, data: Octets, at: Integers, end: Integers | int) -> Integers:
         """Return the size in bytes of the frame that starts at each position."""
         layout = self.form.layout
         head = gather(data, at, layout.size)
@@ -59,9 +57,7 @@ class TransferFraming(Framing):
         starts = layout.column("transfer_frame_version_number", head) == FRAME_VERSIONS[self.form.kind]
         return prefixed(starts & (size >= self.form.smallest), size, end - at, layout.size, self.largest)
 
-    def likely(
-        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-    ) -> NDArray[np.bool_]:
+    def likely(self, data: Octets, at: Integers, end: Integers | int) -> Mask:
         """Find whole frames: with a correct CRC; without CRCs, the last one, or before a matching one."""
         size = self.lengths(data, at, end)
         likely = (size > 0) & (at + size <= end)
@@ -74,13 +70,7 @@ class TransferFraming(Framing):
             )
         return likely
 
-    def _goes_on(
-        self,
-        data: NDArray[np.uint8],
-        at: NDArray[np.int64],
-        behind: NDArray[np.int64],
-        end: NDArray[np.int64],
-    ) -> NDArray[np.bool_]:
+    def _goes_on(self, data: Octets, at: Integers, behind: Integers, end: Integers) -> Mask:
         """Return where the end or a frame that matches follows: next count, or, in AOS, another channel."""
         layout, count = self.form.layout, _COUNTS[self.form.kind]
         followed = behind + layout.size <= end
@@ -90,7 +80,7 @@ class TransferFraming(Framing):
         step = (other[count].astype(np.int64) - one[count]) & layout.by_name[count].mask
         same = other["virtual_channel_id"] == one["virtual_channel_id"]
         goes_on = (step == 1) | ~(same | (self.form.kind != "aos"))
-        agree: NDArray[np.bool_] = goes_on & (other["spacecraft_id"] == one["spacecraft_id"])
+        agree: Mask = goes_on & (other["spacecraft_id"] == one["spacecraft_id"])
         version = "transfer_frame_version_number"
         agree &= other[version] == one[version]
         agree &= followed
@@ -123,7 +113,7 @@ class TransferFramesLink(LinkProtocol):
         """Return whether a datagram is a frame: the mission says which ports carry frames."""
         return is_frame(datagram, site.frames)
 
-    def claimed(self, batch: PacketBatch, site: Site) -> NDArray[np.intp]:
+    def claimed(self, batch: PacketBatch, site: Site) -> Places:
         """Return the rows of a batch that are frames."""
         return frame_rows(batch, site.frames)[0]
 
@@ -161,9 +151,7 @@ class TransferFramesLink(LinkProtocol):
             text = f"0x{value:04x}" + (f", but the frame has 0x{right:04x}" if value != right else "")
             reading.extend(LayerField("frame_error_control", value, start, end, text, "CRC-16 of the frame"))
 
-    def places(
-        self, layout: Layout, rows: BatchRows, field: str = ""
-    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    def places(self, layout: Layout, rows: BatchRows, field: str = "") -> tuple[Places, Integers]:
         """Find one of the headers; which ones there are depends on the kind of frame."""
         places = np.full(len(rows.column("link")), NO_FIRST, np.int64)
         owner = np.flatnonzero(rows.column("link") == self)
@@ -207,7 +195,7 @@ def _headers(form: FrameFormat, second: bool) -> Iterator[tuple[Layout, int]]:
         yield headers.TC_SEGMENT, form.data_start
 
 
-def frame_rows(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> tuple[NDArray[np.intp], int]:
+def frame_rows(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> tuple[Places, int]:
     """Find the frames of a batch, by port, version and length.
 
     Args:
@@ -242,7 +230,7 @@ def framed_ports(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> NDAr
 def _framed_ports(
     destination: NDArray[np.uint16],
     source: NDArray[np.uint16],
-    streams: NDArray[np.bool_] | bool,
+    streams: Mask | bool,
     formats: Mapping[int, FrameFormat],
 ) -> NDArray[np.uint16]:
     of_streams = [port for port, form in formats.items() if form.stream]
@@ -262,18 +250,18 @@ def format_of(datagram: Datagram, formats: Mapping[int, FrameFormat]) -> FrameFo
     return next((form for form in candidates if form is not None and form.stream == datagram.stream), None)
 
 
-def _stated_length(form: FrameFormat, head: NDArray[np.uint8]) -> Any:
+def _stated_length(form: FrameFormat, head: Octets) -> Any:
     """Return the length in bytes that these frame headers state."""
     if form.kind == "tc":
         return form.layout.column("frame_length", head).astype(np.int64) + headers.TC_LENGTH_BIAS
     return np.full(len(head), form.length, np.int64)
 
 
-def _are_frames(batch: PacketBatch, rows: NDArray[np.intp], form: FrameFormat) -> NDArray[np.bool_]:
+def _are_frames(batch: PacketBatch, rows: Places, form: FrameFormat) -> Mask:
     layout, have = form.layout, batch.length[rows]
     head = gather(batch.data, batch.offset[rows], layout.size)
     length = have + np.maximum(batch.original_length[rows] - batch.frame_length[rows], 0)
-    right: NDArray[np.bool_] = (have >= layout.size) & (length >= form.smallest)
+    right: Mask = (have >= layout.size) & (length >= form.smallest)
     right &= layout.column("transfer_frame_version_number", head) == FRAME_VERSIONS[form.kind]
     right &= length == _stated_length(form, head)
     return right

@@ -25,6 +25,8 @@ from edoras_tools.wire.transfer_frames import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+
 
 class FrameFields(msgspec.Struct, frozen=True, eq=False):
     """Fields of frames, (n,) each; positions are indices into the data that was read.
@@ -44,23 +46,21 @@ class FrameFields(msgspec.Struct, frozen=True, eq=False):
         idle: bool, the frame was sent without packets.
     """
 
-    fits: NDArray[np.bool_]
-    error: NDArray[np.bool_]
+    fits: Mask
+    error: Mask
     spacecraft_id: NDArray[np.uint32]
-    virtual_channel_id: NDArray[np.uint8]
-    map_id: NDArray[np.uint8]
-    has_count: NDArray[np.bool_]
+    virtual_channel_id: Octets
+    map_id: Octets
+    has_count: Mask
     count: NDArray[np.uint32]
-    master_count: NDArray[np.uint8]
-    start: NDArray[np.int64]
-    end: NDArray[np.int64]
-    first: NDArray[np.int64]
-    idle: NDArray[np.bool_]
+    master_count: Octets
+    start: Integers
+    end: Integers
+    first: Integers
+    idle: Mask
 
 
-def read_frames(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], form: FrameFormat
-) -> FrameFields:
+def read_frames(data: Octets, offset: Integers, length: NDArray[np.int32], form: FrameFormat) -> FrameFields:
     """Read many frames of one kind; no content of theirs can make this raise.
 
     Args:

@@ -29,9 +29,8 @@ from edoras_tools.wire.transfer_frames import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.model import Columns, Link, PacketBatch
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _TOGETHER_NS: Final = 50 * MILLISECOND
 """Longest time to the next packet for the same TM or AOS frame; else the rest of the frame is idle."""
@@ -81,7 +80,7 @@ class FrameSending(LinkSending):
         self._channels: list[_Channel | None] = []
         self._counts: Counter[_Channel | int] = Counter()
 
-    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> Mask:
         """Return which rows hold packets that are sent in this direction, bool (n,)."""
         frames = np.flatnonzero(super().outgoing_rows(batch, columns))
         up = self.form.kind == "tc"
@@ -94,9 +93,7 @@ class FrameSending(LinkSending):
         """Note the channel in which each packet to be sent was recorded."""
         self._channels += [self._in_batch.get(place) for place in batch.offset.tolist()]
 
-    def _recorded_channels(
-        self, batch: PacketBatch, frames: NDArray[np.intp], packets: NDArray[np.intp]
-    ) -> dict[int, _Channel]:
+    def _recorded_channels(self, batch: PacketBatch, frames: Places, packets: Places) -> dict[int, _Channel]:
         """Return the channel of packets from frames at the port, by the packet's offset in the data."""
         inbound = frames[batch.destination_port[frames] == self.port]
         if not len(inbound):
@@ -114,9 +111,7 @@ class FrameSending(LinkSending):
         places = batch.offset[packets[inside]].tolist()
         return {place: channels[index] for place, index in zip(places, which, strict=True)}
 
-    def renew(
-        self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
-    ) -> tuple[list[bytes], NDArray[np.int64]]:
+    def renew(self, messages: Sequence[bytes], time_ns: Integers) -> tuple[list[bytes], Integers]:
         """Put packets in frames; a frame leaves with the packet that fills it."""
         self._counts.clear()
         usual = self._usual or _USUAL

@@ -34,7 +34,7 @@ from edoras_tools.io.frames.build import packets_behind
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, by_value, numbered
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 from edoras_tools.wire.transfer_frames import LATE, FrameFormat, count_modulus
 from edoras_tools.words import plural
@@ -124,7 +124,7 @@ class FrameChannel(msgspec.Struct, eq=False):
         self._last, self._position = int(count[-1]), int(position[-1])
         return position.astype(np.uint16)
 
-    def runs(self, count: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
+    def runs(self, count: NDArray[np.integer[Any]]) -> Integers:
         """Return each frame's run number, i64 (n,): within a run, each frame continues the one before."""
         if not self.has_count:
             return np.full(len(count), self._run)
@@ -157,13 +157,13 @@ class _Frames(NamedTuple):
     ``run``, ``start``, ``end`` and ``first`` are as in ``FrameChannel.runs`` and ``FrameFields``.
     """
 
-    row: NDArray[np.int64]
-    channel: NDArray[np.int64]
-    stream: NDArray[np.int64]
-    run: NDArray[np.int64]
-    start: NDArray[np.int64]
-    end: NDArray[np.int64]
-    first: NDArray[np.int64]
+    row: Integers
+    channel: Integers
+    stream: Integers
+    run: Integers
+    start: Integers
+    end: Integers
+    first: Integers
 
 
 class Unframer(msgspec.Struct):
@@ -226,7 +226,7 @@ class Unframer(msgspec.Struct):
         )
         return notes + [f"transfer frames: {number:,} {trouble}" for number, trouble in counts if number]
 
-    def _read(self, batch: PacketBatch, rows: NDArray[np.int64], form: FrameFormat) -> _Frames | None:
+    def _read(self, batch: PacketBatch, rows: Integers, form: FrameFormat) -> _Frames | None:
         """Read the frames of one port and follow their counts."""
         read = read_frames(batch.data, batch.offset[rows], batch.length[rows], form)
         batch.capture_findings[rows[~read.fits]] |= np.uint32(Finding.TRUNCATED)
@@ -255,9 +255,7 @@ class Unframer(msgspec.Struct):
         self._states += [_Stream() for _ in range(len(self._streams) - len(self._states))]
         return _Frames(rows, channel, np.array(streams, np.int64), run, read.start, read.end, read.first)
 
-    def _channels(
-        self, batch: PacketBatch, rows: NDArray[np.int64], read: FrameFields, form: FrameFormat
-    ) -> NDArray[np.int64]:
+    def _channels(self, batch: PacketBatch, rows: Integers, read: FrameFields, form: FrameFormat) -> Integers:
         """Return the index of the channel of each frame, ``_NONE`` beyond the limit; i64 (n,)."""
         if not len(rows):
             return rows
@@ -293,9 +291,7 @@ class Unframer(msgspec.Struct):
         self.masters.append(replace(channel, virtual_channel_id=None))
         return len(self.masters) - 1
 
-    def _follow(
-        self, frames: PacketBatch, read: FrameFields, channel: NDArray[np.int64]
-    ) -> NDArray[np.bool_]:
+    def _follow(self, frames: PacketBatch, read: FrameFields, channel: Integers) -> Mask:
         """Follow the counts of both levels; return which frames repeat an earlier one, bool (n,)."""
         again = _followed(
             self._counts, frames, self.channels, np.where(read.has_count, channel, _NONE), read.count
@@ -372,7 +368,7 @@ class _Laid:
         self._point(ahead > 0, np.cumsum(begins) - 1)
         self._walk()
 
-    def _point(self, rests: NDArray[np.bool_], segment: NDArray[np.int64]) -> None:
+    def _point(self, rests: Mask, segment: Integers) -> None:
         """Collect the pointers, rising: one for each rest, one for each frame that has one."""
         pointed = np.flatnonzero(self._frames.first >= 0)
         inside = self._frames.first[pointed] - self._frames.start[pointed]
@@ -409,7 +405,7 @@ class _Laid:
         order = np.argsort(start, kind="stable")
         self.start, self.length = start[order], length[order]
 
-    def settle(self) -> NDArray[np.bool_]:
+    def settle(self) -> Mask:
         """Keep incomplete packets for the next batch; return at which frames a packet is cut, bool (n,)."""
         cut = np.zeros(len(self._frames.row), bool)
         inner = np.flatnonzero(self._open & ~self._last)
@@ -436,16 +432,16 @@ class _Laid:
         """Return the first word of each packet."""
         return gather(self.buffer, self.start, 2).view(">u2")[:, 0]
 
-    def owner(self) -> NDArray[np.int64]:
+    def owner(self) -> Integers:
         """Return the frame in which each packet ends."""
         return np.searchsorted(self._at, self.start + self.length - 1, side="right") - 1
 
-    def others(self) -> NDArray[np.int64]:
+    def others(self) -> Integers:
         """Return the frames in which something starts that is not a space packet."""
         return np.searchsorted(self._at, self._stop[self._other], side="right") - 1
 
 
-def _selected(read: FrameFields, rows: NDArray[np.bool_]) -> FrameFields:
+def _selected(read: FrameFields, rows: Mask) -> FrameFields:
     return FrameFields(**{name: getattr(read, name)[rows] for name in FrameFields.__struct_fields__})
 
 
@@ -453,9 +449,9 @@ def _followed(
     counts: SequenceCounts,
     frames: PacketBatch,
     channels: list[FrameChannel],
-    which: NDArray[np.int64],
+    which: Integers,
     count: NDArray[np.integer[Any]],
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Follow a count of frames; return which frames repeat an earlier one with the same bytes, bool (n,).
 
     Args:

@@ -18,12 +18,11 @@ from edoras_tools.wire.layout import Field, Layout
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from edoras_tools.links.doors import OwnTopics, TopicSpace
     from edoras_tools.links.reading import Reading
     from edoras_tools.links.sending import LinkSending
     from edoras_tools.links.site import Site
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 _WORDS: Final = Layout(
     "racs2_words",
@@ -50,15 +49,11 @@ class RacsBridgeFraming(Framing):
 
         return RacsBridgeStreams(self.largest)
 
-    def lengths(
-        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-    ) -> NDArray[np.int64]:
+    def lengths(self, data: Octets, at: Integers, end: Integers | int) -> Integers:
         """Return the size in bytes of the frame, or of the side of the handshake, at each position."""
         return self._reader.lengths(data, at, end)
 
-    def likely(
-        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-    ) -> NDArray[np.bool_]:
+    def likely(self, data: Octets, at: Integers, end: Integers | int) -> Mask:
         """Return where a one-frame message with a header of RACS2 begins, or a handshake; bool (n,)."""
         return self._reader.likely(data, at, end)
 
@@ -111,7 +106,7 @@ class RacsBridgeLink(LinkProtocol):
             name = name & (word & _NO_ASCII == 0) & (_has(word, " ") == 0) & (_has(word, '"') == 0)
         return BY_CONTENT * ((facts.length > racs2.BRIDGE_HEADER - 1) & (to_cfs | name))
 
-    def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+    def locate(self, batch: PacketBatch, rows: Places, site: Site) -> Located:
         """Find no packets: the messages have none."""
         return Located(len(rows))
 
@@ -126,9 +121,7 @@ class RacsBridgeLink(LinkProtocol):
             doc = "bytes of the body" if name == "body_length" else "in the body, as the public examples do"
             reading.extend(LayerField(name, value, racs2.BRIDGE_HEADER, len(data), str(value), doc))
 
-    def places(
-        self, layout: Layout, rows: BatchRows, field: str = ""
-    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    def places(self, layout: Layout, rows: BatchRows, field: str = "") -> tuple[Places, Integers]:
         """Find the headers of one direction."""
         owner = np.flatnonzero(rows.column("link") == self)
         offset = rows.datagram("offset")[owner]

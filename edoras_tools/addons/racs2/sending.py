@@ -21,9 +21,8 @@ from edoras_tools.wire.arrays.window import gather
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.model import Columns, Endpoint, Link, PacketBatch
+    from edoras_tools.wire.arrays.order import Integers, Mask
 
 LARGEST: Final = 1 << 20
 _REQUEST: Final = (
@@ -141,10 +140,10 @@ class _Sending(LinkSending):
         super().__init__(link)
         self._other_way = 0
 
-    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> Mask:
         """Return which messages go in this direction: to ROS with a topic's name, to cFS with a MsgId."""
         own = super().outgoing_rows(batch, columns)
-        this_way: NDArray[np.bool_] = own & (
+        this_way: Mask = own & (
             (gather(batch.data, batch.offset, 1)[:, 0] <= cfe.HIGHEST_MSG_ID >> 8) == self.up
         )
         self._other_way += int(np.count_nonzero(own & ~this_way))
@@ -162,9 +161,7 @@ class BridgeSending(_Sending):
         super().__init__(link)
         self.session = BridgeClient()
 
-    def renew(
-        self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
-    ) -> tuple[list[bytes], NDArray[np.int64]]:
+    def renew(self, messages: Sequence[bytes], time_ns: Integers) -> tuple[list[bytes], Integers]:
         """Put each message in a frame."""
         return [masked_frame(Opcode.BINARY, item) for item in messages], time_ns
 
@@ -184,8 +181,6 @@ class ServerSending(_Sending):
         self._server.place = str(transmitter.local)
         return transmitter
 
-    def renew(
-        self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
-    ) -> tuple[list[bytes], NDArray[np.int64]]:
+    def renew(self, messages: Sequence[bytes], time_ns: Integers) -> tuple[list[bytes], Integers]:
         """Put each message in a frame."""
         return [frame(Opcode.BINARY, item) for item in messages], time_ns

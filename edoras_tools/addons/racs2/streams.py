@@ -30,7 +30,7 @@ from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.window import copy_rows, gather
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
 
 _HTTP: Final = (b"GET ", b"HTTP/1.1 ")
@@ -52,9 +52,7 @@ class WebSocketFraming(Framing):
     def __init__(self, longest: int) -> None:
         self.longest = longest
 
-    def lengths(
-        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-    ) -> NDArray[np.int64]:
+    def lengths(self, data: Octets, at: Integers, end: Integers | int) -> Integers:
         """Return the size in bytes of a frame, or of a handshake up to and including its blank line."""
         room = np.broadcast_to(np.asarray(end - at), at.shape)
         headers = read_headers(data, at, end)
@@ -92,13 +90,7 @@ class WebSocketState:
         self._inflate: dict[bool, zlib._Decompress] = {}
         self._takeover = True
 
-    def contents(
-        self,
-        data: NDArray[np.uint8],
-        offset: NDArray[np.int64],
-        length: NDArray[np.int64],
-        forward: NDArray[np.bool_],
-    ) -> MessageContents:
+    def contents(self, data: Octets, offset: Integers, length: Integers, forward: Mask) -> MessageContents:
         """Return the payloads of frames, unmasked; see :class:`~edoras_tools.links.framing.StreamState`."""
         headers = read_headers(data, offset, offset + length)
         http = ~headers.valid
@@ -113,7 +105,7 @@ class WebSocketState:
             unmask(out, start, content_bytes, keys)
         part = np.zeros(len(offset), bool)
         single = headers.final & ~headers.compressed & (headers.opcode != Opcode.CONTINUATION)
-        parts: list[NDArray[np.uint8]] = [out]
+        parts: list[Octets] = [out]
         used = len(out)
         for row in np.flatnonzero(http | ~single).tolist():
             content = out[start[row] : start[row] + content_bytes[row]].tobytes()
@@ -165,7 +157,7 @@ class WebSocketState:
         return None if inflate.unconsumed_tail else out
 
 
-def _handshake_length(data: NDArray[np.uint8], text: bytes) -> int:
+def _handshake_length(data: Octets, text: bytes) -> int:
     """Return the size in bytes of a request or response that begins with ``text``, with its blank line."""
     head = data[:_LONGEST_HANDSHAKE].tobytes()
     if head[: len(text)] != text[: len(head)]:
@@ -184,9 +176,7 @@ _NAME_BYTES: Final = np.isin(
 class RacsBridgeStreams(WebSocketFraming):
     """WebSocket whose messages have the header of RACS2; Foxglove uses the same port."""
 
-    def likely(
-        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-    ) -> NDArray[np.bool_]:
+    def likely(self, data: Octets, at: Integers, end: Integers | int) -> Mask:
         """Return where a one-frame message with a header of RACS2 begins, or a handshake; bool (n,)."""
         headers = read_headers(data, at, end)
         room = np.broadcast_to(np.asarray(end - at), at.shape)
@@ -212,13 +202,7 @@ class RacsBridgeState(WebSocketState):
         super().__init__(largest)
         self._told = False
 
-    def contents(
-        self,
-        data: NDArray[np.uint8],
-        offset: NDArray[np.int64],
-        length: NDArray[np.int64],
-        forward: NDArray[np.bool_],
-    ) -> MessageContents:
+    def contents(self, data: Octets, offset: Integers, length: Integers, forward: Mask) -> MessageContents:
         """Return the payloads of frames; the first whole message shows whether the connection is foreign."""
         payloads = super().contents(data, offset, length, forward)
         headers = read_headers(data, offset, offset + length)
@@ -233,14 +217,14 @@ class RacsBridgeState(WebSocketState):
         return payloads
 
 
-def _names_topic(head: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _names_topic(head: Octets) -> Mask:
     """Return which headers hold a topic's name and zeros, bool (n,); the first byte is no digit."""
     ended = np.logical_or.accumulate(head == 0, axis=1)
     fits = np.where(ended, head == 0, _NAME_BYTES[head]).all(axis=1)
     return np.asarray(fits & (head[:, 0] > ord("9")) | fits & (head[:, 0] == ord("/")))
 
 
-def _names_msg_id(head: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _names_msg_id(head: Octets) -> Mask:
     """Return which headers hold a valid MsgId and zeros, bool (n,)."""
     msg_id = head[:, 0].astype(np.int32) << 8 | head[:, 1]
     return np.asarray((msg_id > 0) & (msg_id <= cfe.HIGHEST_MSG_ID) & ~head[:, 2:].any(axis=1))

@@ -10,7 +10,7 @@ import numpy as np
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
 
 class Opcode(IntEnum):
@@ -47,19 +47,17 @@ class FrameHeaders(NamedTuple):
         complete: bool, whether the header is complete.
     """
 
-    final: NDArray[np.bool_]
-    compressed: NDArray[np.bool_]
-    opcode: NDArray[np.uint8]
-    masked: NDArray[np.bool_]
-    size: NDArray[np.int64]
-    length: NDArray[np.int64]
-    valid: NDArray[np.bool_]
-    complete: NDArray[np.bool_]
+    final: Mask
+    compressed: Mask
+    opcode: Octets
+    masked: Mask
+    size: Integers
+    length: Integers
+    valid: Mask
+    complete: Mask
 
 
-def read_headers(
-    data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
-) -> FrameHeaders:
+def read_headers(data: Octets, at: Integers, end: Integers | int) -> FrameHeaders:
     """Read the headers of the frames that start at some positions.
 
     Args:
@@ -69,7 +67,7 @@ def read_headers(
     """
     head = gather(data, at, LARGEST_HEADER)
     first, second = head[:, 0], head[:, 1]
-    opcode: NDArray[np.uint8] = np.bitwise_and(first, 15, dtype=np.uint8)
+    opcode: Octets = np.bitwise_and(first, 15, dtype=np.uint8)
     final, short = first >= 0x80, (second & 0x7F).astype(np.int64)
     masked = second >= 0x80
     two = head[:, 2:4].view(">u2")[:, 0].astype(np.int64)
@@ -85,9 +83,7 @@ def read_headers(
     return FrameHeaders(final, compressed, opcode, masked, size, length, valid, end - at >= 2 + extended)
 
 
-def unmask(
-    data: NDArray[np.uint8], start: NDArray[np.int64], length: NDArray[np.int64], keys: NDArray[np.uint8]
-) -> None:
+def unmask(data: Octets, start: Integers, length: Integers, keys: Octets) -> None:
     """Remove the masks of payloads, in place (section 5.3).
 
     Args:
@@ -101,7 +97,7 @@ def unmask(
     data[start[row] + place] ^= keys[row, place & 3]
 
 
-def masking_keys(data: NDArray[np.uint8], at: NDArray[np.int64], headers: FrameHeaders) -> NDArray[np.uint8]:
+def masking_keys(data: Octets, at: Integers, headers: FrameHeaders) -> Octets:
     """Return the masking key of each frame, u8 (n, 4); zeros where there is none."""
     keys = gather(data, np.maximum(at + headers.size - _KEY_BYTES, 0), _KEY_BYTES)
     keys[~headers.masked] = 0

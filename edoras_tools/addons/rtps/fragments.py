@@ -40,14 +40,12 @@ from edoras_tools.links.site import MOST_ENDPOINTS, Site
 from edoras_tools.model import Columns, PacketBatch
 from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import Integers, Octets, numbered
 from edoras_tools.wire.arrays.window import PADDING, copy_rows
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
 
 
 MOST_FRAGMENT_BYTES: Final = 64 << 20
@@ -59,7 +57,7 @@ LARGEST_SAMPLE: Final = 32 << 20
 class _Sample(msgspec.Struct, eq=False):
     """A sample, and the number of its bytes that came again."""
 
-    data: NDArray[np.uint8]
+    data: Octets
     fragment_size: int
     fragments: KnownRanges = msgspec.field(default_factory=KnownRanges)
     again: int = 0
@@ -142,10 +140,10 @@ class FragmentedSamples:
     def _add(
         self,
         key: tuple[bytes, int],
-        fields: dict[str, NDArray[np.int64]],
-        data: NDArray[np.uint8],
-        start: NDArray[np.int64],
-        end: NDArray[np.int64],
+        fields: dict[str, Integers],
+        data: Octets,
+        start: Integers,
+        end: Integers,
     ) -> Iterator[int]:
         """Add fragments of one sample; yield the index of each that completes it, or a copy of it."""
         size, step = int(fields["sample_size"][0]), int(fields["fragment_size"][0])

@@ -11,13 +11,11 @@ from edoras_tools.model import Decoded, PacketBatch, Transport
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from edoras_tools.links.doors import Follower, LinkEvidence, OwnRows, OwnTopics, SampleReader, TopicSpace
     from edoras_tools.links.reading import Reading
     from edoras_tools.links.sending import LinkSending
     from edoras_tools.links.site import Site
+    from edoras_tools.wire.arrays.order import Integers, Places
     from edoras_tools.wire.layout import Layout
 
 
@@ -54,7 +52,7 @@ class PublishSubscribeLink(LinkProtocol):
         letters = facts.field(RTPS_HEADER, "magic") == int.from_bytes(RTPS_MAGIC, "big")
         return BY_CONTENT * (letters & (version >= 0))
 
-    def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+    def locate(self, batch: PacketBatch, rows: Places, site: Site) -> Located:
         """Judge messages, and learn the announced endpoints; see :meth:`LinkProtocol.locate`."""
         return self.part("reader:locate_samples")(batch, rows, site)
 
@@ -62,9 +60,7 @@ class PublishSubscribeLink(LinkProtocol):
         """Read one message."""
         self.part("reader:dissect_message")(reading, site)
 
-    def places(
-        self, layout: Layout, rows: BatchRows, field: str = ""
-    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    def places(self, layout: Layout, rows: BatchRows, field: str = "") -> tuple[Places, Integers]:
         """Find the message header, or every submessage of one kind and byte order."""
         return self.part("reader:submessage_places")(layout, rows, self)
 

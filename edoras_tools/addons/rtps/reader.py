@@ -37,7 +37,7 @@ from edoras_tools.addons.rtps.wire.messages import (
 from edoras_tools.addons.rtps.wire.parameters import read_announcement, read_status
 from edoras_tools.links.protocol import BatchRows, Located
 from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, numbered
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE
 
 if TYPE_CHECKING:
@@ -84,15 +84,15 @@ class TopicSamples(NamedTuple):
         time_ns: i64 (n,), time of writing, ns since 1970; -1 if it is not given.
     """
 
-    row: NDArray[np.int64]
-    writer: NDArray[np.int64]
-    sequence_number: NDArray[np.int64]
-    start: NDArray[np.int64]
-    end: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
+    row: Integers
+    writer: Integers
+    sequence_number: Integers
+    start: Integers
+    end: Integers
+    time_ns: Integers
 
 
-def topic_samples(data: NDArray[np.uint8], submessages: Submessages) -> tuple[list[bytes], TopicSamples]:
+def topic_samples(data: Octets, submessages: Submessages) -> tuple[list[bytes], TopicSamples]:
     """Return the GUIDs of writers, and their samples, without the keys of disposed instances.
 
     Args:
@@ -113,9 +113,7 @@ def topic_samples(data: NDArray[np.uint8], submessages: Submessages) -> tuple[li
     )
 
 
-def rows_on(
-    batch: PacketBatch, rows: NDArray[np.intp], endpoints: Endpoints, holds: Callable[[str], bool]
-) -> NDArray[np.intp]:
+def rows_on(batch: PacketBatch, rows: Places, endpoints: Endpoints, holds: Callable[[str], bool]) -> Places:
     """Return those rows that have a complete sample of a topic announced before.
 
     Args:
@@ -130,32 +128,32 @@ def rows_on(
     return rows[samples.row[own[samples.writer] & announced]]
 
 
-def _whole_samples(data: NDArray[np.uint8], parts: Submessages) -> tuple[SampleData, Submessages]:
+def _whole_samples(data: Octets, parts: Submessages) -> tuple[SampleData, Submessages]:
     """Return the complete samples in DATA, and their submessages."""
     samples = read_samples(data, parts, SubmessageKind.DATA)
     samples = samples.take(samples.fits & ((parts.flags[samples.which] & SubmessageFlag.DATA) != 0))
     return samples, parts.take(samples.which)
 
 
-def _of_users(guids: NDArray[np.void]) -> NDArray[np.bool_]:
+def _of_users(guids: NDArray[np.void]) -> Mask:
     """Return which endpoints are not built in: bool (n,)."""
     kind = guids.view(np.uint8).reshape(-1, GUID_BYTES)[:, -1]
     return (kind & BUILT_IN_KIND) != BUILT_IN_KIND
 
 
-def distinct_guids(guids: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.int64]]:
+def distinct_guids(guids: NDArray[np.void]) -> tuple[list[bytes], Integers]:
     """Return the distinct GUIDs in order of their first use, and the index of each input's GUID, i64 (n,)."""
     halves = np.ascontiguousarray(guids).view(np.uint64).reshape(-1, 2)
     first, which = numbered(halves[:, 0], halves[:, 1])
     return [guids[at].tobytes() for at in first.tolist()], which
 
 
-def rtps_messages(batch: PacketBatch, rows: NDArray[np.intp]) -> RtpsMessages:
+def rtps_messages(batch: PacketBatch, rows: Places) -> RtpsMessages:
     """Read the messages of some rows of a batch."""
     return read_messages(batch.data, batch.offset[rows], batch.length[rows])
 
 
-def locate_samples(batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+def locate_samples(batch: PacketBatch, rows: Places, site: Site) -> Located:
     """Judge messages, and learn the endpoints that they announce."""
     located, messages = Located(len(rows)), rtps_messages(batch, rows)
     located.flag(Finding.TRUNCATED, messages.truncated)
@@ -169,9 +167,7 @@ def locate_samples(batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Lo
     return located
 
 
-def learn(
-    data: NDArray[np.uint8], submessages: Submessages, number: NDArray[np.int64], endpoints: Endpoints
-) -> None:
+def learn(data: Octets, submessages: Submessages, number: Integers, endpoints: Endpoints) -> None:
     """Learn the announcements of participants.
 
     Args:
@@ -213,7 +209,7 @@ def dissect_message(reading: Reading, site: Site) -> None:
         reading.truncated(SUBMESSAGE.little.name, last, SUBMESSAGE.little.size)
 
 
-def _insides(octets: NDArray[np.uint8], submessages: Submessages) -> dict[int, tuple[int, int, bool]]:
+def _insides(octets: Octets, submessages: Submessages) -> dict[int, tuple[int, int, bool]]:
     """Return the start and end of each submessage's data, and whether its headers are sound."""
     out: dict[int, tuple[int, int, bool]] = {}
     for kind in (SubmessageKind.DATA, SubmessageKind.DATA_FRAG):
@@ -279,9 +275,7 @@ def _numbers_text(numbers: list[int]) -> str:
     return ", ".join(map(str, numbers)) or "none"
 
 
-def submessage_places(
-    layout: Layout, rows: BatchRows, link: Link
-) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+def submessage_places(layout: Layout, rows: BatchRows, link: Link) -> tuple[Places, Integers]:
     """Find the message header, or every submessage of one kind and byte order; a row may have several."""
     owner = np.flatnonzero(rows.column("link") == link)
     offset, length = rows.datagram("offset")[owner], rows.datagram("length")[owner]
@@ -361,17 +355,17 @@ class UserSubmessages(NamedTuple):
 
     writers: list[bytes]
     readers: list[bytes]
-    writer: NDArray[np.int64]
-    reader: NDArray[np.int64]
-    kind: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
-    first: NDArray[np.int64]
-    last: NDArray[np.int64]
-    bits: NDArray[np.int64]
-    set_at: NDArray[np.int64]
-    end: NDArray[np.int64]
-    little: NDArray[np.bool_]
-    data: NDArray[np.uint8]
+    writer: Integers
+    reader: Integers
+    kind: Integers
+    time_ns: Integers
+    first: Integers
+    last: Integers
+    bits: Integers
+    set_at: Integers
+    end: Integers
+    little: Mask
+    data: Octets
 
     def of(self, writer: int) -> UserSubmessages:
         """Return the submessages about one writer."""
@@ -397,7 +391,7 @@ _FOLLOWED: Final = {
 }
 
 
-def user_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> UserSubmessages:
+def user_submessages(batch: PacketBatch, rows: Places) -> UserSubmessages:
     """Return the submessages about user writers.
 
     Args:
@@ -445,14 +439,14 @@ class NamedSubmessages(NamedTuple):
         numbered: bool (n,), whether it is about one sample.
     """
 
-    row: NDArray[np.int64]
+    row: Integers
     writers: list[bytes]
-    writer: NDArray[np.int64]
-    number: NDArray[np.int64]
-    numbered: NDArray[np.bool_]
+    writer: Integers
+    number: Integers
+    numbered: Mask
 
 
-def named_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> NamedSubmessages:
+def named_submessages(batch: PacketBatch, rows: Places) -> NamedSubmessages:
     """Return the submessages that are about a writer.
 
     Args:

@@ -24,14 +24,13 @@ from edoras_tools.words import listed, plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from edoras_tools.model import PacketBatch
     from edoras_tools.ros import TypeStore
+    from edoras_tools.wire.arrays.order import Mask, Octets, Places
 
 
 def known_samples(
-    types: TypeStore | None, endpoints: Endpoints, batch: PacketBatch, rows: NDArray[np.intp]
+    types: TypeStore | None, endpoints: Endpoints, batch: PacketBatch, rows: Places
 ) -> Iterator[KnownSamples]:
     """Yield the samples of each topic and type.
 
@@ -76,7 +75,7 @@ class _Reader:
     known_samples = staticmethod(known_samples)
     rows_on = staticmethod(rows_on)
 
-    def writers(self, batch: PacketBatch, rows: NDArray[np.intp]) -> list[bytes]:
+    def writers(self, batch: PacketBatch, rows: Places) -> list[bytes]:
         """Return the GUIDs of the writers in some rows."""
         return named_submessages(batch, rows).writers
 
@@ -89,7 +88,7 @@ class _Reader:
 READER: Final = _Reader()
 
 
-def _is_plain(data: NDArray[np.uint8], samples: TopicSamples) -> NDArray[np.bool_]:
+def _is_plain(data: Octets, samples: TopicSamples) -> Mask:
     """Return which samples are plain CDR, like ROS messages: bool (n,)."""
     whole = samples.end - samples.start >= ENCAPSULATION.size
     head = gather(data, np.where(whole, samples.start, 0), ENCAPSULATION.size)
@@ -103,7 +102,7 @@ class LeftSamples:
         self._early: Counter[bytes] = Counter()
         self._all: Counter[bytes] = Counter()
 
-    def add(self, batch: PacketBatch, rows: NDArray[np.intp], endpoints: Endpoints) -> None:
+    def add(self, batch: PacketBatch, rows: Places, endpoints: Endpoints) -> None:
         """Count the samples of a batch.
 
         Args:

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.rtps.wire.parameters import Announcement
     from edoras_tools.links.site import Site
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
 _FIRST_PORT: Final = 7400
 _PORTS_OF_DOMAIN: Final = 250
@@ -195,7 +196,7 @@ class WritersTransmitter:
         self.statistics.add(result)
         return not result.errors
 
-    def send_many(self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> int:
+    def send_many(self, data: Octets, offset: Integers, length: NDArray[np.int32]) -> int:
         """Publish samples in order; return how many were written. See ``Transmitter``."""
         ends = (offset + length).tolist()
         return sum(self.send(data.data[a:b]) for a, b in zip(offset.tolist(), ends, strict=True))
@@ -236,7 +237,7 @@ class SampleSending(LinkSending):
         self._site = site
         self._announced: dict[bytes, Announcement] = {}
 
-    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> Mask:
         """Return which rows have a complete sample of a user writer: bool (n,)."""
         rows = np.flatnonzero(super().outgoing_rows(batch, columns))
         _, samples = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
@@ -250,9 +251,7 @@ class SampleSending(LinkSending):
         self.session.begin(writers)
         return writers
 
-    def renew(
-        self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
-    ) -> tuple[list[bytes], NDArray[np.int64]]:
+    def renew(self, messages: Sequence[bytes], time_ns: Integers) -> tuple[list[bytes], Integers]:
         """Return a message for each sample."""
         length = np.array([len(item) for item in messages], np.int64)
         data = np.frombuffer(b"".join(messages), np.uint8)

@@ -40,9 +40,8 @@ from edoras_tools.links.site import MOST_ENDPOINTS, Endpoints
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.wire.arrays.order import Integers, Places
 
 PRESENCE: Final = "ros_discovery_info"
 """Topic on which each ROS node announces its topics."""
@@ -272,7 +271,7 @@ class SampleFollower(LinkEvidence):
         self.datagrams += len(rows) - joined
         self._follow(batch, rows)
 
-    def _follow(self, batch: PacketBatch, rows: NDArray[np.intp]) -> None:
+    def _follow(self, batch: PacketBatch, rows: Places) -> None:
         submessages = user_submessages(batch, rows)
         for index, guid in enumerate(submessages.writers):
             if guid not in self.writers and len(self.writers) >= MOST_ENDPOINTS:
@@ -319,7 +318,7 @@ class _Pass:
             self._acknowledge(acks, before, (beats, offered, had))
         writer.available = max(had, int(offered[-1]) if len(offered) else 0)
 
-    def _samples(self, data: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
+    def _samples(self, data: Integers, numbers: Integers) -> None:
         writer, times = self._writer, self._submessages.time_ns[data]
         if writer.first is None:
             writer.first = writer.floor = writer.last = int(numbers[0])
@@ -350,10 +349,7 @@ class _Pass:
             writer.irrelevant.add(number, number + 1)
 
     def _acknowledge(
-        self,
-        acks: NDArray[np.int64],
-        before: KnownRanges,
-        beats: tuple[NDArray[np.int64], NDArray[np.int64], int],
+        self, acks: Integers, before: KnownRanges, beats: tuple[Integers, Integers, int]
     ) -> None:
         """Process ACKNACKs in order: numbers that a reader asks for, and numbers that it no longer needs.
 

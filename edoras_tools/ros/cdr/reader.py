@@ -20,7 +20,7 @@ _ORDERS: Final = {CDR_LE: 0, CDR_BE: 1}
 _COUNTS: Final = struct.Struct("<I"), struct.Struct(">I")
 
 
-class Octets(bytes):
+class OctetValues(bytes):
     """The elements of a sequence of octets, as the data of an image; equal to the list of their numbers."""
 
     __slots__ = ()
@@ -169,7 +169,7 @@ def _read_repeat(step: Repeat, order: int, body: bytes, position: int, values: l
         if leaf is None:
             values.append(list(map(plan.build, run.structs[order].iter_unpack(body[position:end]))))
         elif leaf.code == "B":
-            values.append(Octets(body[position:end]))
+            values.append(OctetValues(body[position:end]))
         else:
             values.append([*struct.unpack_from(f"{'<>'[order]}{count}{leaf.code}", body, position)])
         return end

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 Integers: TypeAlias = "NDArray[np.int64]"
 """Times in ns, or counts."""
+Octets: TypeAlias = "NDArray[np.uint8]"
+"""Bytes: a buffer, or one row of them for each element of other arrays."""
 Mask: TypeAlias = "NDArray[np.bool_]"
 """A selection of the elements of another array."""
 Places: TypeAlias = "NDArray[np.intp]"

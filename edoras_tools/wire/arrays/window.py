@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,7 +32,7 @@ PADDING = 64
 """Bytes that must be readable after the last byte in use, so that header windows never leave a buffer."""
 
 
-def at_every_byte(buffer: NDArray[np.uint8], width: int) -> NDArray[np.void]:
+def at_every_byte(buffer: Octets, width: int) -> NDArray[np.void]:
     """Return a view with an element of ``width`` bytes at every offset where one fits.
 
     Args:
@@ -42,7 +42,7 @@ def at_every_byte(buffer: NDArray[np.uint8], width: int) -> NDArray[np.void]:
     return np.ndarray((max(len(buffer) - width + 1, 0),), f"V{width}", buffer, 0, (1,))
 
 
-def read_at(data: NDArray[np.uint8], positions: NDArray[np.integer[Any]], dtype: DTypeLike) -> NDArray[Any]:
+def read_at(data: Octets, positions: NDArray[np.integer[Any]], dtype: DTypeLike) -> NDArray[Any]:
     """Read one value at each of many byte positions, aligned or not.
 
     Args:
@@ -56,7 +56,7 @@ def read_at(data: NDArray[np.uint8], positions: NDArray[np.integer[Any]], dtype:
     return at_every_byte(data, np.dtype(dtype).itemsize)[positions].view(dtype)
 
 
-def gather(data: NDArray[np.uint8], offset: NDArray[np.int64], width: int) -> NDArray[np.uint8]:
+def gather(data: Octets, offset: Integers, width: int) -> Octets:
     """Copy ``width`` bytes at each offset into the rows of a matrix; bytes past the buffer's end are 0.
 
     Args:
@@ -78,18 +78,14 @@ def gather(data: NDArray[np.uint8], offset: NDArray[np.int64], width: int) -> ND
     return rows
 
 
-def put_rows(target: NDArray[np.uint8], positions: NDArray[np.int64], rows: NDArray[Any]) -> None:
+def put_rows(target: Octets, positions: Integers, rows: NDArray[Any]) -> None:
     """Write every element of the structured array ``rows`` at its byte position in ``target``."""
     width = rows.itemsize
     at_every_byte(target, width)[positions] = np.ascontiguousarray(rows).view(f"V{width}")
 
 
 def copy_rows(
-    target: NDArray[np.uint8],
-    positions: NDArray[np.int64],
-    source: NDArray[np.uint8],
-    offsets: NDArray[np.int64],
-    lengths: NDArray[np.integer[Any]],
+    target: Octets, positions: Integers, source: Octets, offsets: Integers, lengths: NDArray[np.integer[Any]]
 ) -> None:
     """Copy ``lengths[i]`` bytes from ``source[offsets[i]]`` to ``target[positions[i]]``, for every i.
 
@@ -113,11 +109,7 @@ def copy_rows(
 
 
 def spill_rows(
-    target: NDArray[np.uint8],
-    positions: NDArray[np.int64],
-    source: NDArray[np.uint8],
-    offsets: NDArray[np.int64],
-    lengths: NDArray[np.integer[Any]],
+    target: Octets, positions: Integers, source: Octets, offsets: Integers, lengths: NDArray[np.integer[Any]]
 ) -> None:
     """Copy rows like ``copy_rows``, in a third of the time; the gaps after them are overwritten.
 
@@ -146,7 +138,7 @@ def spill_rows(
     copy_rows(target, positions[apart], source, offsets[apart], lengths[apart])
 
 
-def _widths(lengths: NDArray[np.integer[Any]]) -> Iterator[tuple[int, NDArray[np.intp] | slice]]:
+def _widths(lengths: NDArray[np.integer[Any]]) -> Iterator[tuple[int, Places | slice]]:
     """Yield groups of rows, each with a width such that two moves of it cover every length of the group."""
     shortest, longest = (int(lengths.min()), int(lengths.max())) if len(lengths) else (0, 0)
     if shortest == longest:
@@ -163,9 +155,7 @@ def _widths(lengths: NDArray[np.integer[Any]]) -> Iterator[tuple[int, NDArray[np
         yield 1 << count >> 1, np.flatnonzero(bits == count)
 
 
-def xor_bytes(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
-) -> NDArray[np.uint8]:
+def xor_bytes(data: Octets, offset: Integers, length: NDArray[np.int32]) -> Octets:
     """Return the XOR of the bytes of each range ``offset : offset + length``, u8 (n,).
 
     Bytes between two ranges are read too, and ignored: so the ranges are handled in their order in ``data``.
@@ -188,9 +178,7 @@ def xor_bytes(
     return out
 
 
-def any_nonzero(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
-) -> NDArray[np.bool_]:
+def any_nonzero(data: Octets, offset: Integers, length: NDArray[np.int32]) -> Mask:
     """Return whether each range ``offset : offset + length`` holds a byte that is not 0, bool (n,)."""
     out = np.zeros(len(offset), bool)
     for size, rows in by_value(length):
@@ -199,9 +187,7 @@ def any_nonzero(
     return out
 
 
-def word_sums(
-    data: NDArray[np.uint8], start: NDArray[np.int64], length: NDArray[np.integer[Any]]
-) -> NDArray[np.int64]:
+def word_sums(data: Octets, start: Integers, length: NDArray[np.integer[Any]]) -> Integers:
     """Return the sum of the big-endian 16-bit words of each range, modulo 0xFFFF; i64 (n,).
 
     An odd last byte is followed by a zero. The buffer has at least 64 bytes after the last range.

@@ -29,6 +29,8 @@ from edoras_tools.wire.arrays.window import gather
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+
 MOST_SUBMESSAGES: Final = 1 << 10
 MOST_PARAMETERS: Final = 1 << 6
 NO_TIME: Final = -1
@@ -56,22 +58,22 @@ class Submessages(NamedTuple):
         whole: bool (n,), whether all its bytes exist.
     """
 
-    row: NDArray[np.int64]
-    start: NDArray[np.int64]
-    end: NDArray[np.int64]
-    kind: NDArray[np.uint8]
-    flags: NDArray[np.uint8]
-    source: NDArray[np.int64]
-    destination: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
-    whole: NDArray[np.bool_]
+    row: Integers
+    start: Integers
+    end: Integers
+    kind: Octets
+    flags: Octets
+    source: Integers
+    destination: Integers
+    time_ns: Integers
+    whole: Mask
 
     def take(self, mask: NDArray[Any]) -> Submessages:
         """Return the submessages that a mask or indices select."""
         return Submessages(*(column[mask] for column in self))
 
     @property
-    def little(self) -> NDArray[np.bool_]:
+    def little(self) -> Mask:
         """Whether each is little-endian: bool (n,)."""
         return np.asarray((self.flags & SubmessageFlag.LITTLE_ENDIAN) != 0)
 
@@ -86,13 +88,11 @@ class RtpsMessages(NamedTuple):
     """
 
     submessages: Submessages
-    truncated: NDArray[np.bool_]
-    odd: NDArray[np.bool_]
+    truncated: Mask
+    odd: Mask
 
 
-def read_messages(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.integer[Any]]
-) -> RtpsMessages:
+def read_messages(data: Octets, offset: Integers, length: NDArray[np.integer[Any]]) -> RtpsMessages:
     """Read many messages; no contents can raise an error.
 
     Args:
@@ -143,14 +143,14 @@ def read_messages(
 
 
 def _note_times(
-    data: NDArray[np.uint8],
-    at: NDArray[np.int64],
-    kind: NDArray[np.uint8],
-    whole: NDArray[np.bool_],
-    little: NDArray[np.bool_],
-    no_time: NDArray[np.bool_],
-    time_ns: NDArray[np.int64],
-    active: NDArray[np.int64],
+    data: Octets,
+    at: Integers,
+    kind: Octets,
+    whole: Mask,
+    little: Mask,
+    no_time: Mask,
+    time_ns: Integers,
+    active: Integers,
 ) -> None:
     """Store the times that INFO_TS gives to the following submessages."""
     orders = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_TS]
@@ -172,7 +172,7 @@ def _joined(steps: list[tuple[NDArray[Any], ...]]) -> Submessages:
     return joined if len(steps) == 1 else joined.take(np.argsort(joined.row, kind="stable"))
 
 
-def _least() -> NDArray[np.int64]:
+def _least() -> Integers:
     least = np.full(256, _HEAD, np.int64)
     for kind, orders in SUBMESSAGE_LAYOUTS.items():
         least[kind] = orders.little.size
@@ -184,9 +184,7 @@ LEAST_BYTES: Final = _least()
 _MAY_BE_EMPTY: Final = np.isin(np.arange(256), EMPTY_KINDS)
 
 
-def _number(
-    orders: Orders, name: str, head: NDArray[np.uint8], little: NDArray[np.bool_]
-) -> NDArray[np.int64]:
+def _number(orders: Orders, name: str, head: Octets, little: Mask) -> Integers:
     """Read a number from headers of both byte orders, i64 (n,)."""
     if little.all():
         return orders.little.column(name, head).astype(np.int64)
@@ -202,16 +200,16 @@ class SubmessageFields:
         kind: kind.
     """
 
-    def __init__(self, data: NDArray[np.uint8], submessages: Submessages, kind: SubmessageKind) -> None:
+    def __init__(self, data: Octets, submessages: Submessages, kind: SubmessageKind) -> None:
         self._orders, self._little = SUBMESSAGE_LAYOUTS[kind], submessages.little
         self._data, self._submessages = data, submessages
         self._head = gather(data, submessages.start, self._orders.little.size)
 
-    def number(self, name: str) -> NDArray[np.int64]:
+    def number(self, name: str) -> Integers:
         """Return a number, i64 (n,)."""
         return _number(self._orders, name, self._head, self._little)
 
-    def sequence_number(self, name: str) -> NDArray[np.int64]:
+    def sequence_number(self, name: str) -> Integers:
         """Return a sequence number, i64 (n,)."""
         return (self.number(f"{name}_high") << 32) + self.number(f"{name}_low")
 
@@ -248,17 +246,17 @@ class SampleData(NamedTuple):
         fits: bool (n,), whether the header and the inline QoS are sound.
     """
 
-    which: NDArray[np.int64]
-    start: NDArray[np.int64]
-    end: NDArray[np.int64]
-    fits: NDArray[np.bool_]
+    which: Integers
+    start: Integers
+    end: Integers
+    fits: Mask
 
     def take(self, mask: NDArray[Any]) -> SampleData:
         """Return the data that a mask or indices select."""
         return SampleData(*(column[mask] for column in self))
 
 
-def read_samples(data: NDArray[np.uint8], submessages: Submessages, kind: SubmessageKind) -> SampleData:
+def read_samples(data: Octets, submessages: Submessages, kind: SubmessageKind) -> SampleData:
     """Find the data of submessages, behind inline QoS.
 
     Args:
