@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
+from math import inf
+from operator import add, mul, sub
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.databases.documents import SheetError
@@ -17,10 +19,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _REFERENCE: Final = re.compile(r"\$\{([^{}]*)\}")
-_TOKEN: Final = re.compile(r"\s*(0[xX][0-9a-fA-F]+|\d+\.?\d*(?:[eE][-+]?\d+)?|[-+*/^()])\s*", re.ASCII)
+_TOKEN: Final = re.compile(r"0[xX][0-9a-fA-F]+|\d+\.?\d*(?:[eE][-+]?\d+)?|\S", re.ASCII)
 _LONGEST: Final = 1000
 _DEEPEST: Final = 32
 _HIGHEST: Final = 1 << 64
+_BINDINGS: Final = {"+": 1, "-": 1, "*": 2, "/": 2, "^": 4}
+_NEGATION: Final = 3
+"""How tightly operators bind; a sign in front of a number less than a power."""
 Number = int | float
 
 
@@ -93,76 +98,56 @@ class _Expression:
 
     def __init__(self, text: str) -> None:
         self._text = text
-        self._tokens: list[str] = []
-        at = 0
-        while at < len(text) and (match := _TOKEN.match(text, at)):
-            self._tokens.append(match[1])
-            at = match.end()
-        if at < len(text) or not self._tokens:
-            raise SheetError(f"{text[:80]!r} is no number")
-        self._tokens.reverse()
-        self._depth = 0
+        self._tokens = _TOKEN.findall(text)[::-1]
 
     def value(self) -> Number:
-        value = self._sum()
+        value = self._operators(0, 1)
         if self._tokens:
-            raise SheetError(f"{self._text[:80]!r} is no number")
+            raise self._error(" is no number")
         return value
 
-    def _next(self, among: str) -> str:
-        """Return the next token and advance if it is one of these; else return an empty text."""
-        return self._tokens.pop() if self._tokens and self._tokens[-1] in among.split() else ""
-
-    def _sum(self) -> Number:
-        value = self._product()
-        while sign := self._next("+ -"):
-            other = self._product()
-            value = self._checked(value + other if sign == "+" else value - other)
+    def _operators(self, least: int, depth: int) -> Number:
+        """Return the value of an operand, and of the operators behind it that bind more than ``least``."""
+        if depth > _DEEPEST:
+            raise self._error(" is nested too deeply")
+        first = self._tokens.pop() if self._tokens else ""
+        if first == "-":
+            value = -self._operators(_NEGATION, depth + 1)
+        elif first == "(":
+            value = self._operators(0, depth + 1)
+            if not self._tokens or self._tokens.pop() != ")":
+                raise self._error(": a parenthesis is not closed")
+        elif first[:2] in {"0x", "0X"}:
+            value = self._checked(int(first, 16))
+        elif first[:1].isdigit():
+            value = self._checked(int(first) if first.isdigit() else float(first))
+        else:
+            raise self._error(" is no number")
+        while self._tokens and (binding := _BINDINGS.get(self._tokens[-1], 0)) > least:
+            sign = self._tokens.pop()
+            power = sign == "^"  # from right to left
+            other = self._operators(binding - power, depth + power)
+            value = self._checked(self._calculated(value, sign, other))
         return value
 
-    def _product(self) -> Number:
-        value = self._signed()
-        while sign := self._next("* /"):
-            other = self._signed()
-            if sign == "/" and not other:
-                raise SheetError(f"{self._text[:80]!r} divides by 0")
-            exact = sign == "/" and isinstance(value, int) and isinstance(other, int) and not value % other
-            value = self._checked(
-                value * other if sign == "*" else value // other if exact else value / other
-            )
-        return value
-
-    def _signed(self) -> Number:
-        self._depth += 1
-        if self._depth > _DEEPEST:
-            raise SheetError(f"{self._text[:80]!r} is nested too deeply")
-        value = -self._signed() if self._next("-") else self._power()
-        self._depth -= 1
-        return value
-
-    def _power(self) -> Number:
-        base = self._atom()
-        if not self._next("^"):
-            return base
-        exponent = self._signed()
-        if abs(exponent) > 64 or (base < 0 and exponent != int(exponent)) or (not base and exponent < 0):
-            raise SheetError(f"{self._text[:80]!r} has no value here")
-        return self._checked(base**exponent)
-
-    def _atom(self) -> Number:
-        if self._next("("):
-            value = self._sum()
-            if not self._next(")"):
-                raise SheetError(f"{self._text[:80]!r}: a parenthesis is not closed")
-            return value
-        token = self._tokens.pop() if self._tokens else ""
-        if not token[:1].isdigit():
-            raise SheetError(f"{self._text[:80]!r} is no number")
-        if token[:2] in {"0x", "0X"}:
-            return self._checked(int(token, 16))
-        return self._checked(int(token) if token.isdigit() else float(token))
+    def _calculated(self, value: Number, sign: str, other: Number) -> Number:
+        if sign == "^":
+            if abs(other) > 64 or (value < 0 and other != int(other)) or (not value and other < 0):
+                raise self._error(" has no value here")
+            with suppress(OverflowError):
+                return value**other
+            return inf
+        if sign == "/" and not other:
+            raise self._error(" divides by 0")
+        if sign == "/":
+            exact = isinstance(value, int) and isinstance(other, int) and not value % other
+            return value // other if exact else value / other
+        return {"+": add, "-": sub, "*": mul}[sign](value, other)
 
     def _checked(self, value: Number) -> Number:
         if not -_HIGHEST <= value <= _HIGHEST:
-            raise SheetError(f"{self._text[:80]!r} is over 2^64")
+            raise self._error(" is over 2^64")
         return value
+
+    def _error(self, why: str) -> SheetError:
+        return SheetError(f"{self._text[:80]!r}{why}")

@@ -65,6 +65,7 @@ def test_a_text_stands_for_itself():
         ("0 ^ -1", "has no value here"),
         ("2 ^ 64 * 2", "is over 2^64"),
         ("1e400", "is over 2^64"),
+        ("1e19 ^ 64", "is over 2^64"),
         ("(" * 40 + "1" + ")" * 40, "is nested too deeply"),
         ("-" * 900 + "1", "is nested too deeply"),
     ],
