@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 from xml.parsers import expat
 
@@ -12,8 +13,10 @@ from edoras_tools.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator
 
-_DEEPEST: Final = 64
+NESTING: Final = 64
+"""Most elements that contain each other, types too, and most bases of one."""
 _MOST_NODES: Final = 1 << 18
+_SEARCHED: Final = 1 << 16
 _LONGEST_TEXT: Final = 200
 """Maximum number of kept characters of an element's text: more than any unit or number has."""
 
@@ -106,6 +109,13 @@ class Notes(dict[str, Node]):
         return tuple(f"{node}: {text}" for text, node in self.items())
 
 
+def has_root(data: bytes, *tags: str) -> bool:
+    """Return whether a file is XML and begins with an element of one of these tags, in any name space."""
+    root = rb"<(?:[\w.-]+:)?(?:%s)[\s>/]" % "|".join(tags).encode()
+    is_xml = data[:4].lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<")
+    return is_xml and re.search(root, data[:_SEARCHED]) is not None
+
+
 def parse_document(data: bytes, name: str) -> Node:
     """Return the root of a document.
 
@@ -124,8 +134,8 @@ def parse_document(data: bytes, name: str) -> Node:
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal count
         count += 1
-        if len(above) > _DEEPEST or count > _MOST_NODES:
-            refuse(f"more than {_DEEPEST} levels or {_MOST_NODES:,} elements; that describes no packets")
+        if len(above) > NESTING or count > _MOST_NODES:
+            refuse(f"more than {NESTING} levels or {_MOST_NODES:,} elements; that describes no packets")
         plain = {key.rpartition(" ")[2]: value for key, value in attributes.items()}
         node = Node(tag.rpartition(" ")[2], plain, name, parser.CurrentLineNumber)
         above[-1].children.append(node)
@@ -134,11 +144,10 @@ def parse_document(data: bytes, name: str) -> Node:
     def doctype(*_: Any) -> None:
         refuse("a document type (<!DOCTYPE ...>) is not read, for its entities may hold anything; remove it")
 
-    parser.StartElementHandler = start
-
     def characters(text: str) -> None:
         above[-1].text = (above[-1].text + text)[:_LONGEST_TEXT]
 
+    parser.StartElementHandler = start
     parser.CharacterDataHandler = characters
     parser.EndElementHandler = lambda _: above.pop()
     parser.StartDoctypeDeclHandler = doctype

@@ -1,18 +1,31 @@
-"""The positions of one container's entries, in bits, and the resulting members."""
+"""Resolved data types, and the positions of one container's entries, in bits, with the resulting members."""
 
 from __future__ import annotations
 
 import re
 from math import prod
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.addons.databases.documents import SheetError
+from edoras_tools.addons.databases.documents import NESTING, SheetError
 from edoras_tools.structs.messages import unique
-from edoras_tools.structs.shapes import BASIC, OPEN, Basic, BasicKind, ByteOrder, Member
+from edoras_tools.structs.shapes import (
+    BASIC,
+    OPEN,
+    Basic,
+    BasicKind,
+    ByteOrder,
+    Enumeration,
+    Member,
+    Struct,
+)
 
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+_MOST_ELEMENTS: Final = 1 << 16
 MOST_VALUE_BITS: Final = 1 << 27
 """Maximum size of a value, bits."""
 UNNAMED: Final = Member("", BASIC["byte"], 0)
@@ -79,6 +92,68 @@ def scalar(kind: BasicKind, bits: int, order: ByteOrder | None, like: Member, do
     return DataType(
         basic, bits, scalar=True, order=order if bits > 8 else None, alignment=octets, doubt=doubt, like=like
     )
+
+
+class TypeTable:
+    """The types of some descriptions, each made once, and the structs and enumerations that they need.
+
+    Attributes:
+        structs: structs by name.
+        enums: enumerations by name.
+    """
+
+    def __init__(self) -> None:
+        self.structs: dict[str, Struct] = {}
+        self.enums: dict[str, Enumeration] = {}
+        self._used: set[str] = {*BASIC}
+        self._types: dict[str, DataType | SheetError] = {}
+        self._open: list[str] = []
+
+    def resolve(self, name: str, make: Callable[[], DataType]) -> DataType:
+        """Return a type by its full name; ``make`` makes it at the first use.
+
+        Raises:
+            SheetError: the type contains itself, or cannot be read.
+        """
+        result = self._types.get(name)
+        if result is None:
+            if name in self._open or len(self._open) > NESTING:
+                raise SheetError(f"type {name} contains itself")
+            self._open.append(name)
+            try:
+                result = make()
+                if result.whole_bits > MOST_VALUE_BITS or prod(result.dims) > _MOST_ELEMENTS:
+                    result = SheetError(f"type {name} is larger than any packet")
+            except SheetError as error:
+                result = error
+            self._open.pop()
+            self._types[name] = result
+        if isinstance(result, SheetError):
+            raise SheetError(str(result))
+        return result
+
+    def labelled(self, number: DataType, name: str, labels: Mapping[int, str]) -> DataType:
+        """Return the type of a number whose values have labels; the number itself if it cannot have any."""
+        basic = number.kind
+        if not labels or number.doubt or not isinstance(basic, Basic):
+            return number
+        names = {value: label for value, label in labels.items() if basic.holds(value)}
+        same = self.enums.get(name)
+        if same is None or (same.basic, same.names) != (basic, names):
+            name = unique(name, self._used)
+            self.enums[name] = Enumeration(name, basic, names)
+        return replace(number, kind=name)
+
+    @staticmethod
+    def polynomial(terms: Mapping[int, float]) -> tuple[float, ...]:
+        """Return the coefficients of a calibration by rising power, from those of some powers."""
+        return tuple(terms.get(power, 0.0) for power in range(max(terms, default=-1) + 1))
+
+    def add_struct(self, name: str, placed: Placement, doc: str, tail: int = 0) -> str:
+        """Add the struct of a container; return its name, which differs from all others."""
+        size, name = placed.end(), unique(c_name(name), self._used)
+        self.structs[name] = Struct(name, -(-size // 8), tuple(placed.members), doc=doc, tail=tail)
+        return name
 
 
 class Placement:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.databases.documents import Node, Notes, SheetError, parse_document
+from edoras_tools.addons.databases.documents import Node, Notes, SheetError, has_root, parse_document
 from edoras_tools.addons.databases.eds.parameters import Parameters
 from edoras_tools.addons.databases.eds.types import DATA_TYPES, PACKET_HEADERS, Types
 from edoras_tools.errors import ConfigError
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 _ROOTS: Final = ("PackageFile", "DataSheet", "DesignParameters")
-_ROOT: Final = re.compile(rb"<(?:[\w.-]+:)?(?:%s)[\s>/]" % "|".join(_ROOTS).encode())
-_SEARCHED: Final = 1 << 16
 _TOPICS: Final = {
     "command": (
         ("CFE_MISSION/TELECOMMAND_BASE_TOPICID", 0x1800),
@@ -54,7 +52,7 @@ _QUIET: Final = frozenset({"LongDescription", "Metadata", "DeclaredInterfaceSet"
 
 def is_sheet(data: bytes) -> bool:
     """Return whether a file is a data sheet, or has design parameters of one."""
-    return data[:4].lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") and bool(_ROOT.search(data[:_SEARCHED]))
+    return has_root(data, *_ROOTS)
 
 
 def read_sheets(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) -> StructLayout:
@@ -86,12 +84,7 @@ def read_sheets(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) -
     return layout
 
 
-def read_sheet(data: bytes, name: str) -> StructLayout:
-    """Make the layout of one data sheet; see :func:`read_sheets`."""
-    return read_sheets([(data, name)])
-
-
-SHEETS: Final = Database(is_sheet, read_sheet, read_sheets)
+SHEETS: Final = Database(is_sheet, lambda data, name: read_sheets([(data, name)]), read_sheets)
 
 
 class _Sheets:

@@ -6,22 +6,22 @@ aligned as in the C structs of a cFS that is built without data sheets: each at 
 
 from __future__ import annotations
 
-from math import prod
 from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from edoras_tools.addons.databases.documents import Node, SheetError
+from edoras_tools.addons.databases.documents import NESTING, Node, SheetError
 from edoras_tools.addons.databases.placement import (
     MOST_VALUE_BITS,
     UNNAMED,
     DataType,
     Placement,
+    TypeTable,
     c_name,
     scalar,
 )
 from edoras_tools.structs.messages import unique
-from edoras_tools.structs.shapes import BASIC, Basic, BasicKind, ByteOrder, Enumeration, Member, Range, Struct
+from edoras_tools.structs.shapes import BASIC, BasicKind, ByteOrder, Member, Range
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -38,8 +38,6 @@ DATA_TYPES: Final = frozenset(
     )
 )
 _ENTRIES: Final = frozenset({"Entry", "LengthEntry", "FixedValueEntry", "ErrorControlEntry", "ListEntry"})
-_DEEPEST: Final = 64
-_MOST_ELEMENTS: Final = 1 << 16
 _SINGLE: Final = "IEEE754_2008_single"
 _KINDS: Final = {
     "Boolean": BasicKind.BOOL,
@@ -48,18 +46,18 @@ _KINDS: Final = {
     "twosComplement": BasicKind.INT,
 }
 """Kind of bytes by the kind of a type, or by the encoding of an integer."""
-_ENDS: Final = {
-    "exclusiveMinExclusiveMax": (1, 1),
-    "inclusiveMinExclusiveMax": (0, 1),
-    "exclusiveMinInclusiveMax": (1, 0),
-    "greaterThan": (1, 0),
-    "lessThan": (0, 1),
+_EXCLUDED: Final = {
+    "exclusiveMinExclusiveMax": ("min", "max"),
+    "inclusiveMinExclusiveMax": ("max",),
+    "exclusiveMinInclusiveMax": ("min",),
+    "greaterThan": ("min",),
+    "lessThan": ("max",),
 }
-"""Which ends of a range are excluded: (lower, upper)."""
+"""Which ends of a range are excluded."""
 
 
-class Types:
-    """Makes structs of the data types of sheets, each once.
+class Types(TypeTable):
+    """The data types of sheets.
 
     Args:
         nodes: data types by package and name.
@@ -69,8 +67,6 @@ class Types:
         note: called with an element that cannot be read, and the reason.
 
     Attributes:
-        structs: structs of the containers, by their names in C.
-        enums: enumerations.
         orders: number of entries with numbers of each byte order.
     """
 
@@ -83,16 +79,9 @@ class Types:
         machine: bool,
         note: Callable[[Node, str], None],
     ) -> None:
-        self._nodes = nodes
-        self._parameters = parameters
-        self._order = order
-        self._machine = machine
-        self._note = note
-        self._types: dict[str, DataType | SheetError] = {}
-        self._open: list[str] = []
-        self._used: set[str] = {*BASIC}
-        self.structs: dict[str, Struct] = {}
-        self.enums: dict[str, Enumeration] = {}
+        super().__init__()
+        self._nodes, self._parameters, self._note = nodes, parameters, note
+        self._order, self._machine = order, machine
         self.orders: dict[ByteOrder, int] = {"little": 0, "big": 0}
 
     def full_name(self, raw: str, package: str) -> str:
@@ -108,7 +97,7 @@ class Types:
         """
         passed: list[str] = []
         while name:
-            if name in passed or len(passed) > _DEEPEST:
+            if name in passed or len(passed) > NESTING:
                 raise SheetError(f"{name} is based on itself")
             passed.append(name)
             yield name
@@ -122,25 +111,9 @@ class Types:
         Raises:
             SheetError: the type is in none of the sheets, contains itself, or cannot be read.
         """
-        result = self._types.get(name)
-        if result is None:
-            if name not in self._nodes:
-                raise SheetError(f"type {name} is in none of these files")
-            if name in self._open or len(self._open) > _DEEPEST:
-                raise SheetError(f"type {name} contains itself")
-            self._open.append(name)
-            try:
-                result = self._make(self._nodes[name], name)
-            except SheetError as error:
-                result = error
-            else:
-                if result.whole_bits > MOST_VALUE_BITS or prod(result.dims) > _MOST_ELEMENTS:
-                    result = SheetError(f"type {name} is larger than any packet")
-            self._open.pop()
-            self._types[name] = result
-        if isinstance(result, SheetError):
-            raise SheetError(str(result))
-        return result
+        if name not in self._nodes:
+            raise SheetError(f"type {name} is in none of these files")
+        return self.resolve(name, lambda: self._make(self._nodes[name], name))
 
     def _make(self, node: Node, name: str) -> DataType:
         package = name.rpartition("/")[0]
@@ -212,14 +185,7 @@ class Types:
         )
         if like.red and _all_of(like.red, bits, signed=basic_kind is BasicKind.INT):
             like = replace(like, red=None)
-        scalar_type = scalar(basic_kind, int(bits), order, like, doubt)
-        if not labels or not isinstance(scalar_type.kind, Basic) or scalar_type.doubt:
-            return scalar_type
-        called = unique(c_name(name), self._used)
-        basic = scalar_type.kind
-        names = {value: label for value, label in labels.items() if basic.holds(value)}
-        self.enums[called] = Enumeration(called, basic, names)
-        return replace(scalar_type, kind=called)
+        return self.labelled(scalar(basic_kind, int(bits), order, like, doubt), c_name(name), labels)
 
     def _doubt(self, kind: str, words: Mapping[str, str], bits: int, package: str) -> str:
         """Return the reason why a float cannot be read; empty if it can, and for other kinds."""
@@ -249,12 +215,10 @@ class Types:
         for listed, place in (*entries, *trailers):
             for entry in listed.children:
                 self._entry(maker, entry, place, name)
-        size = maker.end()
         if maker.wrapped and base not in PACKET_HEADERS and not name.endswith("Payload"):
             return maker.wrapped
-        called = unique(c_name(name), self._used)
-        self.structs[called] = Struct(called, -(-size // 8), tuple(maker.members), doc=node.doc)
-        return DataType(called, size, alignment=maker.alignment, variable=maker.varies)
+        called = self.add_struct(name, maker, node.doc)
+        return DataType(called, maker.end(), alignment=maker.alignment, variable=maker.varies)
 
     def _entry(self, maker: Placement, entry: Node, package: str, owner: str) -> None:
         """Place an entry; if later entries then have no known position, the rest of the packet is bytes."""
@@ -306,11 +270,11 @@ class Types:
             if node.tag == "LengthEntry":
                 break  # it is about counting bytes, not about the meaning of the value
             exponent = self._parameters.integer(item.required("exponent"), package)
-            if not 0 <= exponent <= _DEEPEST:
-                raise SheetError(f"exponent {exponent} of a calibration is not 0 to {_DEEPEST}")
+            if not 0 <= exponent <= NESTING:
+                raise SheetError(f"exponent {exponent} of a calibration is not 0 to {NESTING}")
             terms[exponent] = float(self._parameters.number(item.required("coefficient"), package))
         if terms:
-            like = replace(like, polynomial=tuple(terms.get(place, 0.0) for place in range(max(terms) + 1)))
+            like = replace(like, polynomial=self.polynomial(terms))
         for tag in ("Range", "ValidRange", "SafeRange", "SafeRangeSet", "NominalRange", "NominalRangeSet"):
             for holder in node.inside(tag):
                 for item in holder.walk():
@@ -320,16 +284,11 @@ class Types:
         return like
 
     def _range(self, node: Node, package: str) -> Range:
-        ends: list[Number | None] = [
-            self._parameters.number(node.attributes[key], package) if key in node.attributes else None
-            for key in ("min", "max")
-        ]
-        for end, (outside, inwards) in enumerate(
-            zip(_ENDS.get(node.attributes.get("rangeType", ""), (0, 0)), (1, -1), strict=True)
-        ):
-            value = ends[end]
-            if outside and isinstance(value, int):
-                ends[end] = value + inwards
+        excluded = _EXCLUDED.get(node.attributes.get("rangeType", ""), ())
+        ends: list[Number | None] = []
+        for key, inwards in (("min", 1), ("max", -1)):
+            end = self._parameters.number(node.attributes[key], package) if key in node.attributes else None
+            ends.append(end + inwards if isinstance(end, int) and key in excluded else end)
         return ends[0], ends[1]
 
     def _count(self, node: Node | None, key: str, package: str) -> int:

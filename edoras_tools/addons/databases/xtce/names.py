@@ -8,7 +8,6 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 import msgspec
-from msgspec.structs import replace
 
 from edoras_tools.addons.databases.documents import Node, Notes, SheetError
 
@@ -49,10 +48,6 @@ class Declared(msgspec.Struct, frozen=True):
     def system(self) -> str:
         """Path of its space system."""
         return posixpath.dirname(self.path)
-
-    def replaced(self, node: Node) -> Declared:
-        """Return the declaration with another element."""
-        return replace(self, node=node)
 
 
 class Declarations:

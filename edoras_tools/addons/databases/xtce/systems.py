@@ -16,53 +16,40 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.addons.databases.documents import Node, Notes, SheetError, parse_document
+from edoras_tools.addons.databases.documents import NESTING, Node, Notes, SheetError, has_root, parse_document
 from edoras_tools.addons.databases.placement import DataType, Placement, c_name
 from edoras_tools.addons.databases.xtce.names import SYSTEM, Declarations, Declared
-from edoras_tools.addons.databases.xtce.types import ValueTypes, bits_of, fixed_value, number
+from edoras_tools.addons.databases.xtce.types import TYPE_KINDS, ValueTypes, bits_of, fixed_value, number
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.files import Database
-from edoras_tools.structs.messages import unique
-from edoras_tools.structs.shapes import BASIC, COMMANDED, PACKETS, ByteOrder, Key, Struct, StructLayout
+from edoras_tools.structs.shapes import BASIC, COMMANDED, PACKETS, ByteOrder, Key, StructLayout
 from edoras_tools.wire import ccsds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-_ROOT: Final = re.compile(rb"<(?:[\w.-]+:)?SpaceSystem[\s>/]")
-_SEARCHED: Final = 1 << 16
 _READ: Final = frozenset(
-    re.findall(
-        r"\w+",
-        """
-    AbsoluteTimeArgumentType AbsoluteTimeParameterType AggregateArgumentType AggregateParameterType
+    """
     Argument ArgumentAssignment ArgumentAssignmentList ArgumentList ArgumentRefEntry ArgumentTypeSet
-    ArrayArgumentRefEntry ArrayArgumentType ArrayParameterRefEntry ArrayParameterType BaseContainer
-    BaseMetaCommand BinaryArgumentType BinaryDataEncoding BinaryParameterType BooleanArgumentType
-    BooleanParameterType CommandContainer CommandContainerSet CommandMetaData Comparison ComparisonList
-    ContainerRefEntry ContainerSet CriticalRange DefaultAlarm DefaultCalibrator Dimension DimensionList
-    DistressRange Encoding EndingIndex EntryList EnumeratedArgumentType EnumeratedParameterType
-    Enumeration EnumerationList Fixed FixedValue FixedValueEntry FloatArgumentType FloatDataEncoding
-    FloatParameterType IntegerArgumentType IntegerDataEncoding IntegerParameterType
-    LocationInContainerInBits Member MemberList MetaCommand MetaCommandSet Parameter ParameterRefEntry
-    ParameterSet ParameterTypeSet PolynomialCalibrator RelativeTimeArgumentType
-    RelativeTimeParameterType RestrictionCriteria SequenceContainer SevereRange SizeInBits SpaceSystem
-    StartingIndex StaticAlarmRanges StringArgumentType StringDataEncoding StringParameterType
-    TelemetryMetaData Term TerminationChar Unit UnitSet ValidRange ValidRangeSet WarningRange WatchRange
-""",
-    )
-)
+    ArrayArgumentRefEntry ArrayParameterRefEntry BaseContainer BaseMetaCommand BinaryDataEncoding
+    CommandContainer CommandContainerSet CommandMetaData Comparison ComparisonList ContainerRefEntry
+    ContainerSet CriticalRange DefaultAlarm DefaultCalibrator Dimension DimensionList DistressRange
+    Encoding EndingIndex EntryList Enumeration EnumerationList Fixed FixedValue FixedValueEntry
+    FloatDataEncoding IntegerDataEncoding LocationInContainerInBits Member MemberList MetaCommand
+    MetaCommandSet Parameter ParameterRefEntry ParameterSet ParameterTypeSet PolynomialCalibrator
+    RestrictionCriteria SequenceContainer SevereRange SizeInBits SpaceSystem StartingIndex
+    StaticAlarmRanges StringDataEncoding TelemetryMetaData Term TerminationChar Unit UnitSet ValidRange
+    ValidRangeSet WarningRange WatchRange
+    """.split()  # noqa: SIM905  read as a text
+).union(f"{kind}{role}Type" for kind in TYPE_KINDS for role in ("Argument", "Parameter"))
 _QUIET: Final = frozenset(
-    re.findall(
-        r"\w+",
-        """
+    """
     AlgorithmSet AliasSet AncillaryDataSet BinaryEncoding DefaultRateInStream DefaultSignificance
     DynamicValue Header IncludeCondition IndirectParameterRefEntry LeadingSize LongDescription
     MathOperationCalibrator MessageSet ParameterProperties ParameterToSetList ReferenceTime RepeatEntry
     ServiceSet SizeRangeInCharacters SplineCalibrator StreamSet ToString TransmissionConstraintList
     Variable VerifierSet
-""",
-    )
+    """.split()  # noqa: SIM905  read as a text
 )
 """Elements that are not about the structure of packets, or that have their own notes."""
 _BASES: Final = {
@@ -84,7 +71,6 @@ _MOST_TAIL: Final = 1 << 16
 _HIGHEST: Final = 0x1FFF
 """The highest MsgId of version 1."""
 _MOST_SLOTS: Final = 1 << 14
-_DEEPEST: Final = 64
 
 
 class _Slot(NamedTuple):
@@ -135,7 +121,7 @@ class _Content(msgspec.Struct):
 
 def is_system(data: bytes) -> bool:
     """Return whether a file is a space system of XTCE."""
-    return data[:4].lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") and bool(_ROOT.search(data[:_SEARCHED]))
+    return has_root(data, SYSTEM)
 
 
 def read_systems(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) -> StructLayout:
@@ -270,7 +256,7 @@ class _Reader:
         content = _Content()
         chain = [item]
         while base := self._base(chain[-1]):
-            if len(chain) > _DEEPEST or base in chain:
+            if len(chain) > NESTING or base in chain:
                 raise SheetError("it is based on itself")
             chain.append(base)
         for own in reversed(chain):
@@ -331,7 +317,7 @@ class _Reader:
             if content.stop is not None:
                 content.more = True
                 return
-            if len(content.slots) > _MOST_SLOTS or depth > _DEEPEST:
+            if len(content.slots) > _MOST_SLOTS or depth > NESTING:
                 raise SheetError("it has more entries than any packet")
             try:
                 self._entry(item, entry, content, depth)
@@ -470,12 +456,8 @@ class _Reader:
                 self._notes.add(node, why)
         elif parted:
             maker.rest(BASIC["byte"])
-        types, size = self._types, maker.end()
-        name = unique(c_name(item.node.name), types.used)
         tail = _MOST_TAIL if item.kind == "container" and not maker.varies else 0
-        doc = item.node.doc
-        types.structs[name] = Struct(name, -(-size // 8), tuple(maker.members), doc=doc, tail=tail)
-        return name
+        return self._types.add_struct(item.node.name, maker, item.node.doc, tail)
 
 
 def _plain(name: str) -> str:

@@ -4,29 +4,34 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from math import prod
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.addons.databases.documents import Node, Notes, SheetError
+from edoras_tools.addons.databases.documents import NESTING, Node, Notes, SheetError
 from edoras_tools.addons.databases.placement import (
     MOST_VALUE_BITS,
     UNNAMED,
     DataType,
     Placement,
+    TypeTable,
     c_name,
     scalar,
 )
 from edoras_tools.structs.messages import unique
-from edoras_tools.structs.shapes import BASIC, Basic, BasicKind, ByteOrder, Enumeration, Member, Range, Struct
+from edoras_tools.structs.shapes import BASIC, BasicKind, ByteOrder, Member, Range
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.addons.databases.xtce.names import Declarations, Declared
 
+TYPE_KINDS: Final = (
+    *("AbsoluteTime", "Aggregate", "Array", "Binary", "Boolean", "Enumerated", "Float", "Integer"),
+    *("RelativeTime", "String"),
+)
+"""Kinds of types: each is an element for parameters and one for arguments."""
 _ROLE: Final = re.compile(r"(Parameter|Argument)Type$")
 _OWN_PREFIX: Final = re.compile(r"(?:arg_)?u?int\d+(?:_[lb]e)?_(?=.)", re.ASCII)
 """Start of the names that 'edoras xtce' gives to types of enumerations."""
@@ -47,7 +52,6 @@ _YELLOW: Final = ("WarningRange", "WatchRange")
 _RED: Final = ("CriticalRange", "DistressRange", "SevereRange")
 """Alarm ranges that count as a limit; the first existing one is used."""
 _NUMBER: Final = re.compile(r"(0[xX][0-9a-fA-F]+)|[-+]?(?:\d+|(?=\.\d))(\.?\d*(?:[eE][-+]?\d+)?)", re.ASCII)
-_DEEPEST: Final = 64
 _HIGHEST: Final = 1e300
 _MOST_POWER: Final = 32
 
@@ -95,8 +99,8 @@ def fixed_value(node: Node, *path: str) -> int | None:
     return int(value)
 
 
-class ValueTypes:
-    """The types of some space systems, each made once.
+class ValueTypes(TypeTable):
+    """The types of some space systems.
 
     Args:
         names: declarations that it searches.
@@ -104,19 +108,13 @@ class ValueTypes:
         notes: notes on parts that are not read.
 
     Attributes:
-        structs: structs of aggregates, by name.
-        enums: enumerations, by name.
         parts: members of aggregates, by the name of the struct.
         labels: labels of values to their numbers, as written, by type.
     """
 
     def __init__(self, names: Declarations, order: ByteOrder, notes: Notes) -> None:
+        super().__init__()
         self._names, self._order, self._notes = names, order, notes
-        self._types: dict[str, DataType | SheetError] = {}
-        self._open: list[str] = []
-        self.used: set[str] = {*BASIC}
-        self.structs: dict[str, Struct] = {}
-        self.enums: dict[str, Enumeration] = {}
         self.parts: dict[str, list[MemberPlace]] = {}
         self.labels: dict[str, dict[str, int]] = {}
 
@@ -126,30 +124,14 @@ class ValueTypes:
         Raises:
             SheetError: the type contains itself, or cannot be read.
         """
-        result = self._types.get(item.path)
-        if result is None:
-            if item.path in self._open or len(self._open) > _DEEPEST:
-                raise SheetError(f"type {item.path} contains itself")
-            self._open.append(item.path)
-            try:
-                result = self._make(item.replaced(self._whole(item)))
-            except SheetError as error:
-                result = error
-            else:
-                if result.whole_bits > MOST_VALUE_BITS or prod(result.dims) > 1 << 16:
-                    result = SheetError(f"type {item.path} is larger than any packet")
-            self._open.pop()
-            self._types[item.path] = result
-        if isinstance(result, SheetError):
-            raise SheetError(str(result))
-        return result
+        return self.resolve(item.path, lambda: self._make(replace(item, node=self._whole(item))))
 
     def _whole(self, item: Declared, depth: int = 0) -> Node:
         """Return the element of a type, extended by its ``baseType``."""
         name = item.node.attributes.get("baseType")
         if not name:
             return item.node
-        if depth > _DEEPEST:
+        if depth > NESTING:
             raise SheetError(f"type {item.path} is based on itself")
         base = self._whole(self._names.find(item.kind, name, item.system), depth + 1)
         own = {child.tag for child in item.node.children}
@@ -221,17 +203,9 @@ class ValueTypes:
         if kind == "Boolean" and not labels:
             basic_kind = BasicKind.BOOL
         data_type = scalar(basic_kind, int(bits), order, self._like(item, encoding), doubt)
-        basic = data_type.kind
-        if not labels or data_type.doubt or not isinstance(basic, Basic) or is_float:
-            return data_type
         used: set[str] = set()
-        names = {value: unique(c_name(text), used) for value, text in labels.items() if basic.holds(value)}
-        name = _OWN_PREFIX.sub("", c_name(node.name))
-        same = self.enums.get(name)
-        if same is None or (same.basic, same.names) != (basic, names):
-            name = unique(name, self.used)
-            self.enums[name] = Enumeration(name, basic, names)
-        return replace(data_type, kind=name)
+        names = {value: unique(c_name(text), used) for value, text in labels.items() if not is_float}
+        return self.labelled(data_type, _OWN_PREFIX.sub("", c_name(node.name)), names)
 
     def _labels(self, item: Declared, kind: str) -> dict[int, str]:
         """Return the labels of a type's values."""
@@ -268,8 +242,7 @@ class ValueTypes:
                 self._notes.add(member, f"{item.path}.{member.name}: {why}")
             parts.append(MemberPlace(member.name, bit, data_type))
             bit += data_type.whole_bits
-        name = unique(c_name(item.node.name), self.used)
-        self.structs[name] = Struct(name, -(-maker.end() // 8), tuple(maker.members), doc=item.node.doc)
+        name = self.add_struct(item.node.name, maker, item.node.doc)
         self.parts[name] = parts
         return DataType(name, bit)
 
@@ -301,7 +274,7 @@ class ValueTypes:
                 if power not in range(_MOST_POWER + 1):
                     raise SheetError(f"exponent {power} of a calibration is not 0 to {_MOST_POWER}")
                 terms[int(power)] = number(item, item.required("coefficient"))
-        return tuple(terms.get(power, 0.0) for power in range(max(terms) + 1)) if terms else ()
+        return self.polynomial(terms)
 
 
 def _range(node: Node) -> Range:
