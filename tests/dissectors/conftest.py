@@ -16,7 +16,7 @@ from edoras_tools.addons.fprime.link import FPRIME
 from edoras_tools.addons.frames.link import FRAMES
 from edoras_tools.addons.frames.unframer import Unframer
 from edoras_tools.addons.racs2.link import RACS2
-from edoras_tools.addons.racs2.wire import BODY_KINDS
+from edoras_tools.addons.racs2.wire import BODY_FIELDS
 from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.cfs.arguments import SERVICES
 from edoras_tools.decode import ColumnDecoder, Context
@@ -137,7 +137,7 @@ def header_fields(packet):
             prefix = LAYERS[layer.name]
             if item.name in ("frame_error_control", "body_length"):
                 prefix = packet.link.label
-            elif packet.link is RACS2 and item.name in BODY_KINDS:
+            elif packet.link is RACS2 and item.name in BODY_FIELDS:
                 prefix = "racs2.body"
             name = f"{prefix}.{item.name}"
             values = list(item.value) if isinstance(item.value, list) else [item.value]

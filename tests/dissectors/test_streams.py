@@ -132,7 +132,7 @@ def encoded(values):
 
     body = b""
     for name, value in values.items():
-        number = racs2.BODY_KINDS[name][0]
+        number = racs2.BODY_FIELDS[name][0]
         items = value if isinstance(value, list) else [value]
         if name.startswith(("float64", "double", "float")):
             raw = struct.pack(f"<{len(items)}{'d' if '64' in name or 'double' in name else 'f'}", *items)
@@ -152,7 +152,7 @@ def test_values_in_racs2_bodies(tshark, tmp_path):
     talk.ros.send_binary(to_cfs(0x1895, b"\x15" + bytes(4)))
     talk.pass_on()
     ours = capture_of(talk.segments, tmp_path / "racs2.pcap")
-    names = list(racs2.BODY_KINDS)
+    names = list(racs2.BODY_FIELDS)
     theirs = dict(
         zip(names, said(tshark, tmp_path / "racs2.pcap", *(f"racs2.body.{n}" for n in names)), strict=True)
     )
@@ -191,7 +191,7 @@ def test_both_tell_which_bodies_are_values(tshark, tmp_path_factory, bodies):
         talk.ros.send_binary(to_cfs(0x1894, item))
         talk.pass_on()
     ours = capture_of(talk.segments, path)
-    names = list(racs2.BODY_KINDS)
+    names = list(racs2.BODY_FIELDS)
     counted = {
         name: len(values)
         for name, values in zip(names, said(tshark, path, *(f"racs2.body.{n}" for n in names)), strict=True)

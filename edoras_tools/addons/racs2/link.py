@@ -132,8 +132,8 @@ class RacsBridgeLink(LinkProtocol):
     def engine_values(self) -> Mapping[str, Any]:
         """Return the table that ``engine/racs2.lua`` reads: the fields of a body, with their numbers."""
         kinds = {
-            number: {"name": name, "kind": kind, "array": array or None}
-            for name, (number, kind, array) in racs2.BODY_KINDS.items()
+            field.number: {"name": name, "kind": field.kind, "array": field.is_array or None}
+            for name, field in racs2.BODY_FIELDS.items()
         }
         return {"subprotocol": racs2.SUBPROTOCOL, "largest": racs2.LARGEST_BODY, "values": kinds}
 

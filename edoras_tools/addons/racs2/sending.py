@@ -6,14 +6,20 @@ import base64
 import hashlib
 import os
 import re
+import selectors
+import socket
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.addons.racs2 import wire as racs2
-from edoras_tools.addons.racs2.serving import ServerTransmitter
 from edoras_tools.addons.racs2.streams import WebSocketFraming
 from edoras_tools.addons.racs2.websocket import Opcode
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.net.address import address_of, resolve
+from edoras_tools.io.net.sockets import bind, local_endpoint
+from edoras_tools.io.net.transmit import SendStatistics
+from edoras_tools.io.net.transmit_stream import ANSWER_WITHIN_S, StreamTransmitter
 from edoras_tools.links.sending import LinkSending, SendingSession
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.window import gather
@@ -21,6 +27,7 @@ from edoras_tools.wire.arrays.window import gather
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from edoras_tools.links.framing import Framing
     from edoras_tools.model import Columns, Endpoint, Link, PacketBatch
     from edoras_tools.wire.arrays.order import Integers, Mask
 
@@ -128,6 +135,75 @@ class BridgeServer(SendingSession):
         return (frame(Opcode.CLOSE, _NORMAL),) if self.connected else ()
 
 
+class ServerTransmitter(StreamTransmitter):
+    """A server of one client: the first that connects; later ones get no answer. It is a context manager.
+
+    Args:
+        place: endpoint to listen at.
+        framing: framing that cuts the data of the client.
+
+    Raises:
+        CaptureError: it cannot listen there.
+    """
+
+    def __init__(self, place: Endpoint, framing: Framing) -> None:
+        self.statistics = SendStatistics()
+        self._framing, self._name, self._rest = framing, f"TCP {place}", b""
+        family, address = resolve(place, self._name)
+        self._socket = socket.socket(family, socket.SOCK_STREAM)
+        self._selector = selectors.DefaultSelector()
+        self._listens = True
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            bind(self._socket, address, self._name, "choose another with --target")
+            self._socket.listen(1)
+        except BaseException:
+            self.__exit__()
+            raise
+        self._selector.register(self._socket, selectors.EVENT_READ)
+        self.target = self.local = local_endpoint(self._socket)
+
+    def __exit__(self, *_: object) -> None:
+        self._selector.close()
+        self._socket.close()
+
+    def fileno(self) -> int:
+        """Return a descriptor that becomes readable when a client connects, and when it sends data."""
+        return self._selector.fileno()
+
+    def receive(self) -> list[tuple[bytes, Endpoint]]:
+        """Accept the client, or return its complete messages.
+
+        Raises:
+            CaptureError: it closed the connection, or sends something else.
+        """
+        if self._listens and self._selector.select(0):
+            self._accept()
+        return [] if self._listens else super().receive()
+
+    def send(self, payload: bytes | memoryview) -> bool:
+        """Send one message; see ``StreamTransmitter``.
+
+        Raises:
+            CaptureError: there is no client, the connection is broken, or the client does not read.
+        """
+        if self._listens:
+            raise CaptureError(f"{self._name}: nobody has connected")
+        return super().send(payload)
+
+    def _accept(self) -> None:
+        """Accept the client, and use its socket in place of the listening one."""
+        listener, (self._socket, address) = self._socket, self._socket.accept()
+        self._selector.unregister(listener)
+        listener.close()
+        self._selector.register(self._socket, selectors.EVENT_READ)
+        self._socket.settimeout(ANSWER_WITHIN_S)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._listens = False
+        self.target = address_of(self._socket.family, address).endpoint
+        self._name = f"TCP {self.target}"
+
+
 class _Sending(LinkSending):
     """Messages of one direction, in new frames."""
 
@@ -151,6 +227,11 @@ class _Sending(LinkSending):
         self.refusals = [f"{self._other_way:,} of them {text} sends those"] if self._other_way else []
         return this_way
 
+    def renew(self, messages: Sequence[bytes], time_ns: Integers) -> tuple[list[bytes], Integers]:
+        """Put each message in a frame."""
+        make = frame if self.up else masked_frame
+        return [make(Opcode.BINARY, item) for item in messages], time_ns
+
 
 class BridgeSending(_Sending):
     """Messages to ROS."""
@@ -160,10 +241,6 @@ class BridgeSending(_Sending):
     def __init__(self, link: Link) -> None:
         super().__init__(link)
         self.session = BridgeClient()
-
-    def renew(self, messages: Sequence[bytes], time_ns: Integers) -> tuple[list[bytes], Integers]:
-        """Put each message in a frame."""
-        return [masked_frame(Opcode.BINARY, item) for item in messages], time_ns
 
 
 class ServerSending(_Sending):
@@ -180,7 +257,3 @@ class ServerSending(_Sending):
         transmitter = ServerTransmitter(target, WebSocketFraming(LARGEST))
         self._server.place = str(transmitter.local)
         return transmitter
-
-    def renew(self, messages: Sequence[bytes], time_ns: Integers) -> tuple[list[bytes], Integers]:
-        """Put each message in a frame."""
-        return [frame(Opcode.BINARY, item) for item in messages], time_ns

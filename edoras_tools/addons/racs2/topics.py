@@ -40,23 +40,6 @@ VALUES_PREFIX: Final = "/racs2"
 _RESERVED: Final = ("/edoras/", "/cfs/", "/fprime/", f"{VALUES_PREFIX}/", "/tf/")
 """Beginnings of topic names that this package uses, and ``/tf``."""
 _NAME: Final = re.compile(rb"/?(?!.*__)[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-_TYPES: Final = {
-    "bool_data": "Bool",
-    "float_data": "Float32",
-    "double_data": "Float64",
-    "int32_data": "Int32",
-    "int64_data": "Int64",
-    "string_data": "String",
-    "uint32_data": "UInt32",
-    "uint64_data": "UInt64",
-    "float32_array_data": "Float32MultiArray",
-    "float64_array_data": "Float64MultiArray",
-    "int32_array_data": "Int32MultiArray",
-    "int64_array_data": "Int64MultiArray",
-    "uint32_array_data": "UInt32MultiArray",
-    "uint64_array_data": "UInt64MultiArray",
-}
-"""The types of ``std_msgs`` that the public ``.proto`` file names, by field."""
 _CUT: Final = np.uint32(Finding.FRAGMENT | Finding.CAPTURE_CUT)
 _USER: Final = np.dtype(
     [
@@ -169,4 +152,4 @@ def _values(target: _Target, batch: PacketBatch) -> Iterator[tuple[str, str, lis
         for name, value in (racs2.std_msgs_values(body) or {}).items():
             by_name.setdefault(name, []).append((row, value))
     for name, values in by_name.items():
-        yield f"{target.values}/{name}", f"std_msgs/msg/{_TYPES[name]}", values
+        yield f"{target.values}/{name}", f"std_msgs/msg/{racs2.BODY_FIELDS[name].type}", values

@@ -9,7 +9,7 @@ The body can be anything; the public examples put a Protocol Buffers message of 
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from edoras_tools.wire.layout import Field, Layout
 
@@ -33,38 +33,46 @@ TO_CFS: Final = Layout(
     Field("msg_id", 16, "the MsgId that the body is sent with on the software bus", base=16),
     Field("rest", 8 * (BRIDGE_HEADER - 2), "not used, zeros", kind="bytes"),
 )
-_NAMES: Final = {
-    1: "bool_data",
-    2: "float_data",
-    3: "double_data",
-    4: "int32_data",
-    5: "int64_data",
-    6: "string_data",
-    7: "uint32_data",
-    8: "uint64_data",
-    9: "float32_array_data",
-    10: "float64_array_data",
-    11: "int32_array_data",
-    12: "int64_array_data",
-    13: "uint32_array_data",
-    14: "uint64_array_data",
+
+
+class BodyField(NamedTuple):
+    """A field of ``RACS2Bridge_std_msgs.proto``.
+
+    Attributes:
+        number: number of the field.
+        kind: how its values are written: ``int64`` is a varint with a sign, ``uint64`` one without.
+        type: type of ``std_msgs`` that the public ``.proto`` file names.
+    """
+
+    number: int
+    kind: Literal["bool", "float", "double", "int64", "uint64", "string"]
+    type: str
+
+    @property
+    def is_array(self) -> bool:
+        """Whether it has several values."""
+        return self.type.endswith("MultiArray")
+
+
+BODY_FIELDS: Final = {
+    "bool_data": BodyField(1, "bool", "Bool"),
+    "float_data": BodyField(2, "float", "Float32"),
+    "double_data": BodyField(3, "double", "Float64"),
+    "int32_data": BodyField(4, "int64", "Int32"),
+    "int64_data": BodyField(5, "int64", "Int64"),
+    "string_data": BodyField(6, "string", "String"),
+    "uint32_data": BodyField(7, "uint64", "UInt32"),
+    "uint64_data": BodyField(8, "uint64", "UInt64"),
+    "float32_array_data": BodyField(9, "float", "Float32MultiArray"),
+    "float64_array_data": BodyField(10, "double", "Float64MultiArray"),
+    "int32_array_data": BodyField(11, "int64", "Int32MultiArray"),
+    "int64_array_data": BodyField(12, "int64", "Int64MultiArray"),
+    "uint32_array_data": BodyField(13, "uint64", "UInt32MultiArray"),
+    "uint64_array_data": BodyField(14, "uint64", "UInt64MultiArray"),
 }
-"""The fields of ``RACS2Bridge_std_msgs.proto``, by number."""
-_SIGNED: Final = (4, 5, 11, 12)
-_FIXED: Final = {2: "<f", 3: "<d", 9: "<f", 10: "<d"}
-_TEXT: Final = 6
-BODY_KINDS: Final = {
-    name: (
-        number,
-        {1: "bool", 2: "float", 3: "double", 6: "string", 9: "float", 10: "double"}.get(
-            number, "int64" if number in _SIGNED else "uint64"
-        ),
-        number >= 9,
-    )
-    for number, name in _NAMES.items()
-}
-"""Number of each field, the kind of its values, and whether it is an array."""
-_FIRST_ARRAY: Final = 9
+"""The fields of a body by name."""
+_NAMES: Final = {field.number: name for name, field in BODY_FIELDS.items()}
+_FIXED: Final = {"float": "<f", "double": "<d"}
 _VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5
 
 
@@ -75,13 +83,15 @@ def std_msgs_values(body: bytes) -> dict[str, Any] | None:
     """
     values: dict[str, Any] = {}
     try:
-        for number, value in _fields(body):
-            if number >= _FIRST_ARRAY:
-                values.setdefault(_NAMES[number], []).extend(_numbers(number, value))
-            elif number == _TEXT:
-                values[_NAMES[number]] = value.decode()
+        for number, raw in _fields(body):
+            name = _NAMES[number]
+            field = BODY_FIELDS[name]
+            if field.is_array:
+                values.setdefault(name, []).extend(_numbers(field.kind, raw))
+            elif field.kind == "string":
+                values[name] = raw.decode()
             else:
-                (values[_NAMES[number]],) = _numbers(number, value)
+                (values[name],) = _numbers(field.kind, raw)
     except (KeyError, ValueError, struct.error, AttributeError, TypeError):
         return None
     return values or None
@@ -120,17 +130,15 @@ def _varint(body: bytes, at: int) -> tuple[int, int]:
     raise ValueError("a number is too long")
 
 
-def _numbers(number: int, value: Any) -> list[Any]:
+def _numbers(kind: str, raw: Any) -> list[Any]:
     """Return the numbers of a field, packed or not."""
-    if number in _FIXED:
-        return [item for (item,) in struct.iter_unpack(_FIXED[number], value)]
-    if isinstance(value, bytes):
-        numbers, at = [], 0
-        while at < len(value):
-            item, at = _varint(value, at)
-            numbers.append(item)
-    else:
-        numbers = [value]
-    if number in _SIGNED:
-        numbers = [item - (1 << 64) if item >> 63 else item for item in numbers]
-    return [bool(item) for item in numbers] if _NAMES[number] == "bool_data" else numbers
+    if kind in _FIXED:
+        return [item for (item,) in struct.iter_unpack(_FIXED[kind], raw)]
+    numbers = [] if isinstance(raw, bytes) else [raw]
+    at = 0
+    while isinstance(raw, bytes) and at < len(raw):
+        item, at = _varint(raw, at)
+        numbers.append(item)
+    if kind == "int64":
+        return [item - (1 << 64) if item >> 63 else item for item in numbers]
+    return [bool(item) for item in numbers] if kind == "bool" else numbers

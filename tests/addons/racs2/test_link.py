@@ -205,7 +205,7 @@ def test_a_bomb_is_not_inflated():
 @given(st.binary(max_size=200))
 def test_any_body_is_values_or_none(body):
     values = racs2.std_msgs_values(body)
-    assert values is None or set(values) <= set(racs2._NAMES.values())
+    assert values is None or set(values) <= set(racs2.BODY_FIELDS)
 
 
 @pytest.mark.parametrize(
