@@ -114,7 +114,7 @@ class ColumnDecoder:
     def __init__(self, context: Context) -> None:
         self.context = context
         self._variants = Variants(context)
-        self._nothing = Columns(**_blank(0))
+        self._nothing = Columns(**blank_columns(0))
 
     def settle(self) -> None:
         """Detect nothing: headers and envelopes are the usual ones, or those of options and routes."""
@@ -127,7 +127,7 @@ class ColumnDecoder:
         if batch.recorded is not None:
             from edoras_tools.decode.recorded import recorded_columns
 
-            return recorded_columns(batch, _blank(len(batch)), self.context)
+            return recorded_columns(batch, blank_columns(len(batch)), self.context)
         return self.finish(batch, self.begin(batch))
 
     def begin(self, batch: PacketBatch) -> Begun:
@@ -137,7 +137,7 @@ class ColumnDecoder:
             self._variants.look(batch, link)
         rows = np.flatnonzero(link)
         part = batch if len(rows) == len(batch) else batch.take(rows)
-        read = _Pass(self.context, part, _blank(len(part), leave_out=_PACKET_COLUMNS))
+        read = _Pass(self.context, part, blank_columns(len(part), leave_out=_PACKET_COLUMNS))
         read.out["link"] = link if part is batch else link[rows]
         read.out["findings"] = part.capture_findings.copy()
         start = read.begin()
@@ -151,7 +151,7 @@ class ColumnDecoder:
         if len(rows) == len(batch):
             return _Pass(self.context, batch, out).finish(start)
         columns = _Pass(self.context, part or batch.take(rows), out).finish(start)
-        whole = _blank(len(batch))
+        whole = blank_columns(len(batch))
         for name in Columns.__struct_fields__:
             whole[name][rows] = getattr(columns, name)
         outside = link == OTHER
@@ -171,7 +171,8 @@ class ColumnDecoder:
                 link.locate(batch, rows, self.context)
 
 
-def _blank(count: int, leave_out: Collection[str] = ()) -> dict[str, NDArray[Any]]:
+def blank_columns(count: int, leave_out: Collection[str] = ()) -> dict[str, NDArray[Any]]:
+    """Return the columns of datagrams without any layer, by name."""
     return {
         name: np.full(count, _BLANK.get(name, 0), dtype)
         for name, dtype in _TYPES.items()

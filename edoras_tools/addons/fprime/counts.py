@@ -8,23 +8,17 @@ ignored: the receiver drops it, so they count as missing. Idle packets are ignor
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import msgspec
 import numpy as np
 
 from edoras_tools.addons.fprime.link import FPRIME
 from edoras_tools.addons.fprime.wire import SPACE_PACKET, read_ground_frames
+from edoras_tools.decode.columns import blank_columns
 from edoras_tools.links.doors import LinkEvidence
 from edoras_tools.model import Columns, Datagram, Finding, PacketBatch
-from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
+from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays.window import gather
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from edoras_tools.wire.arrays.order import Integers
 
 
 class GroundStream(msgspec.Struct, eq=False):
@@ -84,7 +78,16 @@ class GroundCounts(LinkEvidence):
         word = head[:, :4].copy().view(">u2")
         part = batch.take(rows[packets.row])
         self.datagrams += len(np.unique(packets.row))
-        stream = self._counts.follow(part, _columns(packets.space, packets.end, word)).stream
+        # The first word of each packet takes the place of a MsgId.
+        values = blank_columns(len(part)) | {
+            "msg_id": word[:, 0].astype(np.int32),
+            "link": np.full(len(part), FPRIME, np.uint8),
+            "findings": (word[:, 1] == 0) * np.uint32(Finding.SEQUENCE_UNSET),
+            "sequence_count": word[:, 1] & np.uint16(MODULUS - 1),
+            "packet_offset": packets.space,
+            "packet_length": (packets.end - packets.space).astype(np.int32),
+        }
+        stream = self._counts.follow(part, Columns(**values)).stream
         streams, first = np.unique(stream, return_index=True)
         for row, index in sorted(zip(first.tolist(), streams.tolist(), strict=True)):
             if index >= 0:
@@ -105,23 +108,3 @@ class GroundCounts(LinkEvidence):
         ends, counts = (str(packet.source), str(packet.destination)), self._counts.streams[index]
         self.streams.append(GroundStream(apid, command, *ends, counts, packet.time_ns))
         return self.streams[-1]
-
-
-def _columns(start: Integers, end: Integers, word: NDArray[np.integer[Any]]) -> Columns:
-    """Return space packets in the follower's form: the first word of each takes the place of a MsgId."""
-    none = np.zeros(len(start), np.int64)
-    blank: dict[str, NDArray[Any]] = dict.fromkeys(Columns.__struct_fields__, none)
-    unset = (word[:, 1] == 0) * np.uint32(Finding.SEQUENCE_UNSET)
-    return Columns(
-        **blank
-        | {
-            "msg_id": word[:, 0].astype(np.int32),
-            "processor_id": none.astype(np.uint32),
-            "spacecraft_id": none.astype(np.uint32),
-            "link": np.full(len(start), FPRIME, np.uint8),
-            "findings": unset.astype(np.uint32),
-            "sequence_count": (word[:, 1] & np.uint16(0x3FFF)).astype(np.uint16),
-            "packet_offset": start,
-            "packet_length": (end - start).astype(np.int32),
-        }
-    )

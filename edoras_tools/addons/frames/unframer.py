@@ -30,6 +30,7 @@ from msgspec.structs import replace
 
 from edoras_tools.addons.frames.link import frame_rows, framed_ports
 from edoras_tools.addons.frames.reading import FrameFields, read_frames
+from edoras_tools.decode.columns import blank_columns
 from edoras_tools.io.frames.build import packets_behind
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
@@ -461,26 +462,16 @@ def _followed(
         which: i64 (n,), index into ``channels``; ``_NONE`` for a frame that has no count.
         count: (n,), the frame counts.
     """
-    size = len(frames)
-    sequence, none = np.zeros(size, np.uint16), np.zeros(size, np.int64)
+    columns = blank_columns(len(frames)) | {
+        "msg_id": np.where(which == _NONE, NO_MSG_ID, which).astype(np.int32),
+        "processor_id": (which + 1).astype(np.uint32),
+        "packet_offset": frames.offset,
+        "packet_length": frames.length,
+    }
     groups = [(index, at) for index, at in by_value(which) if index != _NONE]
     for index, at in groups:
-        sequence[at] = channels[index].unwrapped(count[at])
-    blank: dict[str, NDArray[Any]] = dict.fromkeys(Columns.__struct_fields__, none)
-    columns = Columns(
-        **blank
-        | {
-            "msg_id": np.where(which == _NONE, NO_MSG_ID, which).astype(np.int32),
-            "processor_id": (which + 1).astype(np.uint32),
-            "spacecraft_id": none.astype(np.uint32),
-            "link": none.astype(np.uint8),
-            "findings": none.astype(np.uint32),
-            "sequence_count": sequence,
-            "packet_offset": frames.offset,
-            "packet_length": frames.length,
-        }
-    )
-    result = counts.follow(frames, columns)
+        columns["sequence_count"][at] = channels[index].unwrapped(count[at])
+    result = counts.follow(frames, Columns(**columns))
     for index, at in groups:
         stream = int(result.stream[at[0]])
         if stream != _NONE:
