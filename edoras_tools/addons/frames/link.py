@@ -6,6 +6,7 @@ mission names; see :mod:`edoras_tools.addons.frames.unframer`.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -21,7 +22,7 @@ from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FRAME_VERSIONS, NO_FIRST, FrameFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -52,10 +53,10 @@ class TransferFraming(Framing):
     def lengths(self, data: Octets, at: Integers, end: Integers | int) -> Integers:
         """Return the size in bytes of the frame that starts at each position."""
         layout = self.form.layout
-        head = gather(data, at, layout.size)
-        size = _stated_length(self.form, head)
-        starts = layout.column("transfer_frame_version_number", head) == FRAME_VERSIONS[self.form.kind]
-        return prefixed(starts & (size >= self.form.smallest), size, end - at, layout.size, self.largest)
+        field = partial(layout.column, window=gather(data, at, layout.size))
+        size = np.broadcast_to(_stated_length(self.form, field), at.shape)
+        starts = _begins_frame(self.form, field, size)
+        return prefixed(starts, size, end - at, layout.size, self.largest)
 
     def likely(self, data: Octets, at: Integers, end: Integers | int) -> Mask:
         """Find whole frames: with a correct CRC; without CRCs, the last one, or before a matching one."""
@@ -111,7 +112,12 @@ class TransferFramesLink(LinkProtocol):
 
     def claims(self, datagram: Datagram, site: Site) -> bool:
         """Return whether a datagram is a frame: the mission says which ports carry frames."""
-        return is_frame(datagram, site.frames)
+        form, payload = format_of(datagram, site.frames), datagram.payload
+        if form is None or datagram.original_length < 0 or len(payload) < form.layout.size:
+            return False
+        length = len(payload) + max(datagram.original_length - len(datagram.frame), 0)
+        field = form.layout.parse(payload).__getitem__
+        return bool(_begins_frame(form, field, length) & (length == _stated_length(form, field)))
 
     def claimed(self, batch: PacketBatch, site: Site) -> Places:
         """Return the rows of a batch that are frames."""
@@ -195,7 +201,9 @@ def _headers(form: FrameFormat, second: bool) -> Iterator[tuple[Layout, int]]:
         yield headers.TC_SEGMENT, form.data_start
 
 
-def frame_rows(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> tuple[Places, int]:
+def frame_rows(
+    batch: PacketBatch, formats: Mapping[int, FrameFormat]
+) -> tuple[Places, NDArray[np.uint16], int]:
     """Find the frames of a batch, by port, version and length.
 
     Args:
@@ -203,10 +211,11 @@ def frame_rows(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> tuple[
         formats: format of the frames of each port.
 
     Returns:
-        the rows of frames, and the number of other datagrams to these ports; other pieces of a stream are not
-        counted.
+        the rows of frames, the port that determines the format of each, u16, and the number of other
+        datagrams to these ports; other pieces of a stream are not counted.
     """
-    ports = framed_ports(batch, formats)
+    streams = False if batch.streams is None else batch.streams
+    ports = _framed_ports(batch.destination_port, batch.source_port, streams, formats)
     rows = np.flatnonzero((ports != 0) & (batch.original_length >= 0))
     frames = np.zeros(len(rows), bool)
     for port, at in by_value(ports[rows]):
@@ -214,17 +223,8 @@ def frame_rows(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> tuple[
     others = rows[~frames]
     if batch.streams is not None:
         others = others[~batch.streams[others]]
-    return rows[frames], len(others)
-
-
-def framed_ports(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> NDArray[np.uint16]:
-    """Return the port that determines the format of each row as a frame, u16 (n,); 0 for none.
-
-    It is the destination port; in a stream, which may carry frames in both directions, the port of either
-    end.
-    """
-    streams = False if batch.streams is None else batch.streams
-    return _framed_ports(batch.destination_port, batch.source_port, streams, formats)
+    rows = rows[frames]
+    return rows, ports[rows], len(others)
 
 
 def _framed_ports(
@@ -233,47 +233,41 @@ def _framed_ports(
     streams: Mask | bool,
     formats: Mapping[int, FrameFormat],
 ) -> NDArray[np.uint16]:
+    """Return the port that determines the format of each row as a frame, u16 (n,); 0 for none.
+
+    It is the destination port; in a stream, which may carry frames in both directions, the port of either
+    end.
+    """
     of_streams = [port for port, form in formats.items() if form.stream]
-    datagrams = np.isin(destination, [port for port in formats if port not in of_streams]) & np.logical_not(
-        streams
-    )
-    ports = np.where(datagrams, destination, 0)
+    of_datagrams = np.isin(destination, [port for port in formats if port not in of_streams])
+    ports = np.where(of_datagrams & np.logical_not(streams), destination, 0)
     for end in (source, destination) if of_streams else ():
         ports = np.where(np.isin(end, of_streams) & streams, end, ports)
     return ports.astype(np.uint16)
 
 
 def format_of(datagram: Datagram, formats: Mapping[int, FrameFormat]) -> FrameFormat | None:
-    """Return the format that a datagram has if it is a frame: by the same port as ``framed_ports``."""
+    """Return the format that a datagram has if it is a frame: by the same port as ``_framed_ports``."""
     ends = (datagram.destination, datagram.source) if datagram.stream else (datagram.destination,)
     candidates = (formats.get(end.port) for end in ends)
     return next((form for form in candidates if form is not None and form.stream == datagram.stream), None)
 
 
-def _stated_length(form: FrameFormat, head: Octets) -> Any:
-    """Return the length in bytes that these frame headers state."""
+def _stated_length(form: FrameFormat, field: Callable[[str], Any]) -> Any:
+    """Return the bytes that the header of a frame states, or each of many; ``field`` returns its fields."""
     if form.kind == "tc":
-        return form.layout.column("frame_length", head).astype(np.int64) + headers.TC_LENGTH_BIAS
-    return np.full(len(head), form.length, np.int64)
+        return field("frame_length") + np.int64(headers.TC_LENGTH_BIAS)
+    return np.int64(form.length)
+
+
+def _begins_frame(form: FrameFormat, field: Callable[[str], Any], length: Any) -> Any:
+    """Return whether a frame, or each of many, may have this header and so many bytes."""
+    return (field("transfer_frame_version_number") == FRAME_VERSIONS[form.kind]) & (length >= form.smallest)
 
 
 def _are_frames(batch: PacketBatch, rows: Places, form: FrameFormat) -> Mask:
     layout, have = form.layout, batch.length[rows]
-    head = gather(batch.data, batch.offset[rows], layout.size)
+    field = partial(layout.column, window=gather(batch.data, batch.offset[rows], layout.size))
     length = have + np.maximum(batch.original_length[rows] - batch.frame_length[rows], 0)
-    right: Mask = (have >= layout.size) & (length >= form.smallest)
-    right &= layout.column("transfer_frame_version_number", head) == FRAME_VERSIONS[form.kind]
-    right &= length == _stated_length(form, head)
-    return right
-
-
-def is_frame(datagram: Datagram, formats: Mapping[int, FrameFormat]) -> bool:
-    """Return whether a datagram is a frame: the same answer as :func:`frame_rows`."""
-    form = format_of(datagram, formats)
-    if form is None or datagram.original_length < 0 or len(datagram.payload) < form.layout.size:
-        return False
-    head = form.layout.parse(datagram.payload)
-    length = len(datagram.payload) + max(datagram.original_length - len(datagram.frame), 0)
-    right = head["transfer_frame_version_number"] == FRAME_VERSIONS[form.kind] and length >= form.smallest
-    stated = head["frame_length"] + headers.TC_LENGTH_BIAS if form.kind == "tc" else form.length
-    return bool(right and length == stated)
+    whole: Mask = (have >= layout.size) & (length == _stated_length(form, field))
+    return whole & _begins_frame(form, field, length)

@@ -28,7 +28,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.addons.frames.link import frame_rows, framed_ports
+from edoras_tools.addons.frames.link import frame_rows
 from edoras_tools.addons.frames.reading import FrameFields, read_frames
 from edoras_tools.decode.columns import blank_columns
 from edoras_tools.io.frames.build import packets_behind
@@ -194,14 +194,14 @@ class Unframer(msgspec.Struct):
 
     def take(self, batch: PacketBatch) -> PacketBatch:
         """Return a batch with the packets that end in it; the same batch if it has no frames."""
-        rows, strange = frame_rows(batch, self.formats)
+        rows, ports, strange = frame_rows(batch, self.formats)
         self.strange += strange
         if not len(rows):
             return batch
         batch = replace(batch, capture_findings=batch.capture_findings.copy())
         parts = [
             part
-            for port, at in by_value(framed_ports(batch, self.formats)[rows])
+            for port, at in by_value(ports)
             if (part := self._read(batch, rows[at], self.formats[port])) is not None
         ]
         if not parts:
