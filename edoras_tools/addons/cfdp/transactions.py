@@ -21,18 +21,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import msgspec
 import numpy as np
 
+from edoras_tools.addons.cfdp import wire as cfdp
 from edoras_tools.addons.cfdp.link import CFDP, holds_pdu
-from edoras_tools.addons.cfdp.wire import (
-    CONDITION_NAMES,
-    UNREAD,
-    Checksum,
-    ConditionCode,
-    Directive,
-    ModularSum,
-    Pdus,
-    parameters,
-    read_pdus,
-)
 from edoras_tools.links.doors import LinkEvidence
 from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.wire.arrays.crc import FileCrc
@@ -94,11 +84,11 @@ class Transaction(msgspec.Struct, eq=False):
     file_size: int | None = None
     file_checksum: int | None = None
     received: KnownRanges = msgspec.field(default_factory=KnownRanges)
-    sums: dict[int, ModularSum | FileCrc] = msgspec.field(
+    sums: dict[int, cfdp.ModularSum | FileCrc] = msgspec.field(
         default_factory=lambda: {
-            Checksum.MODULAR: ModularSum(),
-            Checksum.CRC_32: FileCrc(),
-            Checksum.CRC_32C: FileCrc(castagnoli=True),
+            cfdp.Checksum.MODULAR: cfdp.ModularSum(),
+            cfdp.Checksum.CRC_32: FileCrc(),
+            cfdp.Checksum.CRC_32C: FileCrc(castagnoli=True),
         }
     )
     segments: int = 0
@@ -153,8 +143,8 @@ class Transaction(msgspec.Struct, eq=False):
     def state(self) -> str:
         """State at the end: ``finished``, ``cancelled``, another condition's name, or ``not finished``."""
         if self.condition:
-            cancelled = self.condition == ConditionCode.CANCEL_REQUEST_RECEIVED
-            return "cancelled" if cancelled else CONDITION_NAMES.get(self.condition, str(self.condition))
+            cancelled = self.condition == cfdp.ConditionCode.CANCEL_REQUEST_RECEIVED
+            return "cancelled" if cancelled else cfdp.CONDITION_NAMES.get(self.condition, str(self.condition))
         over = self.finished is not None and not self.incomplete
         return "finished" if over or (not self.acknowledged and self.complete) else "not finished"
 
@@ -214,7 +204,7 @@ class FileEvidence(LinkEvidence):
             return
         self.pdus += len(rows)
         offset, length = place or (batch.offset[rows], batch.length[rows])
-        pdus = read_pdus(batch.data, offset, length)
+        pdus = cfdp.read_pdus(batch.data, offset, length)
         if pdus.corrupt.any():
             times = batch.time_ns[rows[pdus.corrupt]]
             first_ns = self.corrupt_ns[0] if self.corrupt else int(times[0])
@@ -232,7 +222,7 @@ class FileEvidence(LinkEvidence):
         keys = pdus.source_entity_id, pdus.transaction_sequence_number, *ends
         _, which = numbered(*keys)
         for first, last in _runs(pdus, which):
-            if pdus.kind[first] == UNREAD or pdus.corrupt[first]:
+            if pdus.kind[first] == cfdp.UNREAD or pdus.corrupt[first]:
                 continue
             key = tuple(int(item[first]) for item in keys)
             time_ns = batch.time_ns[rows[first:last]]
@@ -243,13 +233,13 @@ class FileEvidence(LinkEvidence):
             silences = np.diff(time_ns, prepend=transaction.last_ns)
             transaction.silence_ns = max(transaction.silence_ns, int(silences.max()))
             transaction.last_ns = max(transaction.last_ns, int(time_ns[-1]))
-            if pdus.kind[first] == Directive.FILE_DATA:
+            if pdus.kind[first] == cfdp.Directive.FILE_DATA:
                 self._file_data(transaction, batch.data, pdus, slice(first, last))
             else:
                 body = batch.data[pdus.start[first] : pdus.end[first]].tobytes()
                 kind = int(pdus.kind[first])
-                fields = parameters(kind, int(pdus.large[first]), body)
-                if kind == Directive.METADATA and transaction.finished is not None:
+                fields = cfdp.parameters(kind, int(pdus.large[first]), body)
+                if kind == cfdp.Directive.METADATA and transaction.finished is not None:
                     del self._open[key]
                     transaction = self._begin(key, pdus, first, int(time_ns[0])) or transaction
                 _directive(transaction, kind, fields)
@@ -260,7 +250,7 @@ class FileEvidence(LinkEvidence):
             ):
                 transaction.finished_ns = int(time_ns[-1])
 
-    def _begin(self, key: tuple[int, ...], pdus: Pdus, row: int, time_ns: int) -> Transaction | None:
+    def _begin(self, key: tuple[int, ...], pdus: cfdp.Pdus, row: int, time_ns: int) -> Transaction | None:
         if len(self.transactions) >= MOST_TRANSACTIONS:
             return None
         receiver, acknowledged = int(pdus.destination_entity_id[row]), bool(pdus.acknowledged[row])
@@ -268,7 +258,7 @@ class FileEvidence(LinkEvidence):
         self.transactions.append(transaction)
         return transaction
 
-    def _file_data(self, transaction: Transaction, data: Octets, pdus: Pdus, rows: slice) -> None:
+    def _file_data(self, transaction: Transaction, data: Octets, pdus: cfdp.Pdus, rows: slice) -> None:
         """Add pieces that follow each other in the file."""
         offset, begin = pdus.file_offset[rows].tolist(), pdus.data[rows]
         sizes = pdus.end[rows] - begin
@@ -295,10 +285,10 @@ class FileEvidence(LinkEvidence):
                 self._keep(transaction, first, piece)
 
 
-def _runs(pdus: Pdus, which: NDArray[np.integer[Any]]) -> Iterator[tuple[int, int]]:
+def _runs(pdus: cfdp.Pdus, which: NDArray[np.integer[Any]]) -> Iterator[tuple[int, int]]:
     """Yield directives one by one, and pieces of a file in runs that follow each other."""
     end = pdus.file_offset + (pdus.end - pdus.data).astype(np.uint64)
-    follows = (pdus.kind[1:] == Directive.FILE_DATA) & (pdus.kind[:-1] == Directive.FILE_DATA)
+    follows = (pdus.kind[1:] == cfdp.Directive.FILE_DATA) & (pdus.kind[:-1] == cfdp.Directive.FILE_DATA)
     follows &= ~(pdus.corrupt[1:] | pdus.corrupt[:-1])
     follows &= (which[1:] == which[:-1]) & (pdus.file_offset[1:] == end[:-1])
     begins = np.flatnonzero(np.concatenate([np.ones(min(len(which), 1), bool), ~follows])).tolist()
@@ -306,17 +296,17 @@ def _runs(pdus: Pdus, which: NDArray[np.integer[Any]]) -> Iterator[tuple[int, in
 
 
 def _directive(transaction: Transaction, kind: int, fields: dict[str, Any]) -> None:
-    if kind == Directive.METADATA:
+    if kind == cfdp.Directive.METADATA:
         transaction.source_file_name = fields["source_file_name"]
         transaction.destination_file_name = fields["destination_file_name"]
         kind = transaction.checksum_type = fields["checksum_type"]
         transaction.sums = {kind: transaction.sums[kind]} if kind in transaction.sums else {}
         if transaction.eof is None:
             transaction.file_size = fields["file_size"]
-    elif kind == Directive.EOF:
+    elif kind == cfdp.Directive.EOF:
         transaction.eof, transaction.file_size = fields["condition_code"], fields["file_size"]
         transaction.file_checksum = fields["file_checksum"]
-    elif kind == Directive.FINISHED:
+    elif kind == cfdp.Directive.FINISHED:
         transaction.finished, transaction.incomplete = fields["condition_code"], bool(fields["delivery_code"])
-    elif kind == Directive.NAK:
+    elif kind == cfdp.Directive.NAK:
         transaction.naks += bool(fields["segment_requests"])

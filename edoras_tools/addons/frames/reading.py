@@ -7,20 +7,9 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
+from edoras_tools.wire import transfer_frames as headers
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16_rows
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.transfer_frames import (
-    AOS_IDLE_CHANNEL,
-    AOS_PACKETS,
-    FIRST_PART,
-    NO_FIRST,
-    NO_PACKET_STARTS,
-    OCF_BYTES,
-    ONLY_IDLE_DATA,
-    TC_SEGMENT,
-    TM_SECONDARY,
-    FrameFormat,
-)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -60,7 +49,9 @@ class FrameFields(msgspec.Struct, frozen=True, eq=False):
     idle: Mask
 
 
-def read_frames(data: Octets, offset: Integers, length: NDArray[np.int32], form: FrameFormat) -> FrameFields:
+def read_frames(
+    data: Octets, offset: Integers, length: NDArray[np.int32], form: headers.FrameFormat
+) -> FrameFields:
     """Read many frames of one kind; no content of theirs can make this raise.
 
     Args:
@@ -78,29 +69,29 @@ def read_frames(data: Octets, offset: Integers, length: NDArray[np.int32], form:
     # Positions past the end of the data are not read: the window of a short frame is filled with zeros.
     behind = gather(data, np.minimum(start, len(data)), 2)
     if form.kind == "tm":
-        second = TM_SECONDARY.column("secondary_header_length", behind) + np.int64(1)
+        second = headers.TM_SECONDARY.column("secondary_header_length", behind) + np.int64(1)
         start = start + second * head["secondary_header_flag"]
-        end = end - OCF_BYTES * head["ocf_flag"].astype(np.int64)
+        end = end - headers.OCF_BYTES * head["ocf_flag"].astype(np.int64)
         pointer, count = head["first_header_pointer"], head["virtual_channel_frame_count"]
-        idle = (pointer == ONLY_IDLE_DATA) | (head["synchronization_flag"] == 1)
+        idle = (pointer == headers.ONLY_IDLE_DATA) | (head["synchronization_flag"] == 1)
         master = head["master_channel_frame_count"]
     elif form.kind == "aos":
-        start = start + AOS_PACKETS.size
-        end = end - OCF_BYTES * form.ocf
-        pointer = AOS_PACKETS.column("first_header_pointer", behind)
-        idle = (head["virtual_channel_id"] == AOS_IDLE_CHANNEL) | (pointer == ONLY_IDLE_DATA)
+        start = start + headers.AOS_PACKETS.size
+        end = end - headers.OCF_BYTES * form.ocf
+        pointer = headers.AOS_PACKETS.column("first_header_pointer", behind)
+        idle = (head["virtual_channel_id"] == headers.AOS_IDLE_CHANNEL) | (pointer == headers.ONLY_IDLE_DATA)
         count = head["virtual_channel_frame_count"]
         spacecraft |= head["spacecraft_id_high"].astype(np.uint32) << 8
     else:
         idle, has_count = head["control_command_flag"] == 1, head["bypass_flag"] == 0
         count, pointer = head["frame_sequence_number"], none
         if form.segment_header:
-            start = start + TC_SEGMENT.size
-            map_id = TC_SEGMENT.column("map_id", behind)
-            flags = TC_SEGMENT.column("segment_sequence_flags", behind)
-            pointer = np.where(flags & FIRST_PART, 0, NO_PACKET_STARTS)
-    starts = ~idle & (pointer != NO_PACKET_STARTS)
-    first = np.where(starts, start + pointer, NO_FIRST)
+            start = start + headers.TC_SEGMENT.size
+            map_id = headers.TC_SEGMENT.column("map_id", behind)
+            flags = headers.TC_SEGMENT.column("segment_sequence_flags", behind)
+            pointer = np.where(flags & headers.FIRST_PART, 0, headers.NO_PACKET_STARTS)
+    starts = ~idle & (pointer != headers.NO_PACKET_STARTS)
+    first = np.where(starts, start + pointer, headers.NO_FIRST)
     fits = (idle & (form.kind == "tc")) | (start <= end) & (first < np.maximum(end, start + 1))
     return FrameFields(
         fits,

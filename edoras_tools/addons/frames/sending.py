@@ -14,17 +14,8 @@ from edoras_tools.links.sending import LinkSending
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import ccsds
+from edoras_tools.wire import transfer_frames as headers
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
-from edoras_tools.wire.transfer_frames import (
-    AOS_PACKETS,
-    FRAME_VERSIONS,
-    NO_PACKET_STARTS,
-    OCF_BYTES,
-    TC_LENGTH_BIAS,
-    TC_SEGMENT,
-    FrameFormat,
-    count_modulus,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -71,7 +62,7 @@ class FrameSending(LinkSending):
 
     renews = packets = True
 
-    def __init__(self, link: Link, port: int, form: FrameFormat) -> None:
+    def __init__(self, link: Link, port: int, form: headers.FrameFormat) -> None:
         super().__init__(link)
         self.port, self.form = port, form
         self.framing = TransferFraming(form) if form.stream else None
@@ -139,7 +130,9 @@ class FrameSending(LinkSending):
             parts = [packet[start : start + room] for start in range(0, len(packet), room)]
             for number, part in enumerate(parts):
                 flags = (number == 0) | (number == len(parts) - 1) << 1
-                segment = TC_SEGMENT.emit({"segment_sequence_flags": flags}) if form.segment_header else b""
+                segment = (
+                    headers.TC_SEGMENT.emit({"segment_sequence_flags": flags}) if form.segment_header else b""
+                )
                 yield _Content(at, channel, segment + part)
         text = f"packets are longer than the {room} bytes of a TC frame without segments"
         self.refusals = [f"{too_long:,} {text}"] if too_long else []
@@ -159,7 +152,7 @@ class FrameSending(LinkSending):
                     starts.append(len(data))
                     data += _idle(max(room - len(data), ccsds.PRIMARY.size + 1))
                     ends = False
-                first = next((start for start in starts if start < room), NO_PACKET_STARTS)
+                first = next((start for start in starts if start < room), headers.NO_PACKET_STARTS)
                 yield _Content(at, channel, data[:room], first)
                 data, starts = data[room:], [start - room for start in starts if start >= room]
                 ends = ends and len(data) > 0
@@ -171,27 +164,33 @@ class FrameSending(LinkSending):
         self._counts.update([channel, channel.spacecraft_id])
         values: dict[str, Any] = {
             **channel._asdict(),
-            "transfer_frame_version_number": FRAME_VERSIONS[kind],
-            "virtual_channel_frame_count": count % count_modulus(kind),
+            "transfer_frame_version_number": headers.FRAME_VERSIONS[kind],
+            "virtual_channel_frame_count": count % headers.count_modulus(kind),
         }
         if kind == "tc":
             values["frame_sequence_number"] = values.pop("virtual_channel_frame_count")
-            values["frame_length"] = form.data_start + len(data) + CRC16_BYTES * form.fecf - TC_LENGTH_BIAS
+            values["frame_length"] = (
+                form.data_start + len(data) + CRC16_BYTES * form.fecf - headers.TC_LENGTH_BIAS
+            )
         elif kind == "aos":
             high, low = divmod(channel.spacecraft_id, 256)
             values |= {"spacecraft_id_high": high, "spacecraft_id": low}
-            data = bytes(form.insert_zone) + AOS_PACKETS.emit({"first_header_pointer": content.first}) + data
+            data = (
+                bytes(form.insert_zone)
+                + headers.AOS_PACKETS.emit({"first_header_pointer": content.first})
+                + data
+            )
         else:
             values |= {
                 "ocf_flag": int(form.ocf),
-                "master_channel_frame_count": of_all % count_modulus(kind),
+                "master_channel_frame_count": of_all % headers.count_modulus(kind),
                 "segment_length_id": 3,
                 "first_header_pointer": content.first,
             }
         head = form.layout.emit(values)
         if form.header_error_control:
             head += header_check(head)
-        frame = head + data + bytes(OCF_BYTES * form.ocf)
+        frame = head + data + bytes(headers.OCF_BYTES * form.ocf)
         return frame + crc16(frame).to_bytes(CRC16_BYTES, "big") if form.fecf else frame
 
 

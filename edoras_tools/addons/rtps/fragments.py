@@ -26,14 +26,7 @@ from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.reader import distinct_guids, rtps_messages
 from edoras_tools.addons.rtps.samples import LeftSamples
 from edoras_tools.addons.rtps.wire import RTPS_MAGIC
-from edoras_tools.addons.rtps.wire.headers import (
-    GUID_BYTES,
-    PREFIX_BYTES,
-    RTPS_HEADER,
-    SUBMESSAGE_LAYOUTS,
-    SubmessageFlag,
-    SubmessageKind,
-)
+from edoras_tools.addons.rtps.wire import headers as rtps
 from edoras_tools.addons.rtps.wire.messages import SubmessageFields, read_samples
 from edoras_tools.io.frames.build import order_behind, packets_behind
 from edoras_tools.links.site import MOST_ENDPOINTS, Site
@@ -109,12 +102,12 @@ class FragmentedSamples:
         rows = np.flatnonzero(columns.link == RTPS)
         rows = rows[batch.original_length[rows] >= 0]
         submessages = rtps_messages(batch, rows).submessages
-        samples = read_samples(batch.data, submessages, SubmessageKind.DATA_FRAG)
+        samples = read_samples(batch.data, submessages, rtps.SubmessageKind.DATA_FRAG)
         samples = samples.take(samples.fits)
         if not len(samples.which):
             return batch, columns
         own = submessages.take(samples.which)
-        numbers = SubmessageFields(batch.data, own, SubmessageKind.DATA_FRAG)
+        numbers = SubmessageFields(batch.data, own, rtps.SubmessageKind.DATA_FRAG)
         number = {
             name: numbers.number(name)
             for name in ("fragment_starting_num", "fragments_in_submessage", "fragment_size", "sample_size")
@@ -130,7 +123,7 @@ class FragmentedSamples:
             for place in self._add(key, some, batch.data, samples.start[members], samples.end[members]):
                 last = int(members[place])
                 body = self._finished(key)
-                key_only = bool(own.flags[last] & SubmessageFlag.FRAGMENT_KEY)
+                key_only = bool(own.flags[last] & rtps.SubmessageFlag.FRAGMENT_KEY)
                 raw = sample_message(key, body, int(own.time_ns[last]), key_only=key_only)
                 rebuilt.append((int(rows[own.row[last]]), raw))
         if not rebuilt:
@@ -200,28 +193,28 @@ class FragmentedSamples:
 def sample_message(key: tuple[bytes, int], body: bytes, time_ns: int, *, key_only: bool) -> bytes:
     """Return the message with a sample in one piece; its submessage length is 0: up to the end."""
     guid, sequence = key
-    little = int(SubmessageFlag.LITTLE_ENDIAN)
-    head = RTPS_HEADER.emit(
+    little = int(rtps.SubmessageFlag.LITTLE_ENDIAN)
+    head = rtps.RTPS_HEADER.emit(
         {
             "magic": int.from_bytes(RTPS_MAGIC, "big"),
             "version_major": 2,
             "version_minor": 5,
-            "guid_prefix": guid[:PREFIX_BYTES],
+            "guid_prefix": guid[: rtps.PREFIX_BYTES],
         }
     )
     if time_ns >= 0:
-        layout = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_TS].little
+        layout = rtps.SUBMESSAGE_LAYOUTS[rtps.SubmessageKind.INFO_TS].little
         seconds, rest = divmod(time_ns, SECOND)
         # Rounded up, so that the same nanosecond is read again.
         stamp = {"seconds": seconds & 0xFFFFFFFF, "fraction": -(-(rest << 32) // SECOND)}
-        numbers = {"submessage_id": SubmessageKind.INFO_TS, "flags": little, "octets_to_next_header": 8}
+        numbers = {"submessage_id": rtps.SubmessageKind.INFO_TS, "flags": little, "octets_to_next_header": 8}
         head += layout.emit(numbers | stamp)
-    layout = SUBMESSAGE_LAYOUTS[SubmessageKind.DATA].little
+    layout = rtps.SUBMESSAGE_LAYOUTS[rtps.SubmessageKind.DATA].little
     values = {
-        "submessage_id": SubmessageKind.DATA,
-        "flags": little | (SubmessageFlag.KEY if key_only else SubmessageFlag.DATA),
+        "submessage_id": rtps.SubmessageKind.DATA,
+        "flags": little | (rtps.SubmessageFlag.KEY if key_only else rtps.SubmessageFlag.DATA),
         "octets_to_inline_qos": 16,
-        "writer_id": guid[PREFIX_BYTES:GUID_BYTES],
+        "writer_id": guid[rtps.PREFIX_BYTES : rtps.GUID_BYTES],
         "writer_sn_high": sequence >> 32,
         "writer_sn_low": sequence & 0xFFFFFFFF,
     }

@@ -6,24 +6,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.addons.rtps.wire.headers import (
-    BUILT_IN,
-    BUILT_IN_KIND,
-    ENTITY_BYTES,
-    GUID_BYTES,
-    INLINE_AT,
-    OF_PARTICIPANTS,
-    OF_PUBLICATIONS,
-    OF_SUBSCRIPTIONS,
-    PREFIX_BYTES,
-    RTPS_HEADER,
-    SUBMESSAGE,
-    SUBMESSAGE_LAYOUTS,
-    SUBMESSAGE_NAMES,
-    WITH_SEQUENCE_SET,
-    SubmessageFlag,
-    SubmessageKind,
-)
+from edoras_tools.addons.rtps.wire import headers as rtps
 from edoras_tools.addons.rtps.wire.messages import (
     LEAST_BYTES,
     RtpsMessages,
@@ -50,18 +33,18 @@ if TYPE_CHECKING:
     from edoras_tools.links.site import Endpoints, Site
     from edoras_tools.wire.layout import Layout
 
-_ANNOUNCING: Final = (OF_PARTICIPANTS, OF_PUBLICATIONS, OF_SUBSCRIPTIONS)
+_ANNOUNCING: Final = (rtps.OF_PARTICIPANTS, rtps.OF_PUBLICATIONS, rtps.OF_SUBSCRIPTIONS)
 _PLAIN: Final = (CDR_BE, CDR_LE)
 """Representations of ROS messages."""
-_TOLD_SETS: Final = {SubmessageKind.ACKNACK: "missing", SubmessageKind.GAP: "irrelevant"}
+_TOLD_SETS: Final = {rtps.SubmessageKind.ACKNACK: "missing", rtps.SubmessageKind.GAP: "irrelevant"}
 _NUMBERS: Final = {
-    SubmessageKind.DATA: ("writer_sn",),
-    SubmessageKind.DATA_FRAG: ("writer_sn",),
-    SubmessageKind.HEARTBEAT_FRAG: ("writer_sn",),
-    SubmessageKind.NACK_FRAG: ("writer_sn",),
-    SubmessageKind.HEARTBEAT: ("first", "last"),
-    SubmessageKind.ACKNACK: ("base",),
-    SubmessageKind.GAP: ("gap_start", "base"),
+    rtps.SubmessageKind.DATA: ("writer_sn",),
+    rtps.SubmessageKind.DATA_FRAG: ("writer_sn",),
+    rtps.SubmessageKind.HEARTBEAT_FRAG: ("writer_sn",),
+    rtps.SubmessageKind.NACK_FRAG: ("writer_sn",),
+    rtps.SubmessageKind.HEARTBEAT: ("first", "last"),
+    rtps.SubmessageKind.ACKNACK: ("base",),
+    rtps.SubmessageKind.GAP: ("gap_start", "base"),
 }
 """Names of the sequence numbers in each kind of submessage."""
 _MOST_TOLD: Final = 6
@@ -69,7 +52,7 @@ _MOST_TOLD: Final = 6
 
 def timeless(flags: int, kind: int) -> bool:
     """Return whether a submessage is an INFO_TS without a time."""
-    return kind == SubmessageKind.INFO_TS and bool(flags & SubmessageFlag.NO_TIMESTAMP)
+    return kind == rtps.SubmessageKind.INFO_TS and bool(flags & rtps.SubmessageFlag.NO_TIMESTAMP)
 
 
 class TopicSamples(NamedTuple):
@@ -99,7 +82,7 @@ def topic_samples(data: Octets, submessages: Submessages) -> tuple[list[bytes], 
         data: u8, buffer of the submessages.
     """
     samples, own = _whole_samples(data, submessages)
-    fields = SubmessageFields(data, own, SubmessageKind.DATA)
+    fields = SubmessageFields(data, own, rtps.SubmessageKind.DATA)
     guids = fields.guid("writer_id")
     users = np.flatnonzero(_of_users(guids))
     writers, which = distinct_guids(guids[users])
@@ -130,15 +113,15 @@ def rows_on(batch: PacketBatch, rows: Places, endpoints: Endpoints, holds: Calla
 
 def _whole_samples(data: Octets, parts: Submessages) -> tuple[SampleData, Submessages]:
     """Return the complete samples in DATA, and their submessages."""
-    samples = read_samples(data, parts, SubmessageKind.DATA)
-    samples = samples.take(samples.fits & ((parts.flags[samples.which] & SubmessageFlag.DATA) != 0))
+    samples = read_samples(data, parts, rtps.SubmessageKind.DATA)
+    samples = samples.take(samples.fits & ((parts.flags[samples.which] & rtps.SubmessageFlag.DATA) != 0))
     return samples, parts.take(samples.which)
 
 
 def _of_users(guids: NDArray[np.void]) -> Mask:
     """Return which endpoints are not built in: bool (n,)."""
-    kind = guids.view(np.uint8).reshape(-1, GUID_BYTES)[:, -1]
-    return (kind & BUILT_IN_KIND) != BUILT_IN_KIND
+    kind = guids.view(np.uint8).reshape(-1, rtps.GUID_BYTES)[:, -1]
+    return (kind & rtps.BUILT_IN_KIND) != rtps.BUILT_IN_KIND
 
 
 def distinct_guids(guids: NDArray[np.void]) -> tuple[list[bytes], Integers]:
@@ -159,7 +142,7 @@ def locate_samples(batch: PacketBatch, rows: Places, site: Site) -> Located:
     located.flag(Finding.TRUNCATED, messages.truncated)
     located.flag(Finding.LENGTH_MISMATCH, messages.odd)
     submessages = messages.submessages
-    for kind in (SubmessageKind.DATA, SubmessageKind.DATA_FRAG):
+    for kind in (rtps.SubmessageKind.DATA, rtps.SubmessageKind.DATA_FRAG):
         samples = read_samples(batch.data, submessages, kind)
         odd = samples.which[~samples.fits]
         located.findings[submessages.row[odd]] |= np.uint32(Finding.LENGTH_MISMATCH)
@@ -176,8 +159,8 @@ def learn(data: Octets, submessages: Submessages, number: Integers, endpoints: E
         endpoints: endpoints, which are extended.
     """
     samples, own = _whole_samples(data, submessages)
-    head = SubmessageFields(data, own, SubmessageKind.DATA).guid("writer_id")
-    entity = head.view(np.uint8).reshape(-1, GUID_BYTES)[:, PREFIX_BYTES:]
+    head = SubmessageFields(data, own, rtps.SubmessageKind.DATA).guid("writer_id")
+    entity = head.view(np.uint8).reshape(-1, rtps.GUID_BYTES)[:, rtps.PREFIX_BYTES :]
     word = np.ascontiguousarray(entity).view(">u4")[:, 0]
     for at in np.flatnonzero(np.isin(word, [int.from_bytes(item, "big") for item in _ANNOUNCING])).tolist():
         payload = data[samples.start[at] : samples.end[at]].tobytes()
@@ -194,7 +177,7 @@ def dissect_message(reading: Reading, site: Site) -> None:
         WireError: the message is cut. The layers read before stay.
     """
     data = reading.data
-    reading.read(RTPS_HEADER, 0)
+    reading.read(rtps.RTPS_HEADER, 0)
     octets = np.frombuffer(data, np.uint8)
     messages = read_messages(octets, np.array([0]), np.array([len(data)]))
     submessages = messages.submessages
@@ -205,14 +188,14 @@ def dissect_message(reading: Reading, site: Site) -> None:
     for index in range(len(submessages.row)):
         _submessage(reading, site.endpoints, submessages.take(np.array([index])), inside.get(index))
     if messages.truncated[0]:
-        last = int(submessages.end[-1]) if len(submessages.end) else RTPS_HEADER.size
-        reading.truncated(SUBMESSAGE.little.name, last, SUBMESSAGE.little.size)
+        last = int(submessages.end[-1]) if len(submessages.end) else rtps.RTPS_HEADER.size
+        reading.truncated(rtps.SUBMESSAGE.little.name, last, rtps.SUBMESSAGE.little.size)
 
 
 def _insides(octets: Octets, submessages: Submessages) -> dict[int, tuple[int, int, bool]]:
     """Return the start and end of each submessage's data, and whether its headers are sound."""
     out: dict[int, tuple[int, int, bool]] = {}
-    for kind in (SubmessageKind.DATA, SubmessageKind.DATA_FRAG):
+    for kind in (rtps.SubmessageKind.DATA, rtps.SubmessageKind.DATA_FRAG):
         samples = read_samples(octets, submessages, kind)
         for at, which in enumerate(samples.which.tolist()):
             out[which] = (int(samples.start[at]), int(samples.end[at]), bool(samples.fits[at]))
@@ -224,35 +207,35 @@ def _submessage(
 ) -> None:
     """Read one submessage, and the sample in it."""
     kind, flags, at, end = (int(item[0]) for item in (one.kind, one.flags, one.start, one.end))
-    little = bool(flags & SubmessageFlag.LITTLE_ENDIAN)
-    orders = SUBMESSAGE if timeless(flags, kind) else SUBMESSAGE_LAYOUTS.get(kind, SUBMESSAGE)
+    little = bool(flags & rtps.SubmessageFlag.LITTLE_ENDIAN)
+    orders = rtps.SUBMESSAGE if timeless(flags, kind) else rtps.SUBMESSAGE_LAYOUTS.get(kind, rtps.SUBMESSAGE)
     layout = orders.of(little=little)
     if not one.whole[0]:
         # Show the existing part, and where it should have ended.
-        reading.read((layout if end - at >= layout.size else SUBMESSAGE.of(little=little)), at)
-        claimed = SUBMESSAGE.of(little=little).parse(reading.data, at)["octets_to_next_header"]
-        reading.truncated(layout.name, at, max(layout.size, SUBMESSAGE.little.size + claimed))
+        reading.read((layout if end - at >= layout.size else rtps.SUBMESSAGE.of(little=little)), at)
+        claimed = rtps.SUBMESSAGE.of(little=little).parse(reading.data, at)["octets_to_next_header"]
+        reading.truncated(layout.name, at, max(layout.size, rtps.SUBMESSAGE.little.size + claimed))
     values = reading.read(layout, at)
-    if kind not in _NUMBERS or orders is SUBMESSAGE:
+    if kind not in _NUMBERS or orders is rtps.SUBMESSAGE:
         return
     numbers = {
         name: (values[f"{name}_high"] << 32) + values[f"{name}_low"]
-        for name in _NUMBERS[SubmessageKind(kind)]
+        for name in _NUMBERS[rtps.SubmessageKind(kind)]
     }
     behind = at + layout.size
     for name, value in numbers.items():
         place = at + layout.by_name[f"{name}_high"].start
         label = name if name.endswith("_sn") else f"{name}_sn"
         reading.extend(LayerField(label, value, place, place + 8, str(value), "the sequence number"))
-    if kind in WITH_SEQUENCE_SET:
-        name = _TOLD_SETS[SubmessageKind(kind)]
+    if kind in rtps.WITH_SEQUENCE_SET:
+        name = _TOLD_SETS[rtps.SubmessageKind(kind)]
         listed = sequence_set(
             reading.data, behind, end, little=little, base=numbers["base"], bits=values["num_bits"]
         )
         reading.extend(
             LayerField(name, listed, behind, end, _numbers_text(listed), "the samples whose bits are set")
         )
-    fields = SubmessageFields(np.frombuffer(reading.data, np.uint8), one, SubmessageKind(kind))
+    fields = SubmessageFields(np.frombuffer(reading.data, np.uint8), one, rtps.SubmessageKind(kind))
     guid = fields.guid("writer_id")[0].tobytes()
     place = at + layout.by_name["writer_id"].start
     endpoint = endpoints.find(guid, reading.datagram.number)
@@ -261,12 +244,12 @@ def _submessage(
     if endpoint is not None and topic:
         told_of |= {"topic": (topic, "as it announced"), "type": (endpoint.ros_type, "as it announced")}
     for name, (text, doc) in told_of.items():
-        reading.extend(LayerField(name, text, place, place + ENTITY_BYTES, text, doc))
-    if kind == SubmessageKind.DATA and flags & SubmessageFlag.INLINE_QOS:
-        start = at + INLINE_AT + values["octets_to_inline_qos"]
+        reading.extend(LayerField(name, text, place, place + rtps.ENTITY_BYTES, text, doc))
+    if kind == rtps.SubmessageKind.DATA and flags & rtps.SubmessageFlag.INLINE_QOS:
+        start = at + rtps.INLINE_AT + values["octets_to_inline_qos"]
         if status := read_status(reading.data[start:end], "little" if little else "big"):
             reading.extend(LayerField("status", status, start, end, status, "what became of the instance"))
-    sample = kind == SubmessageKind.DATA and flags & SubmessageFlag.DATA
+    sample = kind == rtps.SubmessageKind.DATA and flags & rtps.SubmessageFlag.DATA
     if endpoint is not None and topic and sample and inside and inside[2]:
         reading.sample(topic, endpoint.ros_type, inside[0], inside[1])
 
@@ -279,17 +262,19 @@ def submessage_places(layout: Layout, rows: BatchRows, link: Link) -> tuple[Plac
     """Find the message header, or every submessage of one kind and byte order; a row may have several."""
     owner = np.flatnonzero(rows.column("link") == link)
     offset, length = rows.datagram("offset")[owner], rows.datagram("length")[owner]
-    if layout is RTPS_HEADER:
+    if layout is rtps.RTPS_HEADER:
         present = length >= layout.size
         return owner[present], offset[present]
     parts = read_messages(rows.batch.data, offset, length).submessages
     little = parts.little == (layout.byte_order == "little")
-    of_time = (parts.kind == SubmessageKind.INFO_TS) & ((parts.flags & SubmessageFlag.NO_TIMESTAMP) != 0)
-    kinds = [kind for kind, orders in SUBMESSAGE_LAYOUTS.items() if layout in orders]
+    of_time = (parts.kind == rtps.SubmessageKind.INFO_TS) & (
+        (parts.flags & rtps.SubmessageFlag.NO_TIMESTAMP) != 0
+    )
+    kinds = [kind for kind, orders in rtps.SUBMESSAGE_LAYOUTS.items() if layout in orders]
     if kinds:
         mask = little & (parts.kind == kinds[0]) & ~of_time & (parts.end - parts.start >= layout.size)
     else:
-        plain = ~np.isin(parts.kind, list(SUBMESSAGE_LAYOUTS)) | of_time
+        plain = ~np.isin(parts.kind, list(rtps.SUBMESSAGE_LAYOUTS)) | of_time
         plain |= ~parts.whole & (parts.end - parts.start < LEAST_BYTES[parts.kind])
         mask = little & plain
     return owner[parts.row[mask]], parts.start[mask]
@@ -301,10 +286,10 @@ def named_layers(decoded: Decoded) -> Iterator[tuple[str, Mapping[str, Any]]]:
         values = layer.values()
         if "submessage_id" not in values:
             continue
-        name = SUBMESSAGE_NAMES.get(values["submessage_id"], f"0x{values['submessage_id']:02x}")
+        name = rtps.SUBMESSAGE_NAMES.get(values["submessage_id"], f"0x{values['submessage_id']:02x}")
         if name in {"INFO_TS", "INFO_DST", "INFO_SRC", "PAD"}:
             continue
-        of = values.get("topic") or BUILT_IN.get(values.get("writer_id", b""), "")
+        of = values.get("topic") or rtps.BUILT_IN.get(values.get("writer_id", b""), "")
         yield f"{name} {of}".strip(), values
 
 
@@ -384,10 +369,10 @@ class UserSubmessages(NamedTuple):
 
 
 _FOLLOWED: Final = {
-    SubmessageKind.DATA: ("writer_sn", "writer_sn"),
-    SubmessageKind.HEARTBEAT: ("first", "last"),
-    SubmessageKind.GAP: ("gap_start", "base"),
-    SubmessageKind.ACKNACK: ("base", "base"),
+    rtps.SubmessageKind.DATA: ("writer_sn", "writer_sn"),
+    rtps.SubmessageKind.HEARTBEAT: ("first", "last"),
+    rtps.SubmessageKind.GAP: ("gap_start", "base"),
+    rtps.SubmessageKind.ACKNACK: ("base", "base"),
 }
 
 
@@ -405,7 +390,7 @@ def user_submessages(batch: PacketBatch, rows: Places) -> UserSubmessages:
         fields = SubmessageFields(batch.data, own, kind)
         guids = fields.guid("writer_id")
         users = _of_users(guids)
-        sets = kind in WITH_SEQUENCE_SET
+        sets = kind in rtps.WITH_SEQUENCE_SET
         columns = (
             at,
             guids,
@@ -414,7 +399,7 @@ def user_submessages(batch: PacketBatch, rows: Places) -> UserSubmessages:
             batch.time_ns[rows[own.row]],
             *(fields.sequence_number(name) for name in names),
             fields.number("num_bits") if sets else np.zeros(len(at), np.int64),
-            own.start + SUBMESSAGE_LAYOUTS[kind].little.size,
+            own.start + rtps.SUBMESSAGE_LAYOUTS[kind].little.size,
             own.end,
             own.little,
         )

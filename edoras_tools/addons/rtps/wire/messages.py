@@ -10,19 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.addons.rtps.wire.headers import (
-    EMPTY_KINDS,
-    ENTITY_BYTES,
-    GUID_BYTES,
-    INLINE_AT,
-    PREFIX_BYTES,
-    RTPS_HEADER,
-    SUBMESSAGE,
-    SUBMESSAGE_LAYOUTS,
-    Orders,
-    SubmessageFlag,
-    SubmessageKind,
-)
+from edoras_tools.addons.rtps.wire import headers as rtps
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.window import gather
 
@@ -36,11 +24,13 @@ MOST_PARAMETERS: Final = 1 << 6
 NO_TIME: Final = -1
 NOWHERE: Final = -1
 """A position that does not exist."""
-_HEAD: Final = SUBMESSAGE.little.size
+_HEAD: Final = rtps.SUBMESSAGE.little.size
 _SENTINEL: Final = 1
-_PREFIX_AT: Final = RTPS_HEADER.by_name["guid_prefix"].start
-_SOURCE_AT: Final = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_SRC].little.by_name["guid_prefix"].start
-_DESTINATION_AT: Final = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_DST].little.by_name["guid_prefix"].start
+_PREFIX_AT: Final = rtps.RTPS_HEADER.by_name["guid_prefix"].start
+_SOURCE_AT: Final = rtps.SUBMESSAGE_LAYOUTS[rtps.SubmessageKind.INFO_SRC].little.by_name["guid_prefix"].start
+_DESTINATION_AT: Final = (
+    rtps.SUBMESSAGE_LAYOUTS[rtps.SubmessageKind.INFO_DST].little.by_name["guid_prefix"].start
+)
 
 
 class Submessages(NamedTuple):
@@ -75,7 +65,7 @@ class Submessages(NamedTuple):
     @property
     def little(self) -> Mask:
         """Whether each is little-endian: bool (n,)."""
-        return np.asarray((self.flags & SubmessageFlag.LITTLE_ENDIAN) != 0)
+        return np.asarray((self.flags & rtps.SubmessageFlag.LITTLE_ENDIAN) != 0)
 
 
 class RtpsMessages(NamedTuple):
@@ -102,10 +92,10 @@ def read_messages(data: Octets, offset: Integers, length: NDArray[np.integer[Any
     """
     count = len(offset)
     end = offset + length
-    truncated = length < RTPS_HEADER.size
+    truncated = length < rtps.RTPS_HEADER.size
     source, destination = offset + _PREFIX_AT, np.full(count, NOWHERE, np.int64)
     time_ns = np.full(count, NO_TIME, np.int64)
-    place = offset + RTPS_HEADER.size
+    place = offset + rtps.RTPS_HEADER.size
     active = np.flatnonzero(~truncated & (place < end))
     steps: list[tuple[NDArray[Any], ...]] = []
     while len(active) and len(steps) < MOST_SUBMESSAGES:
@@ -115,19 +105,19 @@ def read_messages(data: Octets, offset: Integers, length: NDArray[np.integer[Any
         at = place[active]
         head = gather(data, at, _HEAD)
         kind, flags = head[:, 0], head[:, 1]
-        little = (flags & SubmessageFlag.LITTLE_ENDIAN) != 0
-        size = _number(SUBMESSAGE, "octets_to_next_header", head, little)
+        little = (flags & rtps.SubmessageFlag.LITTLE_ENDIAN) != 0
+        size = _number(rtps.SUBMESSAGE, "octets_to_next_header", head, little)
         stop = at + _HEAD + size
         to_end = (size == 0) & ~_MAY_BE_EMPTY[kind]
         stop[to_end] = end[active[to_end]]
         whole = (stop <= end[active]) & (stop - at >= LEAST_BYTES[kind])
-        no_time = (kind == SubmessageKind.INFO_TS) & ((flags & SubmessageFlag.NO_TIMESTAMP) != 0)
+        no_time = (kind == rtps.SubmessageKind.INFO_TS) & ((flags & rtps.SubmessageFlag.NO_TIMESTAMP) != 0)
         whole |= no_time & (stop <= end[active])
         truncated[active[~whole]] = True
         stop = np.minimum(stop, end[active])
         for standard, target, inside in (
-            (SubmessageKind.INFO_SRC, source, _SOURCE_AT),
-            (SubmessageKind.INFO_DST, destination, _DESTINATION_AT),
+            (rtps.SubmessageKind.INFO_SRC, source, _SOURCE_AT),
+            (rtps.SubmessageKind.INFO_DST, destination, _DESTINATION_AT),
         ):
             some = (kind == standard) & whole
             target[active[some]] = at[some] + inside
@@ -153,8 +143,8 @@ def _note_times(
     active: Integers,
 ) -> None:
     """Store the times that INFO_TS gives to the following submessages."""
-    orders = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_TS]
-    some = np.flatnonzero((kind == SubmessageKind.INFO_TS) & whole & ~no_time)
+    orders = rtps.SUBMESSAGE_LAYOUTS[rtps.SubmessageKind.INFO_TS]
+    some = np.flatnonzero((kind == rtps.SubmessageKind.INFO_TS) & whole & ~no_time)
     if len(some):
         head = gather(data, at[some], orders.little.size)
         seconds = _number(orders, "seconds", head, little[some])
@@ -174,17 +164,17 @@ def _joined(steps: list[tuple[NDArray[Any], ...]]) -> Submessages:
 
 def _least() -> Integers:
     least = np.full(256, _HEAD, np.int64)
-    for kind, orders in SUBMESSAGE_LAYOUTS.items():
+    for kind, orders in rtps.SUBMESSAGE_LAYOUTS.items():
         least[kind] = orders.little.size
     return least
 
 
 LEAST_BYTES: Final = _least()
 """Least size of a submessage of each kind, bytes."""
-_MAY_BE_EMPTY: Final = np.isin(np.arange(256), EMPTY_KINDS)
+_MAY_BE_EMPTY: Final = np.isin(np.arange(256), rtps.EMPTY_KINDS)
 
 
-def _number(orders: Orders, name: str, head: Octets, little: Mask) -> Integers:
+def _number(orders: rtps.Orders, name: str, head: Octets, little: Mask) -> Integers:
     """Read a number from headers of both byte orders, i64 (n,)."""
     if little.all():
         return orders.little.column(name, head).astype(np.int64)
@@ -200,8 +190,8 @@ class SubmessageFields:
         kind: kind.
     """
 
-    def __init__(self, data: Octets, submessages: Submessages, kind: SubmessageKind) -> None:
-        self._orders, self._little = SUBMESSAGE_LAYOUTS[kind], submessages.little
+    def __init__(self, data: Octets, submessages: Submessages, kind: rtps.SubmessageKind) -> None:
+        self._orders, self._little = rtps.SUBMESSAGE_LAYOUTS[kind], submessages.little
         self._data, self._submessages = data, submessages
         self._head = gather(data, submessages.start, self._orders.little.size)
 
@@ -223,16 +213,16 @@ class SubmessageFields:
         if self._orders in _FROM_READERS:
             prefix = self._submessages.destination if name == "writer_id" else self._submessages.source
         slot = self._orders.little.by_name[name]
-        out = np.zeros((len(prefix), GUID_BYTES), np.uint8)
+        out = np.zeros((len(prefix), rtps.GUID_BYTES), np.uint8)
         named_source = prefix != NOWHERE
-        out[named_source, :PREFIX_BYTES] = gather(self._data, prefix[named_source], PREFIX_BYTES)
-        out[:, PREFIX_BYTES:] = self._head[:, slot.start : slot.start + ENTITY_BYTES]
-        return out.view(f"V{GUID_BYTES}")[:, 0]
+        out[named_source, : rtps.PREFIX_BYTES] = gather(self._data, prefix[named_source], rtps.PREFIX_BYTES)
+        out[:, rtps.PREFIX_BYTES :] = self._head[:, slot.start : slot.start + rtps.ENTITY_BYTES]
+        return out.view(f"V{rtps.GUID_BYTES}")[:, 0]
 
 
 _FROM_READERS: Final = (
-    SUBMESSAGE_LAYOUTS[SubmessageKind.ACKNACK],
-    SUBMESSAGE_LAYOUTS[SubmessageKind.NACK_FRAG],
+    rtps.SUBMESSAGE_LAYOUTS[rtps.SubmessageKind.ACKNACK],
+    rtps.SUBMESSAGE_LAYOUTS[rtps.SubmessageKind.NACK_FRAG],
 )
 
 
@@ -256,7 +246,7 @@ class SampleData(NamedTuple):
         return SampleData(*(column[mask] for column in self))
 
 
-def read_samples(data: Octets, submessages: Submessages, kind: SubmessageKind) -> SampleData:
+def read_samples(data: Octets, submessages: Submessages, kind: rtps.SubmessageKind) -> SampleData:
     """Find the data of submessages, behind inline QoS.
 
     Args:
@@ -265,17 +255,17 @@ def read_samples(data: Octets, submessages: Submessages, kind: SubmessageKind) -
         kind: ``DATA`` or ``DATA_FRAG``; cut submessages, and DATA without data, are left out.
     """
     members = (submessages.kind == kind) & submessages.whole
-    if kind == SubmessageKind.DATA:
-        members &= (submessages.flags & (SubmessageFlag.DATA | SubmessageFlag.KEY)) != 0
+    if kind == rtps.SubmessageKind.DATA:
+        members &= (submessages.flags & (rtps.SubmessageFlag.DATA | rtps.SubmessageFlag.KEY)) != 0
     which = np.flatnonzero(members)
     some = submessages.take(which)
     inline = SubmessageFields(data, some, kind).number("octets_to_inline_qos")
-    start = some.start + INLINE_AT + inline
+    start = some.start + rtps.INLINE_AT + inline
     # 8.3.7.2: a later version may add fields in between; fewer bytes than in this version are an error.
-    least = some.start + SUBMESSAGE_LAYOUTS[kind].little.size
+    least = some.start + rtps.SUBMESSAGE_LAYOUTS[kind].little.size
     fits = (start >= least) & (start <= some.end)
     start = np.where(fits, start, some.end)
-    active = np.flatnonzero(fits & ((some.flags & SubmessageFlag.INLINE_QOS) != 0))
+    active = np.flatnonzero(fits & ((some.flags & rtps.SubmessageFlag.INLINE_QOS) != 0))
     fits[active] = False
     little = some.little
     for _ in range(MOST_PARAMETERS):
@@ -316,4 +306,4 @@ MOST_BITS: Final = 256
 
 def guid_text(guid: bytes) -> str:
     """Return a GUID in the usual text form: ``0110..35.00000403``: prefix, entity id, in hex."""
-    return f"{guid[:PREFIX_BYTES].hex()}.{guid[PREFIX_BYTES:].hex()}"
+    return f"{guid[: rtps.PREFIX_BYTES].hex()}.{guid[rtps.PREFIX_BYTES :].hex()}"
