@@ -72,8 +72,7 @@ def structs(
     bindings = writing.bindings_of(bind or ())
     out = sys.stdout
     if not names and not bindings and output is None:
-        bound = writing.bound(source)
-        out.writelines(f"{line}\n" for line in listing(source.list(), bound))
+        out.writelines(f"{line}\n" for line in listing(source.list(), source.bound()))
         for line in source.warnings:
             tell(line)
         return

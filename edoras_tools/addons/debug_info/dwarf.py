@@ -13,7 +13,9 @@ import zlib
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from msgspec.structs import replace
 
 from edoras_tools.addons.debug_info.entries import (
     DEEPEST,
@@ -88,12 +90,9 @@ def compiled(source: Path, include: Sequence[Path], flags: Sequence[str]) -> Deb
                 f"{compiler[0]}: {why}; install a C compiler or name one in CC, or give an ELF file"
             ) from error
         if result.returncode:
-            errors = [
-                line for line in result.stderr.splitlines() if "error" in line
-            ] or result.stderr.splitlines()
-            raise ConfigError(
-                f"{source}: does not compile: {errors[0].strip() if errors else 'no word from the compiler'}"
-            )
+            lines = result.stderr.splitlines() or ["no word from the compiler"]
+            first = next((line for line in lines if "error" in line), lines[0])
+            raise ConfigError(f"{source}: does not compile: {first.strip()}")
         if not target.exists():
             raise ConfigError(f"{source}: the compiler makes no object file; look at --cflag and CC")
         return DebugInfo(target, source)
@@ -103,7 +102,7 @@ _HEADERS: Final = ("telemetryheader", "commandheader", "tlmheader", "cmdheader",
 """Names of cFE's headers, and of members that hold one, in all versions; lower case, without ``_``."""
 
 
-class Listed:
+class Listed(NamedTuple):
     """A struct or union that a file describes.
 
     Attributes:
@@ -113,13 +112,10 @@ class Listed:
         members: number of members.
     """
 
-    __slots__ = ("header", "members", "name", "size")
-
-    def __init__(self, name: str, size: int, header: int, members: int) -> None:
-        self.name = name
-        self.size = size
-        self.header = header
-        self.members = members
+    name: str
+    size: int
+    header: int
+    members: int
 
 
 def _shape(die: Die) -> tuple[object, ...]:
@@ -174,11 +170,8 @@ class DebugInfo:
             if elf.get_section_by_name(".debug_info") is None:
                 self._stripped(elf)
             patched = relocated(elf, data)
-            if patched is not None:
-                dwarf = ELFFile(BytesIO(patched)).get_dwarf_info(relocate_dwarf_sections=False)
-            else:
-                dwarf = elf.get_dwarf_info()
-            self._index(dwarf)
+            whole = elf if patched is None else ELFFile(BytesIO(patched))
+            self._index(whole.get_dwarf_info(relocate_dwarf_sections=patched is None))
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
@@ -215,8 +208,8 @@ class DebugInfo:
                     "-fdebug-types-section"
                 )
             top = unit.get_top_DIE()
-            if "DW_AT_GNU_dwo_name" in top.attributes or "DW_AT_dwo_name" in top.attributes:
-                name = top.attributes.get("DW_AT_dwo_name") or top.attributes["DW_AT_GNU_dwo_name"]
+            name = top.attributes.get("DW_AT_dwo_name") or top.attributes.get("DW_AT_GNU_dwo_name")
+            if name is not None:
                 raise ConfigError(
                     f"{self.path}: its debug information is in {name.value.decode(errors='replace')}; "
                     "compile it without -gsplit-dwarf"
@@ -254,15 +247,19 @@ class DebugInfo:
                 if not name.startswith("__")  # those of the C library
             ]
 
+    def bound(self) -> dict[str, str]:
+        """Return nothing: debug information does not say which packets contain structs."""
+        return {}
+
     def layout(
-        self, names: Iterable[str], bindings: Mapping[Key, str], package: str
+        self, names: Iterable[str], bindings: Mapping[Key, str], package: str | None
     ) -> tuple[StructLayout, dict[str, str]]:
         """Return structs with all that they use, and the names of the requested ones in the result.
 
         Args:
             names: names of structs; the tag of a typedef, or a name without ``_t``, is accepted, too.
             bindings: packets that contain some of them.
-            package: ROS package of their messages.
+            package: ROS package of their messages; None: the usual one.
 
         Raises:
             ConfigError: a struct is not found, or cannot be read.
@@ -276,9 +273,8 @@ class DebugInfo:
                 self._told_apart(die)
         self.warnings += maker.warnings
         bound = {key: called[name] for key, name in bindings.items()}
-        return StructLayout(
-            maker.structs, maker.enums, bound, self.byte_order, package, str(self.path)
-        ), called
+        layout = StructLayout(maker.structs, maker.enums, bound, self.byte_order, origin=str(self.path))
+        return replace(layout, package=package or layout.package), called
 
     def _told_apart(self, die: Die) -> None:
         """Warn where a named struct differs between compilation units."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import prod
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from msgspec.structs import replace
@@ -93,7 +94,7 @@ class Maker:
                 text = f"{item.size} bytes are more than any packet holds; take a smaller struct"
                 raise ConfigError(f"{self._info.path}: {item.name}: {text}")
             for member in item.members:
-                width = (member.bit + member.bits + 7) // 8 or self._size(member) * count_of(member)
+                width = (member.bit + member.bits + 7) // 8 or self._size(member) * prod(member.dims)
                 if not 0 <= member.offset <= member.offset + width <= item.size:
                     raise ConfigError(f"{self._info.path}: {item.name}.{member.name} lies outside its struct")
 
@@ -171,7 +172,7 @@ class Maker:
     def extent(self, item: dwarf.Die) -> int:
         """Return the size of a member in bytes."""
         members = list(self._member(item, 0, ""))
-        return max((self._size(member) * count_of(member) for member in members), default=0)
+        return max((self._size(member) * prod(member.dims) for member in members), default=0)
 
     def _size(self, member: Member) -> int:
         if isinstance(member.type, Basic):
@@ -234,11 +235,3 @@ class Maker:
         basic = BASIC[f"{'' if signed else 'u'}int{bits}"]
         enumeration = Enumeration(self._info.called(die) or wish or "Enumeration", basic, names)
         return self._keep(enumeration, self.enums, self.structs)
-
-
-def count_of(member: Member) -> int:
-    """Return the number of elements of a member, over all dimensions."""
-    count = 1
-    for size in member.dims:
-        count *= size
-    return count

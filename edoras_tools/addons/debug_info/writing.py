@@ -130,11 +130,6 @@ def bindings_of(pairs: Iterable[tuple[Key, str]]) -> dict[Key, str]:
     return bindings
 
 
-def bound(source: DebugInfo | LayoutFile) -> dict[str, str]:
-    """Return the packets that contain structs, by the structs' names."""
-    return source.bound() if isinstance(source, LayoutFile) else {}
-
-
 class Taken(msgspec.Struct, frozen=True):
     """The requested structs.
 
@@ -160,11 +155,8 @@ def take(
     if not names and not bindings:
         listed = source.list()
         headed = [item.name for item in listed if item.header]
-        names = headed or list(bound(source)) or [item.name for item in listed]
-    if isinstance(source, DebugInfo):
-        layout, called = source.layout(names, bindings, package or StructLayout({}).package)
-    else:
-        layout, called = source.layout(names, bindings, package)
+        names = headed or list(source.bound()) or [item.name for item in listed]
+    layout, called = source.layout(names, bindings, package)
     messages = Bindings([layout])
     types = {item.struct.name: item.type for item in messages.all}
     for name in names:
