@@ -30,34 +30,25 @@ _CODES: Final = {"float32": "f", "float64": "d"} | {
 """Codes of ``struct`` by type."""
 
 
-class CommandWriter:
-    """Makes the frames of commands, as F Prime's ground system does: CCSDS, the default since version 4.
+def packet_of_command(entries: EntryTable, name: str, values: Any) -> bytes:
+    """Return the packet of a command, as F Prime's ground system makes it.
 
     Args:
         entries: entries of a dictionary.
+        values: all arguments, by name or in order.
+
+    Raises:
+        ConfigError: there is no such command, or an argument is missing or does not fit.
     """
-
-    def __init__(self, entries: EntryTable) -> None:
-        self._commands = {
-            item.name: item for item in entries.bounds if item.entry.kind is fprime.PacketType.COMMAND
-        }
-
-    def packet(self, name: str, values: Any) -> bytes:
-        """Return the packet of a command.
-
-        Args:
-            values: all arguments, by name or in order.
-
-        Raises:
-            ConfigError: there is no such command, or an argument is missing or does not fit.
-        """
-        item = self._commands.get(name)
-        if item is None:
-            near = did_you_mean(name, self._commands) or f"there are {listed(sorted(self._commands), 5)}"
-            raise ConfigError(f"{name!r} is no command of the dictionary; {near}")
-        head = fprime.PACKET.emit({"packet_type": fprime.PacketType.COMMAND})
-        head += fprime.ENTRY_HEADERS[fprime.PacketType.COMMAND].emit({"opcode": item.entry.id})
-        return head + _struct(item.layout, item.struct, values, name)
+    kind = fprime.PacketType.COMMAND
+    commands = {item.name: item for item in entries.bounds if item.entry.kind is kind}
+    if name not in commands:
+        near = did_you_mean(name, commands) or f"there are {listed(sorted(commands), 5)}"
+        raise ConfigError(f"{name!r} is no command of the dictionary; {near}")
+    item = commands[name]
+    head = fprime.PACKET.emit({"packet_type": kind})
+    head += fprime.ENTRY_HEADERS[kind].emit({"opcode": item.entry.id})
+    return head + _struct(item.layout, item.struct, values, name)
 
 
 def command_frame(packet: bytes, count: int) -> bytes:

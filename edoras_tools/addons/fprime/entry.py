@@ -232,24 +232,24 @@ class BoundEntry(Bound):
 
     def line(self, values: Mapping[str, Any]) -> str:
         """Return a message on one line: its name, and the text of an event, else the values."""
-        return f"{self.name}: {self._words(values)}".removesuffix(": ")
-
-    def _words(self, values: Mapping[str, Any]) -> str:
-        members = self.struct.members[int(self.entry.timed) :]
-        arguments = list(values.items())[int(self.entry.timed) :]
-        pairs = list(zip(members, arguments, strict=False))
-        words = [self._word(member, value) for member, (_, value) in pairs]
+        words = self._words(values)
         if self.entry.severity is not None:
-            return f"{self.entry.severity.name} {self.text_of(values)}".strip()
-        if self.entry.kind is PacketType.TELEMETRY:
-            return " ".join(words)
-        return " ".join(f"{name}={word}" for (_, (name, _)), word in zip(pairs, words, strict=True))
+            text = f"{self.entry.severity.name} {self.text_of(values)}".strip()
+        elif self.entry.kind is PacketType.TELEMETRY:
+            text = " ".join(words.values())
+        else:
+            text = " ".join(f"{name}={word}" for name, word in words.items())
+        return f"{self.name}: {text}".removesuffix(": ")
 
     def text_of(self, values: Mapping[str, Any]) -> str:
         """Return the text of an event."""
-        own = list(values.values())[int(self.entry.timed) :]
-        pairs = zip(self.struct.members[int(self.entry.timed) :], own, strict=False)
-        return self.entry.event_text(own, [self._word(member, value) for member, value in pairs])
+        words = self._words(values)
+        return self.entry.event_text([values[name] for name in words], [*words.values()])
+
+    def _words(self, values: Mapping[str, Any]) -> dict[str, str]:
+        """Return the values as text by name, without the time."""
+        pairs = list(zip(self.struct.members, values.items(), strict=False))[int(self.entry.timed) :]
+        return {name: self._word(member, value) for member, (name, value) in pairs}
 
     def _word(self, member: Member, value: Any) -> str:
         """Return a value as text; an enumeration by its name."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.addons.fprime import wire as fprime
-from edoras_tools.addons.fprime.commands import CommandWriter, command_frame
+from edoras_tools.addons.fprime.commands import command_frame, packet_of_command
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.sending import LinkSending
 
@@ -58,5 +58,5 @@ class GroundDataSending(LinkSending):
         entries = context.structs.dictionary
         if entries is None:
             raise ConfigError("commands have their names from a dictionary: --set structs=FILE.json")
-        packet = CommandWriter(entries).packet(name, values)
+        packet = packet_of_command(entries, name, values)
         return [command_frame(packet, number) for number in range(count)]

@@ -70,19 +70,6 @@ class EntryTable:
         described = (payloads.key >= ENTRY_KEY) & (payloads.key < self.unknown)
         return payloads.take(described & (payloads.length >= 0))
 
-    def in_packet(self, data: bytes, kind: int, at: int, end: int) -> StructPayloads:
-        """Return the contents of one packet.
-
-        Args:
-            at: first byte behind the packet type.
-            end: one past the packet.
-        """
-        row, space, start, stop, code = (
-            np.array([item]) for item in (0, -1, at - fprime.PACKET.size, end, kind)
-        )
-        packets = fprime.PacketPlaces(row, space, start, stop, code.astype(np.int32), np.array([True]))
-        return self.in_packets(np.frombuffer(data, np.uint8), packets)
-
     def payloads(self, data: Octets, offset: Integers, length: NDArray[np.int32]) -> StructPayloads:
         """Return all contents of datagrams; see ``structs.entries.LayoutEntryTable``."""
         return self.in_packets(data, fprime.read_ground_frames(data, offset, length, checked=False).packets)
@@ -126,7 +113,9 @@ class EntryTable:
         if kind not in DESCRIBED:
             return False
         header = fprime.ENTRY_HEADERS[PacketType(kind)]
-        entries = self.in_packet(reading.data, kind, at, end)
+        row, space, start, stop = (np.array([item]) for item in (0, -1, at - fprime.PACKET.size, end))
+        packet = PacketPlaces(row, space, start, stop, np.array([kind], np.int32), np.array([True]))
+        entries = self.in_packets(np.frombuffer(reading.data, np.uint8), packet)
         for key, start, length in zip(
             entries.key.tolist(), entries.offset.tolist(), entries.length.tolist(), strict=True
         ):
