@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -12,7 +11,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.ros.types.schema import STRINGS, Definition, MessageField, Shape, full_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
 
 STRINGS_DEFAULT: Final = 64
@@ -56,8 +55,7 @@ class BoundRule(msgspec.Struct, frozen=True):
         return cls(text, full_name(match["type"]), match["field"], match["each"] is not None, most)
 
 
-@dataclass(frozen=True, slots=True)
-class Bounds:
+class Bounds(msgspec.Struct, frozen=True):
     """The bound of every field.
 
     Attributes:
@@ -69,25 +67,24 @@ class Bounds:
     strings: int = STRINGS_DEFAULT
     sequences: int = SEQUENCES_DEFAULT
     rules: tuple[BoundRule, ...] = ()
-    _rules: Mapping[tuple[str, str, bool], int] = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "_rules", {(rule.type, rule.field, rule.each): rule.most for rule in self.rules}
-        )
 
     def elements(self, owner: str, item: MessageField) -> int:
         """Return the elements of an array, or the maximum of a sequence; 0 for a single value."""
         if item.shape is not Shape.SEQUENCE:
             return item.size
-        return self._rules.get((owner, item.name, False)) or item.size or self.sequences
+        return self._rule(owner, item.name, each=False) or item.size or self.sequences
 
     def characters(self, owner: str, item: MessageField) -> int:
         """Return the maximum characters of a string, or of each one in an array or sequence; else 0."""
         if item.type not in STRINGS:
             return 0
         each = item.shape is not Shape.SCALAR
-        return self._rules.get((owner, item.name, each)) or item.string_bound or self.strings
+        return self._rule(owner, item.name, each=each) or item.string_bound or self.strings
+
+    def _rule(self, owner: str, field: str, *, each: bool) -> int:
+        """Return the bound that the last rule on a field gives; 0 if there is none."""
+        key = owner, field, each
+        return next((rule.most for rule in self.rules[::-1] if (rule.type, rule.field, rule.each) == key), 0)
 
     def check(self, definitions: Iterable[Definition]) -> None:
         """Check that every rule names an existing field, and may bound it.

@@ -40,11 +40,8 @@ def codec(library: CLibrary, package: str, command: str) -> str:
     messages = library.of(package)
     head = banner(command, f"The messages of {package}: default values, CDR to and fro.", messages)
     includes = f'#include "{header_name(package)}"\n\n#include <string.h>\n'
-    return "\n".join([head + includes, *(part for item in messages for part in _functions(item))])
-
-
-def _functions(message: Message) -> list[str]:
-    return [_init(message), _read(message), _write(message), _decode(message), _encode(message)]
+    functions = (_init, _read, _write, _decode, _encode)
+    return "\n".join([head + includes, *(make(item) for item in messages for make in functions)])
 
 
 def _init(message: Message) -> str:
