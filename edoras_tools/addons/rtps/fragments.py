@@ -142,13 +142,8 @@ class FragmentedSamples:
         size, step = int(fields["sample_size"][0]), int(fields["fragment_size"][0])
         begin = (fields["fragment_starting_num"] - 1) * step
         stop = np.minimum(begin + fields["fragments_in_submessage"] * step, size)
-        sound = (
-            (fields["sample_size"] == size)
-            & (fields["fragment_size"] == step)
-            & (begin >= 0)
-            & (stop > begin)
-        )
-        sound &= end - start >= stop - begin
+        sound = (fields["sample_size"] == size) & (fields["fragment_size"] == step) & (begin >= 0)
+        sound &= (stop > begin) & (end - start >= stop - begin)
         partial = self._open.get(key) or self._whole.get(key)
         if partial is not None:
             sound &= (len(partial.data) == size) & (partial.fragment_size == step)
@@ -194,14 +189,8 @@ def sample_message(key: tuple[bytes, int], body: bytes, time_ns: int, *, key_onl
     """Return the message with a sample in one piece; its submessage length is 0: up to the end."""
     guid, sequence = key
     little = int(rtps.SubmessageFlag.LITTLE_ENDIAN)
-    head = rtps.RTPS_HEADER.emit(
-        {
-            "magic": int.from_bytes(RTPS_MAGIC, "big"),
-            "version_major": 2,
-            "version_minor": 5,
-            "guid_prefix": guid[: rtps.PREFIX_BYTES],
-        }
-    )
+    version = {"magic": int.from_bytes(RTPS_MAGIC, "big"), "version_major": 2, "version_minor": 5}
+    head = rtps.RTPS_HEADER.emit(version | {"guid_prefix": guid[: rtps.PREFIX_BYTES]})
     if time_ns >= 0:
         layout = rtps.SUBMESSAGE_LAYOUTS[rtps.SubmessageKind.INFO_TS].little
         seconds, rest = divmod(time_ns, SECOND)

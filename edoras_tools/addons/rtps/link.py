@@ -79,7 +79,7 @@ class PublishSubscribeLink(LinkProtocol):
 
     def evidence(self, site: Site) -> LinkEvidence:
         """Return a follower of the samples as rows of the ledger."""
-        return self.part("evidence:SampleEvidence")(site.endpoints)
+        return self.part("rules:SampleEvidence")(site.endpoints)
 
     def fields(self) -> Iterable[Any]:
         """Return the filter fields for the subjects of submessages."""

@@ -21,7 +21,6 @@ from edoras_tools.addons.rtps.wire.parameters import read_announcement, read_sta
 from edoras_tools.links.protocol import BatchRows, Located
 from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, numbered
-from edoras_tools.wire.cdr import CDR_BE, CDR_LE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -33,9 +32,6 @@ if TYPE_CHECKING:
     from edoras_tools.links.site import Endpoints, Site
     from edoras_tools.wire.layout import Layout
 
-_ANNOUNCING: Final = (rtps.OF_PARTICIPANTS, rtps.OF_PUBLICATIONS, rtps.OF_SUBSCRIPTIONS)
-_PLAIN: Final = (CDR_BE, CDR_LE)
-"""Representations of ROS messages."""
 _TOLD_SETS: Final = {rtps.SubmessageKind.ACKNACK: "missing", rtps.SubmessageKind.GAP: "irrelevant"}
 _NUMBERS: Final = {
     rtps.SubmessageKind.DATA: ("writer_sn",),
@@ -48,11 +44,6 @@ _NUMBERS: Final = {
 }
 """Names of the sequence numbers in each kind of submessage."""
 _MOST_TOLD: Final = 6
-
-
-def timeless(flags: int, kind: int) -> bool:
-    """Return whether a submessage is an INFO_TS without a time."""
-    return kind == rtps.SubmessageKind.INFO_TS and bool(flags & rtps.SubmessageFlag.NO_TIMESTAMP)
 
 
 class TopicSamples(NamedTuple):
@@ -159,10 +150,9 @@ def learn(data: Octets, submessages: Submessages, number: Integers, endpoints: E
         endpoints: endpoints, which are extended.
     """
     samples, own = _whole_samples(data, submessages)
-    head = SubmessageFields(data, own, rtps.SubmessageKind.DATA).guid("writer_id")
-    entity = head.view(np.uint8).reshape(-1, rtps.GUID_BYTES)[:, rtps.PREFIX_BYTES :]
-    word = np.ascontiguousarray(entity).view(">u4")[:, 0]
-    for at in np.flatnonzero(np.isin(word, [int.from_bytes(item, "big") for item in _ANNOUNCING])).tolist():
+    guids = SubmessageFields(data, own, rtps.SubmessageKind.DATA).guid("writer_id")
+    announcing = np.isin(guids.view(">u4")[3::4], rtps.ANNOUNCING)  # the last word is the entity id
+    for at in np.flatnonzero(announcing).tolist():
         payload = data[samples.start[at] : samples.end[at]].tobytes()
         if endpoints.is_new(payload):
             announcement = read_announcement(payload)
@@ -208,7 +198,8 @@ def _submessage(
     """Read one submessage, and the sample in it."""
     kind, flags, at, end = (int(item[0]) for item in (one.kind, one.flags, one.start, one.end))
     little = bool(flags & rtps.SubmessageFlag.LITTLE_ENDIAN)
-    orders = rtps.SUBMESSAGE if timeless(flags, kind) else rtps.SUBMESSAGE_LAYOUTS.get(kind, rtps.SUBMESSAGE)
+    timeless = kind == rtps.SubmessageKind.INFO_TS and flags & rtps.SubmessageFlag.NO_TIMESTAMP
+    orders = rtps.SUBMESSAGE if timeless else rtps.SUBMESSAGE_LAYOUTS.get(kind, rtps.SUBMESSAGE)
     layout = orders.of(little=little)
     if not one.whole[0]:
         # Show the existing part, and where it should have ended.
@@ -218,12 +209,9 @@ def _submessage(
     values = reading.read(layout, at)
     if kind not in _NUMBERS or orders is rtps.SUBMESSAGE:
         return
-    numbers = {
-        name: (values[f"{name}_high"] << 32) + values[f"{name}_low"]
-        for name in _NUMBERS[rtps.SubmessageKind(kind)]
-    }
-    behind = at + layout.size
-    for name, value in numbers.items():
+    numbers, behind = {}, at + layout.size
+    for name in _NUMBERS[rtps.SubmessageKind(kind)]:
+        value = numbers[name] = (values[f"{name}_high"] << 32) + values[f"{name}_low"]
         place = at + layout.by_name[f"{name}_high"].start
         label = name if name.endswith("_sn") else f"{name}_sn"
         reading.extend(LayerField(label, value, place, place + 8, str(value), "the sequence number"))
@@ -392,25 +380,23 @@ def user_submessages(batch: PacketBatch, rows: Places) -> UserSubmessages:
         users = _of_users(guids)
         sets = kind in rtps.WITH_SEQUENCE_SET
         columns = (
-            at,
-            guids,
-            fields.guid("reader_id"),
-            np.full(len(at), int(kind)),
-            batch.time_ns[rows[own.row]],
+            *(at, guids, fields.guid("reader_id"), np.full(len(at), int(kind)), batch.time_ns[rows[own.row]]),
             *(fields.sequence_number(name) for name in names),
             fields.number("num_bits") if sets else np.zeros(len(at), np.int64),
-            own.start + rtps.SUBMESSAGE_LAYOUTS[kind].little.size,
-            own.end,
-            own.little,
+            *(own.start + rtps.SUBMESSAGE_LAYOUTS[kind].little.size, own.end, own.little),
         )
         parts.append(tuple(column[users] for column in columns))
-    joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    order = np.argsort(joined[0], kind="stable")
-    _, guids, reader_guids, *rest = (column[order] for column in joined)
-    columns_of = dict(zip(UserSubmessages._fields[4:-1], rest, strict=True))
+    _, guids, reader_guids, *rest = _in_order(parts)
     writers, writer = distinct_guids(guids)
     readers, reader = distinct_guids(reader_guids)
-    return UserSubmessages(writers, readers, writer, reader, **columns_of, data=batch.data)
+    return UserSubmessages._make([writers, readers, writer, reader, *rest, batch.data])
+
+
+def _in_order(parts: list[tuple[NDArray[Any], ...]]) -> list[NDArray[Any]]:
+    """Join columns of several kinds of submessages, in the order of the first column."""
+    joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    order = np.argsort(joined[0], kind="stable")
+    return [column[order] for column in joined]
 
 
 class NamedSubmessages(NamedTuple):
@@ -445,7 +431,6 @@ def named_submessages(batch: PacketBatch, rows: Places) -> NamedSubmessages:
         single = names == ("writer_sn",)
         number = fields.sequence_number("writer_sn") if single else np.zeros(len(at), np.int64)
         parts.append((at, fields.guid("writer_id"), number, np.full(len(at), single)))
-    at, guids, number, numbered_ = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.argsort(at, kind="stable")
-    writers, writer = distinct_guids(guids[order])
-    return NamedSubmessages(submessages.row[at[order]], writers, writer, number[order], numbered_[order])
+    at, guids, *rest = _in_order(parts)
+    writers, writer = distinct_guids(guids)
+    return NamedSubmessages(submessages.row[at], writers, writer, *rest)

@@ -55,18 +55,8 @@ def known_samples(
         one = TopicSamples(*(column[members_rows] for column in samples))
         length = (one.end - one.start).astype(np.int32)
         valid = types.valid(type_name, batch.data, one.start, length)
-        yield KnownSamples(
-            topic,
-            type_name,
-            rows[one.row],
-            writers,
-            one.writer,
-            one.sequence_number,
-            one.start,
-            length,
-            one.time_ns,
-            valid,
-        )
+        of = one.writer, one.sequence_number, one.start, length, one.time_ns, valid
+        yield KnownSamples(topic, type_name, rows[one.row], writers, *of)
 
 
 class _Reader:

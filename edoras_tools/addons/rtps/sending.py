@@ -160,7 +160,11 @@ class WritersTransmitter:
         self._publish: dict[bytes, Callable[[bytes], None]] = {}
         try:
             for item in announced:
-                self._publish[item.guid] = self.graph.advertise(item.ros_topic, item.ros_type, _qos(item))
+                # A depth does not matter for matching: a writer that keeps nothing for late subscribers has
+                # none, so that it loses no sample.
+                depth = (item.depth or _KEPT) if item.transient_local else 0
+                qos = Qos(item.reliable, item.transient_local, depth)
+                self._publish[item.guid] = self.graph.advertise(item.ros_topic, item.ros_type, qos)
         except BaseException:
             self.graph.close()
             raise
@@ -207,15 +211,6 @@ class WritersTransmitter:
     def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
         """Return nothing: subscribers answer the middleware."""
         return []
-
-
-def _qos(item: Announcement) -> Qos:
-    """Return the quality of service of a writer.
-
-    A writer that keeps nothing for late subscribers has an unlimited depth, so that it loses no sample; its
-    depth does not matter for matching.
-    """
-    return Qos(item.reliable, item.transient_local, (item.depth or _KEPT) if item.transient_local else 0)
 
 
 class SampleSending(LinkSending):
@@ -280,11 +275,8 @@ class SampleSending(LinkSending):
             if why := sendable[writer] or ("are no whole message of their type" if rest < 0 else ""):
                 refused[why] += 1
                 continue
-            renewed.append(
-                sample_message(
-                    (writers[writer], number), data[start : end - rest].tobytes(), at, key_only=False
-                )
-            )
+            body = data[start : end - rest].tobytes()
+            renewed.append(sample_message((writers[writer], number), body, at, key_only=False))
             times.append(int(time_ns[row]))
         self.refusals = [f"{plural(count, 'sample')} {why}" for why, count in refused.items()]
         if not renewed:

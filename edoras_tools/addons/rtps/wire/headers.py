@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
 PREFIX_BYTES: Final = 12
 ENTITY_BYTES: Final = 4
@@ -218,13 +218,9 @@ INLINE_AT: Final = SUBMESSAGE_LAYOUTS[SubmessageKind.DATA].little.by_name["octet
 """Origin of the offset ``octets_to_inline_qos``, in DATA and DATA_FRAG."""
 
 
-def entity_names(names: Iterable[tuple[str, str]]) -> dict[bytes, str]:
-    """Return names by entity id; the ids are given in hex."""
-    return {bytes.fromhex(number): name for number, name in names}
-
-
-BUILT_IN: Final[Mapping[bytes, str]] = entity_names(
-    [
+BUILT_IN: Final[Mapping[bytes, str]] = {
+    bytes.fromhex(entity): name
+    for entity, name in (
         ("000001c1", "participant"),
         ("000002c2", "topics writer"),
         ("000002c7", "topics reader"),
@@ -240,11 +236,10 @@ BUILT_IN: Final[Mapping[bytes, str]] = entity_names(
         ("000300c4", "type lookup request reader"),
         ("000301c3", "type lookup reply writer"),
         ("000301c4", "type lookup reply reader"),
-    ]
-)
+    )
+}
 """Endpoints of every participant (9.3.1.5)."""
-OF_PARTICIPANTS: Final = bytes.fromhex("000100c2")
-OF_PUBLICATIONS: Final = bytes.fromhex("000003c2")
-OF_SUBSCRIPTIONS: Final = bytes.fromhex("000004c2")
+ANNOUNCING: Final = (0x000100C2, 0x000003C2, 0x000004C2)
+"""Entity ids of the writers that announce participants, publications and subscriptions."""
 BUILT_IN_KIND: Final = 0xC0
 """Bits that are set in the last byte of a built-in entity id."""

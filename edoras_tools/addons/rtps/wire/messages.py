@@ -26,6 +26,7 @@ NOWHERE: Final = -1
 """A position that does not exist."""
 _HEAD: Final = rtps.SUBMESSAGE.little.size
 _SENTINEL: Final = 1
+_STAMP: Final = rtps.SUBMESSAGE_LAYOUTS[rtps.SubmessageKind.INFO_TS]
 _PREFIX_AT: Final = rtps.RTPS_HEADER.by_name["guid_prefix"].start
 _SOURCE_AT: Final = rtps.SUBMESSAGE_LAYOUTS[rtps.SubmessageKind.INFO_SRC].little.by_name["guid_prefix"].start
 _DESTINATION_AT: Final = (
@@ -121,7 +122,14 @@ def read_messages(data: Octets, offset: Integers, length: NDArray[np.integer[Any
         ):
             some = (kind == standard) & whole
             target[active[some]] = at[some] + inside
-        _note_times(data, at, kind, whole, little, no_time, time_ns, active)
+        some = np.flatnonzero((kind == rtps.SubmessageKind.INFO_TS) & whole & ~no_time)
+        if len(some):
+            stamps = gather(data, at[some], _STAMP.little.size)
+            seconds, fraction = (
+                _number(_STAMP, name, stamps, little[some]) for name in ("seconds", "fraction")
+            )
+            time_ns[active[some]] = seconds * SECOND + (fraction * SECOND >> 32)
+        time_ns[active[no_time]] = NO_TIME
         steps.append(
             (active, at, stop, kind, flags, source[active], destination[active], time_ns[active], whole)
         )
@@ -130,27 +138,6 @@ def read_messages(data: Octets, offset: Integers, length: NDArray[np.integer[Any
     odd = np.zeros(count, bool)
     odd[active] = True
     return RtpsMessages(_joined(steps), truncated, odd)
-
-
-def _note_times(
-    data: Octets,
-    at: Integers,
-    kind: Octets,
-    whole: Mask,
-    little: Mask,
-    no_time: Mask,
-    time_ns: Integers,
-    active: Integers,
-) -> None:
-    """Store the times that INFO_TS gives to the following submessages."""
-    orders = rtps.SUBMESSAGE_LAYOUTS[rtps.SubmessageKind.INFO_TS]
-    some = np.flatnonzero((kind == rtps.SubmessageKind.INFO_TS) & whole & ~no_time)
-    if len(some):
-        head = gather(data, at[some], orders.little.size)
-        seconds = _number(orders, "seconds", head, little[some])
-        fraction = _number(orders, "fraction", head, little[some])
-        time_ns[active[some]] = seconds * SECOND + (fraction * SECOND >> 32)
-    time_ns[active[no_time]] = NO_TIME
 
 
 def _joined(steps: list[tuple[NDArray[Any], ...]]) -> Submessages:
