@@ -92,6 +92,7 @@ ELSEWHERE = {
     "sessions/faults/*": "sessions/faults/test_machine.py",
     "sessions/sbn/*": "sessions/sbn/test_connection.py",
     "structs/*": "structs/test_cfe.py",
+    "addons/dds/session.py": "addons/dds/test_graph.py",
     "addons/debug_info/*": "addons/debug_info/test_dwarf.py",
     "wire/*": "wire/test_headers.py",
 }

@@ -8,11 +8,9 @@ from __future__ import annotations
 import os
 import time
 from functools import partial
-from threading import Event, RLock, Thread, current_thread
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
-from cyclonedds.core import DDSException, GuardCondition, ReadCondition, WaitSet
-from cyclonedds.domain import DomainParticipant
+from cyclonedds.core import DDSException
 from cyclonedds.pub import DataWriter, Publisher
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader, Subscriber
@@ -22,8 +20,9 @@ from cyclonedds.util import duration
 from edoras_tools.addons.dds import domain as dds_domain
 from edoras_tools.addons.dds import peers as dds_peers
 from edoras_tools.addons.dds.endpoints import BLOCKING_MS, CountedWriter, TopicReaders, acknowledged, room_of
-from edoras_tools.addons.dds.messages import ANY_STATE, DdsTypes, padded, trimmed, writer_of
+from edoras_tools.addons.dds.messages import DdsTypes, padded, trimmed, writer_of
 from edoras_tools.addons.dds.peers import Discovered, OwnEndpoint, user_data
+from edoras_tools.addons.dds.session import Session
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware.names import check_name, dds_name, node_name
 from edoras_tools.ros.type_hash import type_hash
@@ -31,13 +30,11 @@ from edoras_tools.ros.type_hash import type_hash
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from cyclonedds.core import Entity
+    from cyclonedds.core import Entity, ReadCondition
 
     from edoras_tools.middleware import graph
     from edoras_tools.middleware.graph import TopicState
     from edoras_tools.ros import TypeStore
-
-    Owned = TypeVar("Owned", bound=Entity)
 
 _FOREVER: Final = duration(infinite=True)
 _STEP: Final = duration(milliseconds=50)
@@ -100,7 +97,7 @@ def _unfit(topic: str, status: Any, *, ours_writes: bool) -> str:
     return f"{topic}: a {'subscriber' if ours_writes else 'publisher'} does not match: {kind} differs{remedy}"
 
 
-class DdsGraph:
+class DdsGraph(Session):
     """A ``Graph`` over one participant.
 
     One thread waits for samples of all topics and calls ``heard``. Nothing runs on Cyclone DDS's own threads:
@@ -119,10 +116,7 @@ class DdsGraph:
     def __init__(self, types: TypeStore, node: tuple[str, str], domain: int, config: str) -> None:
         self._types = types
         self._node = node
-        self._domain = domain
         self._made = DdsTypes(types)
-        self._lock = RLock()
-        self._closed = Event()
         self._told: set[str] = set()
         self._subscriptions: list[TopicReaders] = []
         self._publications: list[CountedWriter] = []
@@ -134,17 +128,9 @@ class DdsGraph:
         self._writers: list[tuple[str, DataWriter[Any]]] = []
         self._gid_bytes = 0
         self._presence: list[Entity] = []
-        self._entities: list[Entity] = []
         self._hashes: dict[str, str] = {}
         self._since = time.monotonic()
-        dds_domain.hold(domain, config)
-        try:
-            self._join()
-        except DDSException as error:
-            self._leave()
-            raise ConfigError(f"dds: no participant in domain {domain}: {error}") from error
-        self._thread = Thread(target=self._listen, name=f"dds {node[1]}", daemon=True)
-        self._thread.start()
+        super().__init__(domain, config, f"dds {node[1]}")
 
     def subscribe(self, topic: str, type_name: str, qos: graph.Qos, heard: Callable[[bytes], None]) -> None:
         """Call ``heard(cdr)`` for each message of a topic; see ``Graph``."""
@@ -224,25 +210,20 @@ class DdsGraph:
             if self._closed.is_set():
                 return []
             self._present(self._peers.gid_bytes)
-            pairs: list[tuple[str, bool, Any]] = [
-                (topic, False, reader.get_requested_incompatible_qos_status())  # type: ignore[no-untyped-call]
-                for topic, reader in self._readers
-            ]
-            pairs += [
-                (topic, True, writer.get_offered_incompatible_qos_status())  # type: ignore[no-untyped-call]
-                for topic, writer in self._writers
-            ]
-            own = [
-                self._told_of(topic, writes=False, matched=bool(reader.matched_pub))
-                for topic, reader in self._readers
-            ]
-            own += [
-                self._told_of(topic, writes=True, matched=bool(writer.matched_sub))
-                for topic, writer in self._writers
-            ]
-        notes = [
-            _unfit(topic, status, ours_writes=writes) for topic, writes, status in pairs if status.total_count
-        ]
+            ours: list[tuple[str, Any, bool]] = [(*item, False) for item in self._readers]
+            ours += [(*item, True) for item in self._writers]
+            notes, own = [], []
+            for topic, entity, writes in ours:
+                status = (
+                    entity.get_offered_incompatible_qos_status()
+                    if writes
+                    else entity.get_requested_incompatible_qos_status()
+                )
+                if status.total_count:
+                    notes.append(_unfit(topic, status, ours_writes=writes))
+                type_name = self._types_of[topic]
+                matched = bool(entity.matched_sub if writes else entity.matched_pub)
+                own.append(OwnEndpoint(topic, type_name, writes, self._hash(type_name), matched))
         late = time.monotonic() - self._since > _PATIENCE_S
         notes += self._peers.notes(own, late=late)
         if late and not self._peers.found:
@@ -254,39 +235,20 @@ class DdsGraph:
         self._told.update(new)
         return new
 
-    def close(self) -> None:
-        """Leave the graph; see ``Graph``."""
-        with self._lock:
-            if self._closed.is_set():
-                return
-            self._closed.set()
-        self._stop.set(True)
-        if current_thread() is not self._thread:
-            self._thread.join()
-        self._leave()
-
     def _join(self) -> None:
-        """Create the participant, and announce the node if the distribution has the types for it."""
-        user_data = Qos(Policy.Userdata(dds_peers.ENCLAVE))
-        self._participant = self._own(DomainParticipant(self._domain, user_data))
+        """Announce the node if the distribution has the types for it."""
         self._publisher = self._own(Publisher(self._participant))
         self._subscriber = self._own(Subscriber(self._participant))
-        self._waitset = self._own(WaitSet(self._participant))
-        self._stop = self._own(GuardCondition(self._participant))
-        self._waitset.attach(self._stop)
         self._peers = Discovered(self._participant)
-        self._entities += self._peers.entities
         for reader in self._peers.entities:
-            self._waitset.attach(self._own(ReadCondition(reader, ANY_STATE)))
+            self._await(self._own(reader))
         self._present(dds_peers.gid_bytes_of(self._types))
 
     def _present(self, gid_bytes: int | None) -> None:
         """Announce the node with identifiers of a size in bytes, if that is new."""
         if gid_bytes is None or gid_bytes == self._gid_bytes:
             return
-        for entity in self._presence:  # a topic has one type, and a writer is deleted before its topic
-            self._entities.remove(entity)
-            entity.__del__()
+        self._delete(*self._presence)  # a topic has one type, and a writer is deleted before its topic
         self._gid_bytes = gid_bytes
         types = self._presence_types = dds_peers.presence_types(gid_bytes)
         name = dds_peers.PRESENCE_TYPE
@@ -311,10 +273,6 @@ class DdsGraph:
         if type_name not in self._hashes:
             self._hashes[type_name] = type_hash(self._types, type_name)
         return self._hashes[type_name]
-
-    def _told_of(self, topic: str, *, writes: bool, matched: bool) -> OwnEndpoint:
-        type_name = self._types_of[topic]
-        return OwnEndpoint(topic, type_name, writes, self._hash(type_name), matched)
 
     def _user_data(self, type_name: str) -> bytes:
         return user_data(self._hash(type_name))
@@ -384,10 +342,9 @@ class DdsGraph:
     def _reader(self, topic: str, type_name: str, on: Topic[Any], qos: graph.Qos) -> DataReader[Any]:
         """Make a reader, and wait for its samples."""
         reader = self._own(DataReader(self._subscriber, on, reader_qos(qos, self._user_data(type_name))))
-        ready = self._conditions[reader] = self._own(ReadCondition(reader, ANY_STATE))
+        self._conditions[reader] = self._await(reader)
         self._readers.append((topic, reader))
         self._types_of[topic] = type_name
-        self._waitset.attach(ready)
         return reader
 
     def _drop(self, topic: str, reader: DataReader[Any]) -> None:
@@ -395,20 +352,7 @@ class DdsGraph:
         ready = self._conditions.pop(reader)
         self._waitset.detach(ready)
         self._readers.remove((topic, reader))
-        for entity in (ready, reader):
-            self._entities.remove(entity)
-            entity.__del__()
-
-    def _own(self, entity: Owned) -> Owned:
-        self._entities.append(entity)
-        return entity
-
-    def _leave(self) -> None:
-        """Delete every entity, the last first; cyclonedds deletes only what is no longer referenced."""
-        for entity in reversed(self._entities):
-            entity.__del__()
-        self._entities.clear()
-        dds_domain.release(self._domain)
+        self._delete(ready, reader)
 
 
 def open_graph(

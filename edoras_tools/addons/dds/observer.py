@@ -10,19 +10,9 @@ from __future__ import annotations
 import re
 import time
 from contextlib import suppress
-from threading import Event, RLock, Thread
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from cyclonedds.builtin import (
-    BuiltinDataReader,
-    BuiltinTopicDcpsPublication,
-    BuiltinTopicDcpsSubscription,
-    DcpsEndpoint,
-)
-from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCondition, WaitSet
-from cyclonedds.domain import DomainParticipant
-from cyclonedds.qos import Policy
-from cyclonedds.qos import Qos as DdsQos
+from cyclonedds.core import DDSException, InstanceState
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
@@ -30,7 +20,8 @@ from cyclonedds.util import duration
 from edoras_tools.addons.dds import domain as dds_domain
 from edoras_tools.addons.dds import peers as dds_peers
 from edoras_tools.addons.dds.graph import reader_qos
-from edoras_tools.addons.dds.messages import ANY_STATE, DdsTypes, info_taker_of, trimmed
+from edoras_tools.addons.dds.messages import DdsTypes, info_taker_of, trimmed
+from edoras_tools.addons.dds.session import Session
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware.graph import Qos
 from edoras_tools.middleware.names import ros_name
@@ -39,10 +30,12 @@ from edoras_tools.ros.type_hash import type_hash
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from cyclonedds.builtin import DcpsEndpoint
+    from cyclonedds.qos import Qos as DdsQos
+
     from edoras_tools.addons.dds.messages import TakeWithInfo
     from edoras_tools.ros import TypeStore
 
-_AT_ONCE: Final = 256
 _WORD: Final = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _FOREVER: Final = duration(infinite=True)
 _ALL: Final = Qos(transient_local=True, depth=0)
@@ -56,7 +49,7 @@ class _Observed(NamedTuple):
     heard: Callable[[bytes, int, int, int, str], None]
 
 
-class DdsObserver:
+class DdsObserver(Session):
     """Observes a graph over one participant; a thread takes the samples of all topics.
 
     Args:
@@ -69,37 +62,23 @@ class DdsObserver:
     """
 
     def __init__(self, types: TypeStore, domain: int, config: str) -> None:
-        self._types, self._domain, self._made = types, domain, DdsTypes(types)
+        self._types, self._made = types, DdsTypes(types)
         self._observed: dict[str, _Observed] = {}
         self._seen: dict[Any, tuple[bool, DcpsEndpoint]] = {}
         self._nodes: dict[str, str] = {}
         self._gids: dict[int, str] = {}
         self._presence: tuple[TypeStore, TakeWithInfo] | None = None
-        self._lock, self._closed = RLock(), Event()
-        dds_domain.hold(domain, config)
-        try:
-            self._participant = DomainParticipant(domain, DdsQos(Policy.Userdata(dds_peers.ENCLAVE)))
-        except DDSException as error:
-            dds_domain.release(domain)
-            raise ConfigError(f"dds: no participant in domain {domain}: {error}") from error
-        self._everybody = [
-            (True, BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)),
-            (False, BuiltinDataReader(self._participant, BuiltinTopicDcpsSubscription)),
-        ]
-        self._waitset, self._stop = WaitSet(self._participant), GuardCondition(self._participant)
-        self._waitset.attach(self._stop)
-        own = (self._participant, self._waitset, self._stop)
-        self._entities: list[Any] = [*own, *(reader for _, reader in self._everybody)]
-        self._thread = Thread(target=self._listen, name="dds observer", daemon=True)
-        self._thread.start()
+        super().__init__(domain, config, "dds observer")
+
+    def _join(self) -> None:
+        self._everybody = dds_peers.discovery_readers(self._participant)
+        self._entities += [reader for _, reader in self._everybody]
 
     def described(self) -> list[dict[str, Any]]:
         """Return the endpoints of all ROS topics, each as fields by name."""
         with self._lock:
-            for publishes, reader in self._everybody:
-                while samples := reader.take(_AT_ONCE):
-                    for item in samples:
-                        self._note(item, publishes=publishes)
+            for publishes, item in dds_peers.announcements(self._everybody):
+                self._note(item, publishes=publishes)
             if self._presence is not None:
                 types, take = self._presence
                 for cdr, _ in take():
@@ -123,8 +102,7 @@ class DdsObserver:
         except DDSException as error:
             raise ConfigError(f"{topic}: cannot be subscribed to: {error}") from error
         self._observed[topic] = _Observed(type_name, reader, info_taker_of(reader), heard)
-        self._entities.append(ready := ReadCondition(reader, ANY_STATE))
-        self._waitset.attach(ready)
+        self._await(reader)
 
     def lost(self) -> Mapping[str, int]:
         """Return the number of samples that the readers lost so far, by topic."""
@@ -134,21 +112,9 @@ class DdsObserver:
         }
         return {topic: int(status.total_count) for topic, status in statuses.items()}
 
-    def close(self) -> None:
-        """Leave the graph; calling it again does nothing."""
-        if not self._closed.is_set():
-            self._closed.set()
-            self._stop.set(True)
-            self._thread.join()
-            for entity in reversed(self._entities):  # cyclonedds deletes only what is no longer referenced
-                entity.__del__()
-            dds_domain.release(self._domain)
-
     def _reader(self, topic: str, types: DdsTypes, type_name: str, qos: DdsQos) -> DataReader[Any]:
-        on: Topic[Any] = Topic(self._participant, topic, types.of(type_name))
-        reader: DataReader[Any] = DataReader(self._participant, on, qos)
-        self._entities += [on, reader]
-        return reader
+        on = self._own(Topic(self._participant, topic, types.of(type_name)))
+        return self._own(DataReader(self._participant, on, qos))
 
     def _listen(self) -> None:
         while not self._closed.is_set():

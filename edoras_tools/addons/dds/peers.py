@@ -145,6 +145,19 @@ class OwnEndpoint(msgspec.Struct, frozen=True):
     matched: bool
 
 
+def discovery_readers(participant: DomainParticipant) -> list[tuple[bool, BuiltinDataReader]]:
+    """Return the readers of what participants announce: whether of writers, and the reader."""
+    topics = (True, BuiltinTopicDcpsPublication), (False, BuiltinTopicDcpsSubscription)
+    return [(writes, BuiltinDataReader(participant, topic)) for writes, topic in topics]
+
+
+def announcements(readers: Iterable[tuple[bool, BuiltinDataReader]]) -> Iterator[tuple[bool, DcpsEndpoint]]:
+    """Take the announcements that wait: whether each is of a writer, and the endpoint."""
+    for writes, reader in readers:
+        while samples := reader.take(_AT_ONCE):
+            yield from ((writes, item) for item in samples if isinstance(item, DcpsEndpoint))
+
+
 class Discovered:
     """Collects the endpoints of other participants, and keeps them for ever.
 
@@ -161,10 +174,7 @@ class Discovered:
 
     def __init__(self, participant: DomainParticipant) -> None:
         self._own = participant.guid
-        self._readers = (
-            (True, BuiltinDataReader(participant, BuiltinTopicDcpsPublication)),
-            (False, BuiltinDataReader(participant, BuiltinTopicDcpsSubscription)),
-        )
+        self._readers = discovery_readers(participant)
         self.entities: list[BuiltinDataReader] = [reader for _, reader in self._readers]
         self.found: dict[UUID, PeerEndpoint] = {}
         self.offers: dict[int, graph.Qos] = {}
@@ -174,20 +184,13 @@ class Discovered:
     def update(self) -> bool:
         """Process the announcements since the last call; return whether writers came or went."""
         changed = False
-        for writes, reader in self._readers:
-            while samples := reader.take(_AT_ONCE):
-                for item in samples:
-                    if (
-                        isinstance(item, DcpsEndpoint)
-                        and item.topic_name
-                        and item.participant_key != self._own
-                    ):
-                        self.found[item.key] = PeerEndpoint(
-                            item.topic_name, item.type_name, writes, hash_of(item.qos)
-                        )
-                    if writes and isinstance(item, DcpsEndpoint) and item.key in self.found:
-                        changed = True
-                        self._note_writer(item)
+        for writes, item in announcements(self._readers):
+            if item.topic_name and item.participant_key != self._own:
+                hashed = hash_of(item.qos)
+                self.found[item.key] = PeerEndpoint(item.topic_name, item.type_name, writes, hashed)
+            if writes and item.key in self.found:
+                changed = True
+                self._note_writer(item)
         return changed
 
     def _note_writer(self, item: DcpsEndpoint) -> None:
