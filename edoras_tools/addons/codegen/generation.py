@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -40,7 +41,7 @@ def codec(library: CLibrary, package: str, command: str) -> str:
     messages = library.of(package)
     head = banner(command, f"The messages of {package}: default values, CDR to and fro.", messages)
     includes = f'#include "{header_name(package)}"\n\n#include <string.h>\n'
-    functions = (_init, _read, _write, _decode, _encode)
+    functions = (_init, partial(_stream, verb="read"), partial(_stream, verb="write"), _decode, _encode)
     return "\n".join([head + includes, *(make(item) for item in messages for make in functions)])
 
 
@@ -107,10 +108,13 @@ def _default_text(member: CMember, place: str, name: str, value: str) -> str:
     return statement(f"{place}.size = {len(utf16(value))}U;") + statement(copied)
 
 
-def _read(message: Message) -> str:
-    head = heads(message.name)["read"]
-    loops = any(_loops(member) for member in message.members)
-    return function(head, ["uint32_t i"] * loops, "".join(_member(item, "read") for item in message.members))
+def _stream(message: Message, verb: str) -> str:
+    """Return the function that reads or writes the members of a message."""
+    counts = verb == "write" and any(member.is_sequence for member in message.members)
+    loops = any(member.elements and member.kind in _ONE_BY_ONE for member in message.members)
+    variables = ["uint32_t count"] * counts + ["uint32_t i"] * loops
+    body = "".join(_member(item, verb) for item in message.members)
+    return function(heads(message.name)[verb], variables, body)
 
 
 def _read_one(member: CMember, place: str) -> str:
@@ -120,14 +124,6 @@ def _read_one(member: CMember, place: str) -> str:
         data = f"{place}.data"
         return f"{place}.size = edoras_read_{member.kind}(reader, {data}, EDORAS_CAPACITY({data}));"
     return f"{place} = edoras_read_{member.kind}(reader);"
-
-
-def _write(message: Message) -> str:
-    head = heads(message.name)["write"]
-    loops = any(_loops(member) for member in message.members)
-    counts = any(member.is_sequence for member in message.members)
-    variables = ["uint32_t count"] * counts + ["uint32_t i"] * loops
-    return function(head, variables, "".join(_member(item, "write") for item in message.members))
 
 
 def _member(member: CMember, verb: str) -> str:
@@ -153,10 +149,6 @@ def _write_one(member: CMember, place: str) -> str:
         data = f"{place}.data"
         return f"edoras_write_{member.kind}(writer, {data}, {place}.size, EDORAS_CAPACITY({data}));"
     return f"edoras_write_{member.kind}(writer, {place});"
-
-
-def _loops(member: CMember) -> bool:
-    return bool(member.elements) and member.kind in _ONE_BY_ONE
 
 
 def _decode(message: Message) -> str:
@@ -257,17 +249,13 @@ typedef struct
 {{
     CFE_MSG_{kind}Header_t {head};
     uint8_t data[(2U * EDORAS_ENVELOPE_WORD) + {c_type_name(route.type)}__MAX_CDR];
-}} {_camel(name)}_t;
+}} {"".join(map(str.capitalize, name.split("_")))}_t;
 """
     about = (
         "The packets that the app sends, with space for the longest message. A packet that is sent whole\n"
         "takes that space on the link; CFE_MSG_SetSize before CFE_SB_TransmitMsg makes it as long as it is."
     )
     return banner(command, about) + guarded(_PACKETS_FILE, body)
-
-
-def _camel(name: str) -> str:
-    return "".join(part.capitalize() for part in name.split("_"))
 
 
 def _subscriptions(routes: dict[str, Route], command: str) -> str:

@@ -68,7 +68,7 @@ def _message(message: Message) -> str:
     members = "".join(f"    {_member(member)}\n" for member in message.members)
     constants = "".join(
         f"#define {constant_name(message.ros_name, item.name)} {literal(item.type, item.value)}\n"
-        for item in message.constants
+        for item in message.definition.constants
         if item.type != "wstring"
     )
     declared = "".join(statement(f"{head};", 0) for head in heads(name).values())

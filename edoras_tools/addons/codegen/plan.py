@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.codegen.bounds import Bounds
     from edoras_tools.ros import TypeStore
-    from edoras_tools.ros.types.schema import Constant, Definition
+    from edoras_tools.ros.types.schema import Definition
     from edoras_tools.wire.arrays.order import Integers
 
 
@@ -73,11 +73,6 @@ def times(matrix: Integers, count: int) -> Integers:
 def up_to(matrix: Integers, most: int) -> Integers:
     """Return the matrix of a value repeated 0 to ``most`` times."""
     return times(np.maximum(matrix, nothing()), most)
-
-
-def longest(matrix: Integers) -> int:
-    """Return the maximum size from an aligned start, bytes."""
-    return int(matrix[0].max())
 
 
 _LARGEST_MESSAGE: Final = 1 << 26
@@ -148,11 +143,6 @@ class Message(msgspec.Struct, frozen=True, dict=True):
         return self.ros_name.rpartition("/")[2]
 
     @property
-    def constants(self) -> tuple[Constant, ...]:
-        """Named values."""
-        return self.definition.constants
-
-    @property
     def fingerprint(self) -> str:
         """Start of the SHA-256 of its definition, hex."""
         return hashlib.sha256(self.definition.text.encode()).hexdigest()[:16]
@@ -168,7 +158,7 @@ class Message(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def most_bytes(self) -> int:
         """Size of its longest CDR, including the encapsulation, bytes."""
-        return ENCAPSULATION_BYTES + longest(self.matrix)
+        return ENCAPSULATION_BYTES + int(self.matrix[0].max())
 
     @cached_property
     def has_defaults(self) -> bool:
@@ -273,7 +263,8 @@ def _check_default(owner: str, member: CMember) -> None:
     if default is None:
         return
     values = default if isinstance(default, list) else [default]
-    longest = max((len(_characters(member, item)) for item in values), default=0) if member.characters else 0
+    units = str.encode if member.ros.type == "string" else utf16
+    longest = max((len(units(item)) for item in values), default=0) if member.characters else 0
     for unit, length, most in (
         ("elements", len(values), member.elements),
         ("characters", longest, member.characters),
@@ -282,11 +273,6 @@ def _check_default(owner: str, member: CMember) -> None:
             raise ConfigError(
                 f"{owner}.{member.ros.name}: its default has {length} {unit}, its bound is {most}"
             )
-
-
-def _characters(member: CMember, value: str) -> bytes | tuple[int, ...]:
-    """Return the characters of a string in the units of its bound."""
-    return value.encode() if member.ros.type == "string" else utf16(value)
 
 
 def utf16(value: str) -> tuple[int, ...]:

@@ -102,7 +102,9 @@ class _System:
                 ET.SubElement(entries, "ParameterRefEntry", {"parameterRef": self._parameter(prefix, part)})
         if base:
             inherited = ET.SubElement(container, "BaseContainer", {"containerRef": base})
-            ET.SubElement(inherited, "RestrictionCriteria").append(_conditions(conditions or {}))
+            criteria = ET.SubElement(ET.SubElement(inherited, "RestrictionCriteria"), "ComparisonList")
+            for field, value in (conditions or {}).items():
+                ET.SubElement(criteria, "Comparison", {"parameterRef": field, "value": str(value)})
         if items and isinstance(items[-1], StringItem):
             self._after(name, items[-1], prefix)
         return entries
@@ -134,8 +136,12 @@ class _System:
         ET.SubElement(dynamic, "LinearAdjustment", slope)
 
     def _parameter(self, prefix: str, item: PacketItem) -> str:
+        kind = _type_name(item)
+        if kind not in self._known:
+            self._known.add(kind)
+            _data_type(self._types, "Parameter", kind, item)
         name = identifier(prefix + (item.name or f"padding_{item.bits // 8}"))
-        self._declare(name, self._type(item), item.doc or item.name)
+        self._declare(name, kind, item.doc or item.name)
         return name
 
     def _declare(self, name: str, kind: str, doc: str) -> None:
@@ -143,13 +149,6 @@ class _System:
             self._known.add(name)
             attributes = {"name": name, "parameterTypeRef": kind, "shortDescription": doc}
             ET.SubElement(self._parameters, "Parameter", attributes)
-
-    def _type(self, item: PacketItem) -> str:
-        name = _type_name(item)
-        if name not in self._known:
-            self._known.add(name)
-            _data_type(self._types, "Parameter", name, item)
-        return name
 
     def _commands(self, packets: Sequence[GroundPacket]) -> None:
         meta = ET.SubElement(self._root, "CommandMetaData")
@@ -256,10 +255,3 @@ def _add_meaning(element: ET.Element, encoded: ET.Element, member: Member, *, is
         for tag, among in (("WarningRange", member.yellow), ("CriticalRange", member.red)):
             if limits := _ends(among):
                 ET.SubElement(alarms, tag, limits)
-
-
-def _conditions(values: dict[str, int]) -> ET.Element:
-    comparisons = ET.Element("ComparisonList")
-    for name, value in values.items():
-        ET.SubElement(comparisons, "Comparison", {"parameterRef": name, "value": str(value)})
-    return comparisons
