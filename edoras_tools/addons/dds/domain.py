@@ -101,10 +101,9 @@ def discovery(environ: Mapping[str, str]) -> str:
     Raises:
         ConfigError: a variable has a value that ROS does not know.
     """
-    reach = environ.get(_RANGE, "") or _RANGES[0]
+    variable, reach = _reach(environ)
     peers = [item.strip() for item in environ.get(_PEERS, "").split(";") if item.strip()]
-    if environ.get(_LOCAL_ONLY) == "1":  # deprecated, but it overrides the other two
-        reach, peers = "LOCALHOST", []
+    peers = peers if variable == _RANGE else []
     if reach not in _RANGES:
         raise ConfigError(f"{_RANGE} cannot be {reach!r}; set it to {', '.join(_RANGES)}")
     if reach == "OFF":
@@ -115,6 +114,13 @@ def discovery(environ: Mapping[str, str]) -> str:
         general = alone + "<AllowMulticast>false</AllowMulticast>"
         return _domain(General=general, Discovery=_unicast(["localhost", *peers]))
     return _domain(Discovery=_unicast(peers) if peers else _INDEX) if reach == "SUBNET" else ""
+
+
+def _reach(environ: Mapping[str, str]) -> tuple[str, str]:
+    """Return the variable that limits discovery, and its range."""
+    if environ.get(_LOCAL_ONLY) == "1":  # deprecated, but it overrides the others
+        return _LOCAL_ONLY, "LOCALHOST"
+    return _RANGE, environ.get(_RANGE, "") or _RANGES[0]
 
 
 def _domain(**sections: str) -> str:
@@ -202,8 +208,7 @@ def _of_user() -> str:
 
 def missing_hint(environ: Mapping[str, str]) -> str:
     """Return advice for the case that no other node was found."""
-    reach = "LOCALHOST" if environ.get(_LOCAL_ONLY) == "1" else environ.get(_RANGE, "") or _RANGES[0]
-    variable = _LOCAL_ONLY if environ.get(_LOCAL_ONLY) == "1" else _RANGE
+    variable, reach = _reach(environ)
     if reach == "OFF":
         return f"{_RANGE} is OFF here, so nobody is found; unset it"
     if reach == "LOCALHOST":

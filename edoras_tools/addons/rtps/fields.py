@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,36 +14,22 @@ from edoras_tools.decode.filters.field import BYTES_COST, FilterField
 from edoras_tools.decode.filters.rows import INDEX_DTYPE, ColumnRows, PacketRows, Series, ValueKind
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from edoras_tools.model import Decoded
-
-_DOCS: Final = {
-    "writer": "GUIDs of the writers that submessages are about, or from",
-    "topic": "topics of these writers, as they were announced",
-    "writer_sn": "sequence numbers of samples, and of their fragments",
-}
 
 
 def sample_fields() -> Iterator[FilterField]:
     """Yield the filter fields for the subjects of DDS submessages."""
-    readers: dict[str, Callable[[ColumnRows], Series]] = {
-        "writer": _writers,
-        "topic": _topics,
-        "writer_sn": _numbers,
-    }
-    for name, doc in _DOCS.items():
-        number = name == "writer_sn"
-        yield FilterField(
-            f"{RTPS.label}.{name}",
-            ValueKind.NUMBER if number else ValueKind.TEXT,
-            partial(_pick, name),
-            readers[name],
-            cost=BYTES_COST,
-            limits=(-(1 << 63), (1 << 63) - 1) if number else None,
-            many=True,
-            doc=doc,
-        )
+    text, number = ValueKind.TEXT, ValueKind.NUMBER
+    for name, kind, column, doc in (
+        ("writer", text, _writers, "GUIDs of the writers that submessages are about, or from"),
+        ("topic", text, _topics, "topics of these writers, as they were announced"),
+        ("writer_sn", number, _numbers, "sequence numbers of samples, and of their fragments"),
+    ):
+        limits = (-(1 << 63), (1 << 63) - 1) if kind is number else None
+        label, pick = f"{RTPS.label}.{name}", partial(_pick, name)
+        yield FilterField(label, kind, pick, column, cost=BYTES_COST, limits=limits, many=True, doc=doc)
 
 
 def _pick(name: str, _: PacketRows, decoded: Decoded) -> Any:

@@ -54,8 +54,9 @@ _NODE: Final = "edoras_replay"
 class Subscribers(SendingSession):
     """Waits until the topics have subscribers, and at the end until these have acknowledged all samples."""
 
+    _writers: WritersTransmitter
+
     def __init__(self) -> None:
-        self._writers: WritersTransmitter | None = None
         self._first_ns = self._sent_ns = self._now = 0
         self._notes: list[str] = []
 
@@ -80,7 +81,6 @@ class Subscribers(SendingSession):
     @property
     def connected(self) -> bool:  # type: ignore[override]
         """Whether all topics have a subscriber, or one has and the others had time to find theirs."""
-        assert self._writers is not None
         alone = self._writers.topics_alone()
         if len(alone) < len(self._writers.topics):
             self._first_ns = self._first_ns or self._now
@@ -90,19 +90,16 @@ class Subscribers(SendingSession):
     @property
     def busy(self) -> bool:  # type: ignore[override]
         """Whether a reliable subscriber has not acknowledged everything, for a limited time."""
-        assert self._writers is not None
         late = self._now - self._sent_ns > _ACKNOWLEDGED_WITHIN_NS
         return not late and not self._writers.graph.acknowledged()
 
     def absence(self) -> str:
         """Return the topics without a subscriber, with the middleware's notes."""
-        assert self._writers is not None
         notes = "".join(f"; {note}" for note in self._writers.graph.notes())
         return f"no subscriber of {listed(self._writers.topics)} in {self._writers.place}{notes}"
 
     def goodbye(self) -> Iterable[bytes]:
         """Note the fate of the samples; nothing is sent."""
-        assert self._writers is not None
         if alone := self._writers.topics_alone():
             self._notes.append(f"no subscriber of {listed(alone)}: its samples reached nobody")
         if not self._writers.graph.acknowledged():
