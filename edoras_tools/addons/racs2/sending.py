@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.addons.racs2 import wire as racs2
-from edoras_tools.addons.racs2.streams import WebSocketFraming
-from edoras_tools.addons.racs2.websocket import Opcode
+from edoras_tools.addons.racs2.streams import Opcode, WebSocketFraming
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.address import address_of, resolve
 from edoras_tools.io.net.sockets import bind, local_endpoint
