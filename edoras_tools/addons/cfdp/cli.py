@@ -63,11 +63,10 @@ def _lines(report: Mapping[str, Any]) -> Iterator[str]:
     Args:
         report: report in the shape of ``files --json``.
     """
-    rows = [_HEAD, *map(_row, report["transactions"])]
-    if len(rows) == 1:
+    transactions = report["transactions"]
+    rows = [_HEAD, *map(_row, transactions)] if transactions else []
+    if not rows:
         yield "no CFDP transaction"
-        yield from _not_taken(report)
-        return
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     left_aligned = {0, 1, 2, len(_HEAD) - 1}
     for row in rows:
@@ -76,14 +75,10 @@ def _lines(report: Mapping[str, Any]) -> Iterator[str]:
             for index, (text, width) in enumerate(zip(row, widths, strict=True))
         )
         yield clean("  ".join(cells).rstrip())
-    for item in report["transactions"]:
+    for item in transactions:
         if item["refused"] and item["path"]:
             name = item["destination_file_name"] or item["source_file_name"]
             yield clean(f"the name {name!r} is refused: written to {item['path']}")
-    yield from _not_taken(report)
-
-
-def _not_taken(report: Mapping[str, Any]) -> Iterator[str]:
     if report["corrupt"]:
         yield f"{plural(report['corrupt'], 'PDU')} with a wrong CRC not taken"
     if report["left_out"]:
