@@ -17,19 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from msgspec.structs import replace
 
-from edoras_tools.addons.debug_info.entries import (
-    DEEPEST,
-    PLAIN,
-    STRUCTS,
-    members_of,
-    name_of,
-    number_attribute,
-    offset_of,
-    spelled,
-    type_of,
-    types_in,
-    underlying_type,
-)
+from edoras_tools.addons.debug_info import entries as dwarf
 from edoras_tools.addons.debug_info.types import Maker
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.shapes import ByteOrder, Key, StructLayout
@@ -37,8 +25,6 @@ from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from edoras_tools.addons.debug_info.entries import Die
 
 
 _CLASSES: Final = frozenset({".hh", ".hpp", ".hxx", ".cc", ".cpp", ".cxx"})
@@ -118,10 +104,10 @@ class Listed(NamedTuple):
     members: int
 
 
-def _shape(die: Die) -> tuple[object, ...]:
+def _shape(die: dwarf.Die) -> tuple[object, ...]:
     """Return the properties by which structs of one name differ."""
-    return number_attribute(die, "DW_AT_byte_size"), *(
-        (name_of(item), offset_of(item)) for item in members_of(die)
+    return dwarf.number_attribute(die, "DW_AT_byte_size"), *(
+        (dwarf.name_of(item), dwarf.offset_of(item)) for item in dwarf.members_of(die)
     )
 
 
@@ -195,14 +181,14 @@ class DebugInfo:
             why = "it has no debug information, was stripped or compiled without -g; compile it with -g"
         raise ConfigError(f"{self.path}: {why}")
 
-    def _index(self, dwarf: Any) -> None:
+    def _index(self, info: Any) -> None:
         """List the names of types; their members are read on demand."""
-        self._found: dict[str, Die] = {}
+        self._found: dict[str, dwarf.Die] = {}
         self._named: dict[int, str] = {}
-        self._others: dict[str, list[Die]] = {}  # other structs of the same name
-        tags: dict[str, Die] = {}
-        for unit in dwarf.iter_CUs():
-            if unit.header.get("unit_type") == "DW_UT_type" or dwarf.debug_types_sec is not None:
+        self._others: dict[str, list[dwarf.Die]] = {}  # other structs of the same name
+        tags: dict[str, dwarf.Die] = {}
+        for unit in info.iter_CUs():
+            if unit.header.get("unit_type") == "DW_UT_type" or info.debug_types_sec is not None:
                 raise ConfigError(
                     f"{self.path}: its types are in units of their own; compile it without "
                     "-fdebug-types-section"
@@ -214,21 +200,21 @@ class DebugInfo:
                     f"{self.path}: its debug information is in {name.value.decode(errors='replace')}; "
                     "compile it without -gsplit-dwarf"
                 )
-            for die in types_in(top, 0):
-                name = name_of(die)
+            for die in dwarf.types_in(top, 0):
+                name = dwarf.name_of(die)
                 if die.tag == "DW_TAG_typedef":
-                    die_type = underlying_type(type_of(die))
+                    die_type = dwarf.underlying_type(dwarf.type_of(die))
                     if name and die_type is not None and die_type.tag == "DW_TAG_enumeration_type":
                         self._named.setdefault(die_type.offset, name)
-                    elif name and die_type is not None and die_type.tag in STRUCTS:
+                    elif name and die_type is not None and die_type.tag in dwarf.STRUCTS:
                         self._named.setdefault(die_type.offset, name)
                         self._found_as(name, die_type, self._found)
-                elif die.tag in STRUCTS and name and "DW_AT_declaration" not in die.attributes:
+                elif die.tag in dwarf.STRUCTS and name and "DW_AT_declaration" not in die.attributes:
                     self._found_as(name, die, tags)
         for name, die in tags.items():
             self._found.setdefault(self._named.setdefault(die.offset, name), die)
 
-    def _found_as(self, name: str, die: Die, among: dict[str, Die]) -> None:
+    def _found_as(self, name: str, die: dwarf.Die, among: dict[str, dwarf.Die]) -> None:
         if name not in among:
             among[name] = die
         elif among[name].offset != die.offset:
@@ -242,7 +228,12 @@ class DebugInfo:
         """
         with self._reading():
             return [
-                Listed(name, number_attribute(die, "DW_AT_byte_size"), self.header(die), len(members_of(die)))
+                Listed(
+                    name,
+                    dwarf.number_attribute(die, "DW_AT_byte_size"),
+                    self.header(die),
+                    len(dwarf.members_of(die)),
+                )
                 for name, die in sorted(self._found.items())
                 if not name.startswith("__")  # those of the C library
             ]
@@ -276,46 +267,51 @@ class DebugInfo:
         layout = StructLayout(maker.structs, maker.enums, bound, self.byte_order, origin=str(self.path))
         return replace(layout, package=package or layout.package), called
 
-    def _told_apart(self, die: Die) -> None:
+    def _told_apart(self, die: dwarf.Die) -> None:
         """Warn where a named struct differs between compilation units."""
         name, shape = self.called(die), _shape(die)
         if any(_shape(other) != shape for other in self._others.get(name, ())):
-            size = number_attribute(die, "DW_AT_byte_size")
+            size = dwarf.number_attribute(die, "DW_AT_byte_size")
             self.warnings.append(
                 f"{name} is declared in more than one way; the first is taken, of {size} bytes: check it, or "
                 "give the object file that has the right one"
             )
 
-    def find(self, name: str) -> Die:
+    def find(self, name: str) -> dwarf.Die:
         """Return the entry of a struct.
 
         Raises:
             ConfigError: no struct has that name; the error lists similar names.
         """
-        for spelling in (name, f"{name}_t", name.removesuffix("_t"), spelled(name)):
+        for spelling in (name, f"{name}_t", name.removesuffix("_t"), dwarf.spelled(name)):
             if spelling in self._found:
                 return self._found[spelling]
 
         hint = did_you_mean(name, self._found) or f"'edoras structs {self.path}' lists all"
         raise ConfigError(f"{self.path}: no struct {name!r}; {hint}")
 
-    def called(self, die: Die) -> str:
+    def called(self, die: dwarf.Die) -> str:
         """Return the name of a struct or an enumeration; empty if it has none."""
-        return self._named.get(die.offset) or name_of(die)
+        return self._named.get(die.offset) or dwarf.name_of(die)
 
-    def header(self, die: Die) -> int:
+    def header(self, die: dwarf.Die) -> int:
         """Return the size in bytes of the cFE header at the beginning of a struct; 0 without one."""
-        members = members_of(die)
-        if not members or die.tag not in STRUCTS or STRUCTS[die.tag] or offset_of(members[0]):
+        members = dwarf.members_of(die)
+        if (
+            not members
+            or die.tag not in dwarf.STRUCTS
+            or dwarf.STRUCTS[die.tag]
+            or dwarf.offset_of(members[0])
+        ):
             return 0
         first = members[0]
-        kind = type_of(first)
-        words = [name_of(first)]
-        for _ in range(DEEPEST):
-            if kind is None or kind.tag not in {*PLAIN, *STRUCTS, "DW_TAG_array_type"}:
+        kind = dwarf.type_of(first)
+        words = [dwarf.name_of(first)]
+        for _ in range(dwarf.DEEPEST):
+            if kind is None or kind.tag not in {*dwarf.PLAIN, *dwarf.STRUCTS, "DW_TAG_array_type"}:
                 break
-            words.append(name_of(kind))
-            kind = type_of(kind) if kind.tag in PLAIN else None
+            words.append(dwarf.name_of(kind))
+            kind = dwarf.type_of(kind) if kind.tag in dwarf.PLAIN else None
         if not any(word.replace("_", "").lower().removesuffix("t").endswith(_HEADERS) for word in words):
             return 0
         return Maker(self).extent(first)

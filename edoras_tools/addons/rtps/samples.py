@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.addons.rtps.reader import (
-    TopicSamples,
-    named_submessages,
-    rows_on,
-    rtps_messages,
-    topic_samples,
-)
+from edoras_tools.addons.rtps import reader
 from edoras_tools.addons.rtps.wire.messages import guid_text
 from edoras_tools.links.doors import KnownSamples
 from edoras_tools.links.site import MOST_ENDPOINTS, Endpoints
@@ -40,7 +34,7 @@ def known_samples(
     """
     if types is None or not len(rows):
         return
-    writers, samples = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
+    writers, samples = reader.topic_samples(batch.data, reader.rtps_messages(batch, rows).submessages)
     groups: dict[tuple[str, str], list[int]] = {}
     for index, guid in enumerate(writers):
         announced = endpoints.find(guid)
@@ -52,7 +46,7 @@ def known_samples(
         members_rows = np.flatnonzero(plain & np.isin(samples.writer, members))
         if not len(members_rows):
             continue
-        one = TopicSamples(*(column[members_rows] for column in samples))
+        one = reader.TopicSamples(*(column[members_rows] for column in samples))
         length = (one.end - one.start).astype(np.int32)
         valid = types.valid(type_name, batch.data, one.start, length)
         of = one.writer, one.sequence_number, one.start, length, one.time_ns, valid
@@ -63,11 +57,11 @@ class _Reader:
     """See :class:`~edoras_tools.links.doors.SampleReader`."""
 
     known_samples = staticmethod(known_samples)
-    rows_on = staticmethod(rows_on)
+    rows_on = staticmethod(reader.rows_on)
 
     def writers(self, batch: PacketBatch, rows: Places) -> list[bytes]:
         """Return the GUIDs of the writers in some rows."""
-        return named_submessages(batch, rows).writers
+        return reader.named_submessages(batch, rows).writers
 
     def topic_of(self, guid: bytes, endpoints: Endpoints) -> str:
         """Return the name of a writer's topic; its GUID if it was not announced."""
@@ -78,7 +72,7 @@ class _Reader:
 READER: Final = _Reader()
 
 
-def _is_plain(data: Octets, samples: TopicSamples) -> Mask:
+def _is_plain(data: Octets, samples: reader.TopicSamples) -> Mask:
     """Return which samples are plain CDR, like ROS messages: bool (n,)."""
     whole = samples.end - samples.start >= ENCAPSULATION.size
     head = gather(data, np.where(whole, samples.start, 0), ENCAPSULATION.size)
@@ -99,7 +93,7 @@ class LeftSamples:
             rows: indices of rows with RTPS.
             endpoints: endpoints announced so far.
         """
-        writers, samples = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
+        writers, samples = reader.topic_samples(batch.data, reader.rtps_messages(batch, rows).submessages)
         early = batch.number[rows[samples.row]] < endpoints.since(writers)[samples.writer]
         for counter, which in ((self._early, samples.writer[early]), (self._all, samples.writer)):
             for writer, number in enumerate(np.bincount(which, minlength=len(writers)).tolist()):

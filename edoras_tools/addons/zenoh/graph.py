@@ -16,16 +16,7 @@ import zenoh
 from msgspec.structs import replace
 from zenoh import ext
 
-from edoras_tools.addons.zenoh.identity import (
-    ATTACHMENT,
-    GID,
-    NO_TYPE_HASH,
-    KeyedTopic,
-    NodeTokens,
-    TokenKind,
-    depth,
-    gid,
-)
+from edoras_tools.addons.zenoh import identity
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.graph import Qos, TopicState
 from edoras_tools.middleware.names import check_name, unknown_options
@@ -171,7 +162,7 @@ class ZenohGraph:
     def __init__(
         self,
         session: zenoh.Session,
-        node: NodeTokens,
+        node: identity.NodeTokens,
         types: TypeStore,
         *,
         hashed: bool,
@@ -216,13 +207,13 @@ class ZenohGraph:
         if qos.transient_local:
             declare = partial(ext.declare_advanced_subscriber, self._session)
             recovery = ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if qos.reliable else None
-            history = ext.HistoryConfig(detect_late_publishers=True, max_samples=depth(qos))
+            history = ext.HistoryConfig(detect_late_publishers=True, max_samples=identity.depth(qos))
             more = {"history": history, "recovery": recovery, "subscriber_detection": True}
         with _zenoh_errors(f"{topic}: refused by Zenoh"):
             key = topic_.key(self._node.domain)
             entity = declare(key, listener, allowed_origin=zenoh.Locality.REMOTE, **more)
         self._listening.append(listener)
-        self._announce(entity, TokenKind.SUBSCRIPTION, topic_, qos)
+        self._announce(entity, identity.TokenKind.SUBSCRIPTION, topic_, qos)
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
         """Return a function that publishes a message of a topic, until the graph is closed; see ``Graph``."""
@@ -237,20 +228,20 @@ class ZenohGraph:
         if qos.transient_local:
             declare = partial(ext.declare_advanced_publisher, self._session)
             detection = ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT)
-            options["cache"] = ext.CacheConfig(depth(qos))
+            options["cache"] = ext.CacheConfig(identity.depth(qos))
             options["sample_miss_detection"] = detection if qos.reliable else None
             options["publisher_detection"] = True
         with _zenoh_errors(f"{topic}: refused by Zenoh"):
             publisher = declare(topic_.key(self._node.domain), **options)
         self._states.setdefault(topic, lambda: TopicState((qos,)))
-        source = gid(self._announce(publisher, TokenKind.PUBLISHER, topic_, qos))
+        source = identity.gid(self._announce(publisher, identity.TokenKind.PUBLISHER, topic_, qos))
         self._own.add(source)
-        put, attach, now, numbers = publisher.put, ATTACHMENT.pack, time.time_ns, count(1)
+        put, attach, now, numbers = publisher.put, identity.ATTACHMENT.pack, time.time_ns, count(1)
 
         def publish(cdr: bytes) -> None:
             try:
                 with _zenoh_errors(f"{topic}: cannot be published on"):
-                    put(cdr, attachment=attach(next(numbers), now(), GID, source))
+                    put(cdr, attachment=attach(next(numbers), now(), identity.GID, source))
             except ConfigError:
                 if not self._closed:
                     raise
@@ -289,14 +280,14 @@ class ZenohGraph:
         self._session.close()  # type: ignore[no-untyped-call]
         _TAKEN.difference_update(self._places)
 
-    def _topic(self, topic: str, type_name: str) -> KeyedTopic:
+    def _topic(self, topic: str, type_name: str) -> identity.KeyedTopic:
         name = check_name(topic, "topic")
         if why := self._types.check(type_name):
             raise ConfigError(f"{topic}: {why}")
-        digest = type_hash(self._types, type_name) if self._hashed else NO_TYPE_HASH
-        return KeyedTopic(name, full_name(type_name), digest)
+        digest = type_hash(self._types, type_name) if self._hashed else identity.NO_TYPE_HASH
+        return identity.KeyedTopic(name, full_name(type_name), digest)
 
-    def _announce(self, entity: Any, kind: TokenKind, topic: KeyedTopic, qos: Qos) -> str:
+    def _announce(self, entity: Any, kind: identity.TokenKind, topic: identity.KeyedTopic, qos: Qos) -> str:
         """Announce an entity in the graph; return its token."""
         token = self._node.entity_token(kind, next(self._ids), topic, qos)
         self._entities.append(entity)
@@ -324,16 +315,16 @@ class _Listener:
 
     def __call__(self, sample: zenoh.Sample) -> None:
         attachment = sample.attachment.to_bytes() if sample.attachment else b""
-        if attachment[-GID:] in self._ignored:
+        if attachment[-identity.GID :] in self._ignored:
             return
         with self._speaking:
-            if len(attachment) == ATTACHMENT.size:
+            if len(attachment) == identity.ATTACHMENT.size:
                 self._count(attachment)
             if self._heard is not None:
                 self._heard(sample.payload.to_bytes())
 
     def _count(self, attachment: bytes) -> None:
-        number, _, _, source = ATTACHMENT.unpack(attachment)
+        number, _, _, source = identity.ATTACHMENT.unpack(attachment)
         last = self._last.setdefault(source, number - 1)
         self._last[source] = max(number, last)
         # A message that arrives after a later one was counted as missed before.
@@ -366,12 +357,12 @@ def open_graph(
     hash_kind = options.get("type_hash", "none" if store.distro in _WITHOUT_HASH else "rihs01")
     if hash_kind not in _HASHES:
         raise ConfigError(f"zenoh: type_hash {hash_kind!r} does not exist; write {' or '.join(_HASHES)}")
-    NodeTokens.of_node(node, domain, "")  # a wrong name is reported before a session is opened
+    identity.NodeTokens.of_node(node, domain, "")  # a wrong name is reported before a session is opened
     config = session_config(options)
     places = listen_beside(config, _TAKEN)
     router = "start a router there: ros2 run rmw_zenoh_cpp rmw_zenohd"
     remedy = router if options.get("mode") == "client" else "listen somewhere else"
     with _zenoh_errors("zenoh: no session", f"; {remedy}"):
         session = zenoh.open(config)
-    tokens = NodeTokens.of_node(node, domain, str(session.zid()))
+    tokens = identity.NodeTokens.of_node(node, domain, str(session.zid()))
     return ZenohGraph(session, tokens, store, hashed=_HASHES[hash_kind], places=places)

@@ -10,16 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
+from edoras_tools.addons.databases import placement
 from edoras_tools.addons.databases.documents import NESTING, Node, SheetError
-from edoras_tools.addons.databases.placement import (
-    MOST_VALUE_BITS,
-    UNNAMED,
-    DataType,
-    Placement,
-    TypeTable,
-    c_name,
-    scalar,
-)
 from edoras_tools.structs.messages import unique
 from edoras_tools.structs.shapes import BASIC, BasicKind, ByteOrder, Member, Range
 
@@ -56,7 +48,7 @@ _EXCLUDED: Final = {
 """Which ends of a range are excluded."""
 
 
-class Types(TypeTable):
+class Types(placement.TypeTable):
     """The data types of sheets.
 
     Args:
@@ -105,7 +97,7 @@ class Types(TypeTable):
             base = node.attributes.get("baseType", "") if node is not None else ""
             name = self.full_name(base, name.rpartition("/")[0]) if base else ""
 
-    def find(self, name: str) -> DataType:
+    def find(self, name: str) -> placement.DataType:
         """Return a type by its package and name.
 
         Raises:
@@ -115,7 +107,7 @@ class Types(TypeTable):
             raise SheetError(f"type {name} is in none of these files")
         return self.resolve(name, lambda: self._make(self._nodes[name], name))
 
-    def _make(self, node: Node, name: str) -> DataType:
+    def _make(self, node: Node, name: str) -> placement.DataType:
         package = name.rpartition("/")[0]
         kind = node.tag.removesuffix("DataType")
         if kind == "Container":
@@ -132,9 +124,9 @@ class Types(TypeTable):
             return replace(element, dims=(*self._dimensions(node, package), *element.dims))
         if kind == "String":
             size = self._count(node, "length", package)
-            return DataType(BASIC["char"], 8 * size, (size,))
+            return placement.DataType(BASIC["char"], 8 * size, (size,))
         if kind == "Binary":
-            return DataType(BASIC["byte"], 8, (-(-self._count(node, "sizeInBits", package) // 8),))
+            return placement.DataType(BASIC["byte"], 8, (-(-self._count(node, "sizeInBits", package) // 8),))
         encoding = next(node.inside(f"{kind.replace('Enumerated', 'Integer')}DataEncoding"), None)
         return self._scalar(node, name, kind, encoding, package)
 
@@ -161,10 +153,12 @@ class Types(TypeTable):
             except SheetError as error:
                 self._note(item, str(error))
             else:
-                labels.setdefault(value, unique(c_name(item.attributes.get("label", "")), used))
+                labels.setdefault(value, unique(placement.c_name(item.attributes.get("label", "")), used))
         return labels
 
-    def _scalar(self, node: Node, name: str, kind: str, encoding: Node | None, package: str) -> DataType:
+    def _scalar(
+        self, node: Node, name: str, kind: str, encoding: Node | None, package: str
+    ) -> placement.DataType:
         """Return the type of a number, a flag or an enumeration."""
         labels, like = self._labels(node, package), self._like(node, package)
         words = encoding.attributes if encoding is not None else {}
@@ -185,7 +179,9 @@ class Types(TypeTable):
         )
         if like.red and _all_of(like.red, bits, signed=basic_kind is BasicKind.INT):
             like = replace(like, red=None)
-        return self.labelled(scalar(basic_kind, int(bits), order, like, doubt), c_name(name), labels)
+        return self.labelled(
+            placement.scalar(basic_kind, int(bits), order, like, doubt), placement.c_name(name), labels
+        )
 
     def _doubt(self, kind: str, words: Mapping[str, str], bits: int, package: str) -> str:
         """Return the reason why a float cannot be read; empty if it can, and for other kinds."""
@@ -199,7 +195,7 @@ class Types(TypeTable):
             raise SheetError(f"byte order {text!r} is neither bigEndian nor littleEndian")
         return self._order if self._machine else "big" if text == "bigEndian" else "little"
 
-    def _container(self, node: Node, name: str) -> DataType:
+    def _container(self, node: Node, name: str) -> placement.DataType:
         """Lay out a container: the entries of its bases, its own, and the trailers of all."""
         entries: list[tuple[Node, str]] = []
         trailers: list[tuple[Node, str]] = []
@@ -211,16 +207,16 @@ class Types(TypeTable):
             own, place = self._nodes[base], base.rpartition("/")[0]
             entries = [(item, place) for item in own.children if item.tag == "EntryList"] + entries
             trailers += [(item, place) for item in own.children if item.tag == "TrailerEntryList"]
-        maker = Placement(self._order, machine=self._machine)
+        maker = placement.Placement(self._order, machine=self._machine)
         for listed, place in (*entries, *trailers):
             for entry in listed.children:
                 self._entry(maker, entry, place, name)
         if maker.wrapped and base not in PACKET_HEADERS and not name.endswith("Payload"):
             return maker.wrapped
         called = self.add_struct(name, maker, node.doc)
-        return DataType(called, maker.end(), alignment=maker.alignment, variable=maker.varies)
+        return placement.DataType(called, maker.end(), alignment=maker.alignment, variable=maker.varies)
 
-    def _entry(self, maker: Placement, entry: Node, package: str, owner: str) -> None:
+    def _entry(self, maker: placement.Placement, entry: Node, package: str, owner: str) -> None:
         """Place an entry; if later entries then have no known position, the rest of the packet is bytes."""
         if maker.varies or entry.tag == "LongDescription":
             return
@@ -233,7 +229,7 @@ class Types(TypeTable):
             if why:
                 self._note(entry, f"{owner}.{entry.name}: {why}")
 
-    def _laid(self, maker: Placement, entry: Node, package: str, owner: str) -> str:
+    def _laid(self, maker: placement.Placement, entry: Node, package: str, owner: str) -> str:
         """Place an entry; return the reason why it is not shown as its type, empty if it is."""
         if entry.tag == "PaddingEntry":
             maker.pad(self._count(entry, "sizeInBits", package))
@@ -247,9 +243,9 @@ class Types(TypeTable):
             return maker.open(entry.name, data_type)
         if data_type.order and not data_type.doubt:
             self.orders[data_type.order] += 1
-        return maker.place(c_name(entry.name), data_type)
+        return maker.place(placement.c_name(entry.name), data_type)
 
-    def _entry_type(self, entry: Node, package: str, owner: str) -> DataType:
+    def _entry_type(self, entry: Node, package: str, owner: str) -> placement.DataType:
         """Return the type of an entry, which may have its own encoding, unit and limits."""
         name = self.full_name(entry.required("type"), package)
         data_type = self.find(name)
@@ -259,9 +255,9 @@ class Types(TypeTable):
             data_type = self._scalar(self._nodes[name], f"{owner}_{entry.name}", kind, own, package)
         return replace(data_type, like=self._like(entry, package, data_type))
 
-    def _like(self, node: Node, package: str, base: DataType | None = None) -> Member:
+    def _like(self, node: Node, package: str, base: placement.DataType | None = None) -> Member:
         """Return a member with the unit, limits and documentation of a node; these override a type's."""
-        like = base.like if base else UNNAMED
+        like = base.like if base else placement.UNNAMED
         attributes = [node.attributes, *(item.attributes for item in node.inside("Semantics"))]
         unit = next((item["unit"] for item in attributes if item.get("unit")), like.unit)
         like = replace(like, unit=" ".join(unit.split()), doc=node.doc)
@@ -294,8 +290,8 @@ class Types(TypeTable):
     def _count(self, node: Node | None, key: str, package: str) -> int:
         assert node is not None, "its attribute was there"
         value = self._parameters.integer(node.required(key), package)
-        if not 0 <= value <= MOST_VALUE_BITS:
-            raise SheetError(f"{key} {value} is not a number of 0 to {MOST_VALUE_BITS}")
+        if not 0 <= value <= placement.MOST_VALUE_BITS:
+            raise SheetError(f"{key} {value} is not a number of 0 to {placement.MOST_VALUE_BITS}")
         return value
 
 

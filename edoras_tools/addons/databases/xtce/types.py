@@ -9,16 +9,8 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 from msgspec.structs import replace
 
+from edoras_tools.addons.databases import placement
 from edoras_tools.addons.databases.documents import NESTING, Node, Notes, SheetError
-from edoras_tools.addons.databases.placement import (
-    MOST_VALUE_BITS,
-    UNNAMED,
-    DataType,
-    Placement,
-    TypeTable,
-    c_name,
-    scalar,
-)
 from edoras_tools.structs.messages import unique
 from edoras_tools.structs.shapes import BASIC, BasicKind, ByteOrder, Member, Range
 
@@ -67,7 +59,7 @@ class MemberPlace(msgspec.Struct, frozen=True):
 
     name: str
     bit: int
-    data_type: DataType
+    data_type: placement.DataType
 
 
 def number(node: Node, text: str) -> float:
@@ -94,12 +86,12 @@ def fixed_value(node: Node, *path: str) -> int | None:
     if item is None:
         return None
     value = number(item, item.text)
-    if value != int(value) or abs(value) > MOST_VALUE_BITS:
+    if value != int(value) or abs(value) > placement.MOST_VALUE_BITS:
         raise SheetError(f"{node.tag} {node.name}".rstrip() + f": {value} is no count of bits")
     return int(value)
 
 
-class ValueTypes(TypeTable):
+class ValueTypes(placement.TypeTable):
     """The types of some space systems.
 
     Args:
@@ -118,7 +110,7 @@ class ValueTypes(TypeTable):
         self.parts: dict[str, list[MemberPlace]] = {}
         self.labels: dict[str, dict[str, int]] = {}
 
-    def find(self, item: Declared) -> DataType:
+    def find(self, item: Declared) -> placement.DataType:
         """Return the resolved type of a declaration.
 
         Raises:
@@ -141,7 +133,7 @@ class ValueTypes(TypeTable):
             children=[*item.node.children, *(child for child in base.children if child.tag not in own)],
         )
 
-    def _make(self, item: Declared) -> DataType:
+    def _make(self, item: Declared) -> placement.DataType:
         node, kind = item.node, _ROLE.sub("", item.node.tag)
         if kind == "Array":
             element = self.find(self._names.find(item.kind, node.required("arrayTypeRef"), item.system))
@@ -160,7 +152,7 @@ class ValueTypes(TypeTable):
             return self._text(item, encoding)
         if encoding.tag == "BinaryDataEncoding":
             bits = fixed_value(encoding, "SizeInBits")
-            return DataType(
+            return placement.DataType(
                 BASIC["byte"], 8, (-(-(bits or 0) // 8),), variable=bits is None, like=self._like(item)
             )
         return self._number(item, kind, encoding)
@@ -175,16 +167,16 @@ class ValueTypes(TypeTable):
             sizes.append(max(0, last - (first or 0) + 1))
         return tuple(sizes) or None
 
-    def _text(self, item: Declared, encoding: Node) -> DataType:
+    def _text(self, item: Declared, encoding: Node) -> placement.DataType:
         bits = fixed_value(encoding, "SizeInBits", "Fixed")
         coded = encoding.attributes.get("encoding", "UTF-8")
         led = next(encoding.inside("SizeInBits", "LeadingSize"), None) is not None
         if bits is None:
-            return DataType(BASIC["byte"], 8, (0,), variable=True)
+            return placement.DataType(BASIC["byte"], 8, (0,), variable=True)
         doubt = f"encoding {coded}" * (coded not in _TEXTS) or "its length stands before it" * led
-        return DataType(BASIC["char"], bits, (bits // 8,), doubt=doubt, like=self._like(item))
+        return placement.DataType(BASIC["char"], bits, (bits // 8,), doubt=doubt, like=self._like(item))
 
-    def _number(self, item: Declared, kind: str, encoding: Node) -> DataType:
+    def _number(self, item: Declared, kind: str, encoding: Node) -> placement.DataType:
         """Return the type of a number, a flag, a time or an enumeration."""
         node, words = item.node, encoding.attributes
         is_float = encoding.tag.startswith("Float")
@@ -202,10 +194,12 @@ class ValueTypes(TypeTable):
         labels = self._labels(item, kind)
         if kind == "Boolean" and not labels:
             basic_kind = BasicKind.BOOL
-        data_type = scalar(basic_kind, int(bits), order, self._like(item, encoding), doubt)
+        data_type = placement.scalar(basic_kind, int(bits), order, self._like(item, encoding), doubt)
         used: set[str] = set()
-        names = {value: unique(c_name(text), used) for value, text in labels.items() if not is_float}
-        return self.labelled(data_type, _OWN_PREFIX.sub("", c_name(node.name)), names)
+        names = {
+            value: unique(placement.c_name(text), used) for value, text in labels.items() if not is_float
+        }
+        return self.labelled(data_type, _OWN_PREFIX.sub("", placement.c_name(node.name)), names)
 
     def _labels(self, item: Declared, kind: str) -> dict[int, str]:
         """Return the labels of a type's values."""
@@ -227,9 +221,9 @@ class ValueTypes(TypeTable):
         self.labels[item.path] = {text: value for value, text in labels.items()}
         return labels
 
-    def _aggregate(self, item: Declared) -> DataType:
+    def _aggregate(self, item: Declared) -> placement.DataType:
         """Lay out an aggregate: its members follow each other bit by bit."""
-        maker = Placement(self._order, machine=False)
+        maker = placement.Placement(self._order, machine=False)
         parts, bit = [], 0
         for member in item.node.inside("MemberList", "Member"):
             name = member.attributes.get("typeRef") or member.required("parameterTypeRef")
@@ -238,19 +232,19 @@ class ValueTypes(TypeTable):
                 raise SheetError(f"aggregate {item.path}: the length of {member.name} varies")
             doc = member.doc or data_type.like.doc
             placed = replace(data_type, like=replace(data_type.like, doc=doc))
-            if why := maker.place(c_name(member.name), placed):
+            if why := maker.place(placement.c_name(member.name), placed):
                 self._notes.add(member, f"{item.path}.{member.name}: {why}")
             parts.append(MemberPlace(member.name, bit, data_type))
             bit += data_type.whole_bits
         name = self.add_struct(item.node.name, maker, item.node.doc)
         self.parts[name] = parts
-        return DataType(name, bit)
+        return placement.DataType(name, bit)
 
     def _like(self, item: Declared, encoding: Node | None = None) -> Member:
         """Return a member with the unit, calibration and limits of a type."""
         node = item.node
         units = [" ".join(unit.text.split()) for unit in node.inside("UnitSet", "Unit")]
-        like = replace(UNNAMED, unit=" ".join(filter(None, units)), doc=node.doc)
+        like = replace(placement.UNNAMED, unit=" ".join(filter(None, units)), doc=node.doc)
         for holder in (*node.inside("ValidRange"), *node.inside("ValidRangeSet", "ValidRange")):
             like = replace(like, red=_range(holder))
         for holder in node.inside("DefaultAlarm", "StaticAlarmRanges"):
@@ -291,7 +285,7 @@ def _range(node: Node) -> Range:
     return ends[0], ends[1]
 
 
-def bits_of(types: ValueTypes, name: str, data_type: DataType) -> Iterator[MemberPlace]:
+def bits_of(types: ValueTypes, name: str, data_type: placement.DataType) -> Iterator[MemberPlace]:
     """Yield the numbers in a type by name, each with its first bit.
 
     Args:
