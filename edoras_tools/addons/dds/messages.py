@@ -38,19 +38,10 @@ if TYPE_CHECKING:
     TakeWithInfo = Callable[[], list[tuple[bytes, Any]]]
 
 _PRIMITIVES: Final = {
-    "bool": bool,
-    "byte": idl.uint8,
-    "char": idl.uint8,
-    "int8": idl.int8,
-    "uint8": idl.uint8,
-    "int16": idl.int16,
-    "uint16": idl.uint16,
-    "int32": idl.int32,
-    "uint32": idl.uint32,
-    "int64": idl.int64,
-    "uint64": idl.uint64,
-    "float32": idl.float32,
-    "float64": idl.float64,
+    "bool": bool, "byte": idl.uint8, "char": idl.uint8, "float32": idl.float32, "float64": idl.float64,
+    **{
+        f"{kind}{bits}": getattr(idl, f"{kind}{bits}") for kind in ("int", "uint") for bits in (8, 16, 32, 64)
+    },
 }
 
 
