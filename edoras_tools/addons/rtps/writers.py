@@ -103,6 +103,113 @@ class SampleWriter(msgspec.Struct, eq=False):
     floor: int = 0
     settled: Counter[str] = msgspec.field(default_factory=Counter)
 
+    def add(self, submessages: UserSubmessages) -> None:
+        """Add the submessages of a batch about this writer, in order of the capture."""
+        sound = (submessages.first > 0) & (submessages.first < _HIGHEST) & (submessages.last < _HIGHEST)
+        kind = np.where(sound | (submessages.kind == SubmessageKind.ACKNACK), submessages.kind, 0)
+        data = np.flatnonzero(kind == SubmessageKind.DATA)
+        beats = np.flatnonzero(kind == SubmessageKind.HEARTBEAT)
+        gaps = np.flatnonzero(kind == SubmessageKind.GAP)
+        acks = np.flatnonzero(kind == SubmessageKind.ACKNACK)
+        if self.first is None and len(data):  # HEARTBEATs and ACKNACKs before the first sample do not count
+            beats, acks = beats[beats > data[0]], acks[acks > data[0]]
+        numbers = submessages.first[data]
+        before = self.sample_numbers if not len(acks) else _copied(self.sample_numbers)
+        if len(data):
+            self._add_samples(numbers, submessages.time_ns[data])
+        if self.first is not None:
+            ends = [self.last, *submessages.last[beats].tolist()]
+            self.last = max(item for item in ends if item <= self.last + _FARTHEST)
+        self.reliable = self.reliable or bool(len(beats) or len(acks))
+        for at in gaps.tolist():
+            self._gap(submessages, at)
+        had = self.available
+        offered = np.maximum.accumulate(submessages.first[beats]) if len(beats) else np.zeros(0, np.int64)
+        if len(acks) and self.first is not None:
+            self._acknowledge(submessages, acks, before, (beats, offered, had))
+        self.available = max(had, int(offered[-1]) if len(offered) else 0)
+
+    def _add_samples(self, numbers: Integers, times: Integers) -> None:
+        if self.first is None:
+            self.first = self.floor = self.last = int(numbers[0])
+            self.first_ns = self.last_ns = int(times[0])
+        for at in range(0, len(numbers), _MANY // 2):
+            some = numbers[at : at + _MANY // 2]
+            near = some <= self.last + _FARTHEST
+            some, moments = some[near], times[at : at + _MANY // 2][near]
+            new = np.full(len(some), self.floor == self.first) | (some >= self.floor)
+            self.copies += int(np.count_nonzero(~new))
+            fresh = self.sample_numbers.fresh(some[new])
+            self.copies += int(np.count_nonzero(~fresh))
+            moments = np.append(self.last_ns, moments[new][fresh])
+            self.longest_ns = max(self.longest_ns, int(np.diff(moments).max(initial=0)))
+            self.last_ns = max(self.last_ns, int(moments[-1]))
+            self.last = max(self.last, int(some.max(initial=0)))
+            self.settle()
+        if self.open:
+            for number in set(numbers.tolist()) & self.open.keys():
+                del self.open[number]
+
+    def _gap(self, submessages: UserSubmessages, at: int) -> None:
+        start, base = int(submessages.first[at]), int(submessages.last[at])
+        if start < base:
+            self.irrelevant.add(start, base)
+        for number in submessages.numbers(at):
+            self.irrelevant.add(number, number + 1)
+
+    def _acknowledge(
+        self,
+        submessages: UserSubmessages,
+        acks: Integers,
+        before: KnownRanges,
+        beats: tuple[Integers, Integers, int],
+    ) -> None:
+        """Process ACKNACKs in order: numbers that a reader asks for, and numbers that it no longer needs.
+
+        Args:
+            acks: indices of the ACKNACKs.
+            before: samples captured in earlier batches.
+            beats: indices of the HEARTBEATs; first available number of each; first available number from
+                earlier batches.
+        """
+        first_at: dict[int, int] = {}
+        last_at: dict[int, int] = {}
+        for at in np.flatnonzero(submessages.kind == SubmessageKind.DATA).tolist():
+            first_at.setdefault(int(submessages.first[at]), at)
+            last_at[int(submessages.first[at])] = at
+        places, offered, had = beats
+        for at in acks.tolist():
+            base, reader = int(submessages.first[at]), submessages.readers[int(submessages.reader[at])]
+            low = self.acknowledged.get(reader)
+            if low is None and len(self.acknowledged) >= MOST_READERS:
+                continue
+            if low is not None and low < base <= self.last + 1:
+                decided = int(np.searchsorted(places, at))
+                self._went_on(reader, low, base, int(offered[decided - 1]) if decided else had)
+            if base <= self.last + 1:
+                self.acknowledged[reader] = max(base, low or 0)
+            for number in submessages.numbers(at):
+                if not self.floor <= number <= self.last:
+                    continue
+                captured = first_at.get(number, at) < at or not before.missing(number, number + 1)
+                if self.requested.fresh(np.array([number])).any():
+                    self.behind += captured
+                if last_at.get(number, -1) < at and len(self.open) < MOST_ASKED:
+                    self.open.setdefault(number, set()).add(reader)
+
+    def _went_on(self, reader: bytes, low: int, base: int, available: int) -> None:
+        """Record that a reader no longer needs the numbers from ``low`` up to ``base``, not included."""
+        for number in [item for item, readers in self.open.items() if item < base and reader in readers]:
+            self.open[number].discard(reader)
+            if not self.open[number]:
+                del self.open[number]
+            if number < available or not self.irrelevant.missing(number, number + 1):
+                self.given_up.add(number, number + 1)
+        for start, end in self.sample_numbers.missing(max(low, self.floor), min(base, available)):
+            for first, last in self.irrelevant.missing(start, end):
+                for one, other in self.given_up.missing(first, last):
+                    self.unclear.add(one, other)
+
     def _judged(self, start: int, end: int) -> Counter[str]:
         """Count a range of numbers by fate: ``captured``, ``asked``, ``resent``, and ``FATES``."""
         counts: Counter[str] = Counter()
@@ -277,127 +384,7 @@ class SampleFollower(LinkEvidence):
             if guid not in self.writers and len(self.writers) >= MOST_ENDPOINTS:
                 self.left_out += int(np.count_nonzero(submessages.writer == index))
                 continue
-            writer = self.writers.setdefault(guid, SampleWriter(guid))
-            _Pass(writer, submessages.of(index)).run()
-
-
-class _Pass:
-    """Adds the submessages of a batch to one writer.
-
-    Args:
-        submessages: submessages of the writer, in order of the capture.
-    """
-
-    def __init__(self, writer: SampleWriter, submessages: UserSubmessages) -> None:
-        self._writer, self._submessages = writer, submessages
-
-    def run(self) -> None:
-        """Add all submessages."""
-        writer, submessages = self._writer, self._submessages
-        sound = (submessages.first > 0) & (submessages.first < _HIGHEST) & (submessages.last < _HIGHEST)
-        kind = np.where(sound | (submessages.kind == SubmessageKind.ACKNACK), submessages.kind, 0)
-        data = np.flatnonzero(kind == SubmessageKind.DATA)
-        beats = np.flatnonzero(kind == SubmessageKind.HEARTBEAT)
-        gaps = np.flatnonzero(kind == SubmessageKind.GAP)
-        acks = np.flatnonzero(kind == SubmessageKind.ACKNACK)
-        if writer.first is None and len(data):  # HEARTBEATs and ACKNACKs before the first sample do not count
-            beats, acks = beats[beats > data[0]], acks[acks > data[0]]
-        numbers = submessages.first[data]
-        before = writer.sample_numbers if not len(acks) else _copied(writer.sample_numbers)
-        if len(data):
-            self._samples(data, numbers)
-        if writer.first is not None:
-            ends = [writer.last, *submessages.last[beats].tolist()]
-            writer.last = max(item for item in ends if item <= writer.last + _FARTHEST)
-        writer.reliable = writer.reliable or bool(len(beats) or len(acks))
-        for at in gaps.tolist():
-            self._gap(at)
-        had = writer.available
-        offered = np.maximum.accumulate(submessages.first[beats]) if len(beats) else np.zeros(0, np.int64)
-        if len(acks) and writer.first is not None:
-            self._acknowledge(acks, before, (beats, offered, had))
-        writer.available = max(had, int(offered[-1]) if len(offered) else 0)
-
-    def _samples(self, data: Integers, numbers: Integers) -> None:
-        writer, times = self._writer, self._submessages.time_ns[data]
-        if writer.first is None:
-            writer.first = writer.floor = writer.last = int(numbers[0])
-            writer.first_ns = writer.last_ns = int(times[0])
-        for at in range(0, len(numbers), _MANY // 2):
-            some = numbers[at : at + _MANY // 2]
-            near = some <= writer.last + _FARTHEST
-            some, moments = some[near], times[at : at + _MANY // 2][near]
-            new = np.full(len(some), writer.floor == writer.first) | (some >= writer.floor)
-            writer.copies += int(np.count_nonzero(~new))
-            fresh = writer.sample_numbers.fresh(some[new])
-            writer.copies += int(np.count_nonzero(~fresh))
-            moments = np.append(writer.last_ns, moments[new][fresh])
-            writer.longest_ns = max(writer.longest_ns, int(np.diff(moments).max(initial=0)))
-            writer.last_ns = max(writer.last_ns, int(moments[-1]))
-            writer.last = max(writer.last, int(some.max(initial=0)))
-            writer.settle()
-        if writer.open:
-            for number in set(numbers.tolist()) & writer.open.keys():
-                del writer.open[number]
-
-    def _gap(self, at: int) -> None:
-        submessages, writer = self._submessages, self._writer
-        start, base = int(submessages.first[at]), int(submessages.last[at])
-        if start < base:
-            writer.irrelevant.add(start, base)
-        for number in submessages.numbers(at):
-            writer.irrelevant.add(number, number + 1)
-
-    def _acknowledge(
-        self, acks: Integers, before: KnownRanges, beats: tuple[Integers, Integers, int]
-    ) -> None:
-        """Process ACKNACKs in order: numbers that a reader asks for, and numbers that it no longer needs.
-
-        Args:
-            acks: indices of the ACKNACKs.
-            before: samples captured in earlier batches.
-            beats: indices of the HEARTBEATs; first available number of each; first available number from
-                earlier batches.
-        """
-        submessages, writer = self._submessages, self._writer
-        first_at: dict[int, int] = {}
-        last_at: dict[int, int] = {}
-        for at in np.flatnonzero(submessages.kind == SubmessageKind.DATA).tolist():
-            first_at.setdefault(int(submessages.first[at]), at)
-            last_at[int(submessages.first[at])] = at
-        places, offered, had = beats
-        for at in acks.tolist():
-            base, reader = int(submessages.first[at]), submessages.readers[int(submessages.reader[at])]
-            low = writer.acknowledged.get(reader)
-            if low is None and len(writer.acknowledged) >= MOST_READERS:
-                continue
-            if low is not None and low < base <= writer.last + 1:
-                decided = int(np.searchsorted(places, at))
-                self._went_on(reader, low, base, int(offered[decided - 1]) if decided else had)
-            if base <= writer.last + 1:
-                writer.acknowledged[reader] = max(base, low or 0)
-            for number in submessages.numbers(at):
-                if not writer.floor <= number <= writer.last:
-                    continue
-                captured = first_at.get(number, at) < at or not before.missing(number, number + 1)
-                if writer.requested.fresh(np.array([number])).any():
-                    writer.behind += captured
-                if last_at.get(number, -1) < at and len(writer.open) < MOST_ASKED:
-                    writer.open.setdefault(number, set()).add(reader)
-
-    def _went_on(self, reader: bytes, low: int, base: int, available: int) -> None:
-        """Record that a reader no longer needs the numbers from ``low`` up to ``base``, not included."""
-        writer = self._writer
-        for number in [item for item, readers in writer.open.items() if item < base and reader in readers]:
-            writer.open[number].discard(reader)
-            if not writer.open[number]:
-                del writer.open[number]
-            if number < available or not writer.irrelevant.missing(number, number + 1):
-                writer.given_up.add(number, number + 1)
-        for start, end in writer.sample_numbers.missing(max(low, writer.floor), min(base, available)):
-            for first, last in writer.irrelevant.missing(start, end):
-                for one, other in writer.given_up.missing(first, last):
-                    writer.unclear.add(one, other)
+            self.writers.setdefault(guid, SampleWriter(guid)).add(submessages.of(index))
 
 
 def _copied(ranges: KnownRanges) -> KnownRanges:

@@ -6,7 +6,7 @@ Reading is lenient: a list that is cut, or has no end, is read as far as possibl
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import msgspec
 
@@ -138,29 +138,26 @@ def read_announcement(data: bytes) -> Announcement | None:
     Args:
         data: bytes from the encapsulation on.
     """
-    guid, participant, topic, kind, name, shared_memory = b"", b"", "", "", "", False
+    guids = dict.fromkeys((ParameterId.ENDPOINT_GUID, ParameterId.PARTICIPANT_GUID), b"")
+    texts = dict.fromkeys((ParameterId.TOPIC_NAME, ParameterId.TYPE_NAME, ParameterId.ENTITY_NAME), "")
     numbers = {ParameterId.RELIABILITY: _RELIABLE, ParameterId.DURABILITY: 0, ParameterId.HISTORY: 0}
+    shared_memory = False
     for number, value, order in read_parameters(data):
-        parameter = number & _MUST_UNDERSTAND
-        if parameter == ParameterId.ENDPOINT_GUID and len(value) >= GUID_BYTES:
-            guid = value[:GUID_BYTES]
-        elif parameter == ParameterId.PARTICIPANT_GUID and len(value) >= GUID_BYTES:
-            participant = value[:GUID_BYTES]
-        elif parameter == ParameterId.TOPIC_NAME:
-            topic = _text(value, order)
-        elif parameter == ParameterId.TYPE_NAME:
-            kind = _text(value, order)
-        elif parameter == ParameterId.ENTITY_NAME:
-            name = _text(value, order)
+        parameter: Any = number & _MUST_UNDERSTAND
+        if parameter in guids and len(value) >= GUID_BYTES:
+            guids[parameter] = value[:GUID_BYTES]
+        elif parameter in texts:
+            texts[parameter] = _text(value, order)
         elif parameter in numbers:
             # The depth follows the kind keep_last, 0; behind keep_all it has no meaning.
             at = 4 + 4 * any(value[:4]) if parameter == ParameterId.HISTORY else 0
-            numbers[ParameterId(parameter)] = int.from_bytes(value[at : at + 4], order)
+            numbers[parameter] = int.from_bytes(value[at : at + 4], order)
         elif parameter in _LOCATORS:
             shared_memory |= int.from_bytes(value[:4], order) == _SHARED_MEMORY
-    owner = guid or participant
+    guid, participant = guids.values()
     reliability, durability, depth = numbers.values()
-    qos = reliability >= _RELIABLE, durability > 0, depth
+    topic, kind, name = texts.values()
+    owner, qos = guid or participant, (reliability >= _RELIABLE, durability > 0, depth)
     return Announcement(owner, topic, kind, name, shared_memory, *qos) if owner else None
 
 
