@@ -81,7 +81,7 @@ class FileDeliveryLink(LinkProtocol):
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read one PDU."""
-        read_pdu(reading, 0)
+        self.read_unit(reading, 0)
 
     def places(self, layout: Layout, rows: BatchRows, field: str = "") -> tuple[Places, Integers]:
         """Find the header, the directive code, or the parameters of one kind."""
@@ -111,8 +111,43 @@ class FileDeliveryLink(LinkProtocol):
             yield finding, getattr(pdus, name)
 
     def read_unit(self, reading: Reading, at: int) -> None:
-        """Read one PDU in a packet."""
-        read_pdu(reading, at)
+        """Read the layers of the PDU from byte ``at`` of a datagram on.
+
+        Raises:
+            TruncatedError: it needs more bytes than exist.
+        """
+        data = reading.data
+        head = reading.read(cfdp.PDU_HEADER, at)
+        pdu = cfdp.read_pdus(np.frombuffer(data, np.uint8), np.array([at]), np.array([len(data) - at]))
+        if pdu.corrupt[0]:
+            reading.findings |= Finding.CHECKSUM_BAD
+        code, start, behind, end = (int(item[0]) for item in (pdu.code, pdu.start, pdu.data, pdu.end))
+        if code > len(data):
+            reading.truncated(cfdp.PDU_HEADER.name, at, code - at)
+        place, width = at + cfdp.PDU_HEADER.size, head["entity_id_length"] + 1
+        sizes = width, head["sequence_number_length"] + 1, width
+        for (name, doc), size in zip(_IDS.items(), sizes, strict=True):
+            value = int(getattr(pdu, name)[0])
+            reading.extend(LayerField(name, value, place, place + size, str(value), doc))
+            place += size
+        if not head["pdu_type"] and not pdu.directive[0]:
+            reading.truncated(cfdp.DIRECTIVE.name, code, cfdp.DIRECTIVE.size)
+        kind = 0 if head["pdu_type"] else reading.read(cfdp.DIRECTIVE, code)["directive_code"]
+        layout = cfdp.PDU_LAYOUTS[head["large_file_flag"]].get(kind)
+        if layout is None:
+            return
+        if pdu.truncated[0]:
+            reading.truncated(layout.name, start, layout.size)
+        reading.read(layout, start)
+        values = cfdp.parameters(kind, head["large_file_flag"], data[start:end])
+        for name, doc in cfdp.CONTENT_FIELDS.items():
+            if name in values:
+                reading.extend(LayerField(name, values[name], behind, end, str(values[name]), doc))
+        last = min(end + CRC16_BYTES, len(data))
+        if head["crc_flag"] and last - end == CRC16_BYTES:
+            number = int.from_bytes(data[end:last], "big")
+            text = f"0x{number:04x}" + (", which is wrong" if pdu.corrupt[0] else "")
+            reading.extend(LayerField("crc", number, end, last, text, "CRC-16 of the PDU"))
 
     def topics(self, space: TopicSpace) -> OwnTopics | None:
         """Return the maker of messages of transferred files; None if the mission has no such topic."""
@@ -166,43 +201,3 @@ def holds_pdu(column: Callable[[str], NDArray[Any]], msg_ids: NDArray[np.int32])
     present: Mask = np.isin(column("msg_id"), msg_ids)
     present &= (column("header_length") > ccsds.PRIMARY.size) & ((column("findings") & _NO_PDU) == 0)
     return present
-
-
-def read_pdu(reading: Reading, at: int) -> None:
-    """Read the layers of the PDU from byte ``at`` of a datagram on.
-
-    Raises:
-        TruncatedError: it needs more bytes than exist.
-    """
-    data = reading.data
-    head = reading.read(cfdp.PDU_HEADER, at)
-    pdu = cfdp.read_pdus(np.frombuffer(data, np.uint8), np.array([at]), np.array([len(data) - at]))
-    if pdu.corrupt[0]:
-        reading.findings |= Finding.CHECKSUM_BAD
-    code, start, behind, end = (int(item[0]) for item in (pdu.code, pdu.start, pdu.data, pdu.end))
-    if code > len(data):
-        reading.truncated(cfdp.PDU_HEADER.name, at, code - at)
-    place, width = at + cfdp.PDU_HEADER.size, head["entity_id_length"] + 1
-    sizes = width, head["sequence_number_length"] + 1, width
-    for (name, doc), size in zip(_IDS.items(), sizes, strict=True):
-        value = int(getattr(pdu, name)[0])
-        reading.extend(LayerField(name, value, place, place + size, str(value), doc))
-        place += size
-    if not head["pdu_type"] and not pdu.directive[0]:
-        reading.truncated(cfdp.DIRECTIVE.name, code, cfdp.DIRECTIVE.size)
-    kind = 0 if head["pdu_type"] else reading.read(cfdp.DIRECTIVE, code)["directive_code"]
-    layout = cfdp.PDU_LAYOUTS[head["large_file_flag"]].get(kind)
-    if layout is None:
-        return
-    if pdu.truncated[0]:
-        reading.truncated(layout.name, start, layout.size)
-    reading.read(layout, start)
-    values = cfdp.parameters(kind, head["large_file_flag"], data[start:end])
-    for name, doc in cfdp.CONTENT_FIELDS.items():
-        if name in values:
-            reading.extend(LayerField(name, values[name], behind, end, str(values[name]), doc))
-    last = min(end + CRC16_BYTES, len(data))
-    if head["crc_flag"] and last - end == CRC16_BYTES:
-        number = int.from_bytes(data[end:last], "big")
-        text = f"0x{number:04x}" + (", which is wrong" if pdu.corrupt[0] else "")
-        reading.extend(LayerField("crc", number, end, last, text, "CRC-16 of the PDU"))

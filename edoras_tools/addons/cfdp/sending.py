@@ -116,11 +116,11 @@ class FileSender(SendingSession):
         if item is None or kind < 0 or not pdus.toward_sender[0]:
             return ()
         values = cfdp.parameters(kind, int(pdus.large[0]), data[int(pdus.start[0]) : int(pdus.end[0])])
+        of_eof = kind == Directive.ACK and values["acknowledged_directive"] == Directive.EOF
+        if item.state == "open" and (of_eof or kind == Directive.NAK):
+            item.state = "told"
         if kind == Directive.NAK:
-            item.state = "told" if item.state == "open" else item.state
             return [*item.again(values["segment_requests"])]
-        if kind == Directive.ACK and values["acknowledged_directive"] == Directive.EOF:
-            item.state = "told" if item.state == "open" else item.state
         if kind == Directive.FINISHED:
             item.state = "finished"
             return (_with_field(item.eof, _FINISHED_ACKNOWLEDGED),) if item.acknowledged else ()

@@ -38,7 +38,11 @@ if TYPE_CHECKING:
     TakeWithInfo = Callable[[], list[tuple[bytes, Any]]]
 
 _PRIMITIVES: Final = {
-    "bool": bool, "byte": idl.uint8, "char": idl.uint8, "float32": idl.float32, "float64": idl.float64,
+    "bool": bool,
+    "byte": idl.uint8,
+    "char": idl.uint8,
+    "float32": idl.float32,
+    "float64": idl.float64,
     **{
         f"{kind}{bits}": getattr(idl, f"{kind}{bits}") for kind in ("int", "uint") for bits in (8, 16, 32, 64)
     },

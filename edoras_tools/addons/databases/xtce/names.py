@@ -5,6 +5,7 @@ from __future__ import annotations
 import posixpath
 from collections import defaultdict
 from contextlib import suppress
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -88,7 +89,7 @@ class Declarations:
             SheetError: there is no declaration of that name.
         """
         name = name.strip()
-        places = [""] if name.startswith("/") else [system, *_above(system)]
+        places = [""] if name.startswith("/") else [system, *map(str, PurePosixPath(system).parents)]
         for place in places:
             path = posixpath.normpath(f"/{place}/{name}")
             item = self._items.get((kind, "/" + path.lstrip("/")))
@@ -125,9 +126,3 @@ def _systems(node: Node, above: str) -> Iterator[tuple[str, Node]]:
         yield path, node
         for item in node.children:
             yield from _systems(item, path)
-
-
-def _above(system: str) -> Iterator[str]:
-    while system.strip("/"):
-        system = posixpath.dirname(system)
-        yield system
