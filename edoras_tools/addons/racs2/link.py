@@ -40,14 +40,14 @@ class RacsBridgeFraming(Framing):
     """WebSocket whose messages have the header of RACS2; its reader is loaded with the first stream."""
 
     head = 14
-    largest = 1 << 20
+    largest = racs2.LARGEST_MESSAGE
     checked = True
 
     @cached_property
     def _reader(self) -> Framing:
-        from edoras_tools.addons.racs2.streams import RacsBridgeStreams
+        from edoras_tools.addons.racs2.streams import WebSocketFraming
 
-        return RacsBridgeStreams(self.largest)
+        return WebSocketFraming()
 
     def lengths(self, data: Octets, at: Integers, end: Integers | int) -> Integers:
         """Return the size in bytes of the frame, or of the side of the handshake, at each position."""

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, Endpoint, Link, PacketBatch
     from edoras_tools.wire.arrays.order import Integers, Mask
 
-LARGEST: Final = 1 << 20
 _REQUEST: Final = (
     "GET / HTTP/1.1\r\nHost: racs2\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: {racs2.SUBPROTOCOL}\r\nSec-WebSocket-Key: "
@@ -235,7 +234,7 @@ class _Sending(LinkSending):
 class BridgeSending(_Sending):
     """Messages to ROS."""
 
-    framing = WebSocketFraming(LARGEST)
+    framing = WebSocketFraming()
 
     def __init__(self, link: Link) -> None:
         super().__init__(link)
@@ -253,6 +252,6 @@ class ServerSending(_Sending):
 
     def transmitter(self, target: Endpoint) -> ServerTransmitter:
         """Listen at the target."""
-        transmitter = ServerTransmitter(target, WebSocketFraming(LARGEST))
+        transmitter = ServerTransmitter(target, WebSocketFraming())
         self._server.place = str(transmitter.local)
         return transmitter

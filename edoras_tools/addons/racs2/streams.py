@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 import zlib
 from enum import IntEnum
-from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -119,6 +119,8 @@ def masking_keys(data: Octets, at: Integers, headers: FrameHeaders) -> Octets:
 
 
 _HTTP: Final = (b"GET ", b"HTTP/1.1 ")
+_FOREIGN: Final = b"foxglove."
+"""Beginning of the names of another protocol on the same port."""
 _BLANK_LINE: Final = b"\r\n\r\n"
 _LONGEST_HANDSHAKE: Final = 8192
 _TAIL: Final = b"\0\0\xff\xff"
@@ -128,21 +130,14 @@ _EXTENSIONS: Final = re.compile(rb"(?im)^sec-websocket-extensions:[ \t]*([^\r\n]
 
 
 class WebSocketFraming(Framing):
-    """Cuts a stream into the handshake and frames.
-
-    Args:
-        longest: size in bytes of the longest message.
-    """
-
-    def __init__(self, longest: int) -> None:
-        self.longest = longest
+    """Cuts a stream into the handshake and frames; messages have the header of RACS2."""
 
     def lengths(self, data: Octets, at: Integers, end: Integers | int) -> Integers:
         """Return the size in bytes of a frame, or of a handshake up to and including its blank line."""
         room = np.broadcast_to(np.asarray(end - at), at.shape)
         headers = read_headers(data, at, end)
         size = headers.size + headers.length
-        fits = headers.valid & (headers.length <= self.longest - LARGEST_HEADER)
+        fits = headers.valid & (headers.length <= racs2.LARGEST_MESSAGE - LARGEST_HEADER)
         lengths = np.where(headers.complete, np.where(fits, size, NOT_A_MESSAGE), NOT_YET)
         first = data[np.minimum(at, len(data) - 1)]
         for text in _HTTP:  # no frame can begin with the first byte of either
@@ -151,26 +146,32 @@ class WebSocketFraming(Framing):
                 lengths[row] = _handshake_length(data[start : start + int(room[row])], text)
         return lengths.astype(np.int64)
 
+    def likely(self, data: Octets, at: Integers, end: Integers | int) -> Mask:
+        """Return where a one-frame message with a header of RACS2 begins, or a handshake; bool (n,)."""
+        headers = read_headers(data, at, end)
+        room = np.broadcast_to(np.asarray(end - at), at.shape)
+        holds = headers.valid & headers.complete & headers.final & (headers.length >= racs2.BRIDGE_HEADER)
+        holds &= (headers.opcode == Opcode.TEXT) | (headers.opcode == Opcode.BINARY)
+        holds &= ~headers.compressed & (room >= headers.size + racs2.BRIDGE_HEADER)
+        head = gather(data, np.where(holds, at + headers.size, 0), racs2.BRIDGE_HEADER)
+        head ^= np.tile(masking_keys(data, at, headers), racs2.BRIDGE_HEADER // 4)
+        handshake = ~headers.valid & (self.lengths(data, at, end) > 0)
+        return np.asarray(handshake | (holds & (_names_topic(head) | _names_msg_id(head))))
+
     def state(self) -> WebSocketState:
         """Return the state of a new connection."""
-        return WebSocketState(self.longest)
+        return WebSocketState()
 
 
 class WebSocketState:
     """State of one connection: its handshake, its incomplete messages, and how they are compressed.
 
-    Args:
-        largest: size in bytes of the longest message that is assembled.
-
     Attributes:
-        foreign: whether the connection carries another protocol than the link's.
+        foreign: whether the handshake or the first message shows another protocol, as Foxglove's.
     """
 
-    foreign_protocols: ClassVar[tuple[bytes, ...]] = ()
-
-    def __init__(self, largest: int) -> None:
-        self.foreign = False
-        self._largest = largest
+    def __init__(self) -> None:
+        self.foreign = self._judged = False
         self._partial: dict[bool, tuple[bytearray, bool]] = {}
         self._inflate: dict[bool, zlib._Decompress] = {}
         self._takeover = True
@@ -203,12 +204,21 @@ class WebSocketState:
                 start[row], content_bytes[row] = used, len(whole)
                 parts.append(np.frombuffer(whole, np.uint8))
                 used += len(whole)
-        return MessageContents(np.concatenate(parts), start, content_bytes, part)
+        contents = MessageContents(np.concatenate(parts), start, content_bytes, part)
+        messages = headers.valid & (headers.opcode < Opcode.CLOSE) & ~part
+        if not self._judged and messages.any():
+            self._judged = True
+            first = int(np.argmax(messages))
+            begin = int(start[first])
+            head = contents.data[begin : begin + min(int(content_bytes[first]), racs2.BRIDGE_HEADER)][None]
+            full = head.shape[1] == racs2.BRIDGE_HEADER
+            self.foreign |= not (full and bool((_names_topic(head) | _names_msg_id(head))[0]))
+        return contents
 
     def _handshake(self, text: bytes) -> None:
         """Note the protocol and the compression that a request or a response states."""
         protocols = b",".join(_PROTOCOL.findall(text))
-        if any(name.strip().startswith(self.foreign_protocols) for name in protocols.split(b",") if name):
+        if any(name.strip().startswith(_FOREIGN) for name in protocols.split(b",") if name):
             self.foreign = True
         if text.startswith(b"HTTP"):
             self._takeover = b"no_context_takeover" not in b",".join(_EXTENSIONS.findall(text))
@@ -223,7 +233,7 @@ class WebSocketState:
             partial[0].extend(content)
         else:
             partial = self._partial[forward] = bytearray(content), compressed
-        if len(partial[0]) > self._largest:
+        if len(partial[0]) > racs2.LARGEST_MESSAGE:
             del self._partial[forward]
             return None
         if not headers.final[row]:
@@ -236,7 +246,7 @@ class WebSocketState:
             self._inflate[forward] = zlib.decompressobj(-zlib.MAX_WBITS)
         inflate = self._inflate[forward]
         try:
-            out = inflate.decompress(data + _TAIL, self._largest)
+            out = inflate.decompress(data + _TAIL, racs2.LARGEST_MESSAGE)
         except zlib.error:
             return None
         return None if inflate.unconsumed_tail else out
@@ -256,50 +266,6 @@ def _handshake_length(data: Octets, text: bytes) -> int:
 _NAME_BYTES: Final = np.isin(
     np.arange(256), list(b"/_~0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ")
 )
-
-
-class RacsBridgeStreams(WebSocketFraming):
-    """WebSocket whose messages have the header of RACS2; Foxglove uses the same port."""
-
-    def likely(self, data: Octets, at: Integers, end: Integers | int) -> Mask:
-        """Return where a one-frame message with a header of RACS2 begins, or a handshake; bool (n,)."""
-        headers = read_headers(data, at, end)
-        room = np.broadcast_to(np.asarray(end - at), at.shape)
-        holds = headers.valid & headers.complete & headers.final & (headers.length >= racs2.BRIDGE_HEADER)
-        holds &= (headers.opcode == Opcode.TEXT) | (headers.opcode == Opcode.BINARY)
-        holds &= ~headers.compressed & (room >= headers.size + racs2.BRIDGE_HEADER)
-        head = gather(data, np.where(holds, at + headers.size, 0), racs2.BRIDGE_HEADER)
-        head ^= np.tile(masking_keys(data, at, headers), racs2.BRIDGE_HEADER // 4)
-        handshake = ~headers.valid & (self.lengths(data, at, end) > 0)
-        return np.asarray(handshake | (holds & (_names_topic(head) | _names_msg_id(head))))
-
-    def state(self) -> RacsBridgeState:
-        """Return the state of a new connection."""
-        return RacsBridgeState(self.longest)
-
-
-class RacsBridgeState(WebSocketState):
-    """State of one connection; foreign if the handshake or the first message shows another protocol."""
-
-    foreign_protocols = (b"foxglove.",)
-
-    def __init__(self, largest: int) -> None:
-        super().__init__(largest)
-        self._told = False
-
-    def contents(self, data: Octets, offset: Integers, length: Integers, forward: Mask) -> MessageContents:
-        """Return the payloads of frames; the first whole message shows whether the connection is foreign."""
-        payloads = super().contents(data, offset, length, forward)
-        headers = read_headers(data, offset, offset + length)
-        whole = headers.valid & (headers.opcode < Opcode.CLOSE) & ~payloads.part
-        if not self._told and whole.any():
-            self._told = True
-            row = int(np.argmax(whole))
-            start = int(payloads.offset[row])
-            head = payloads.data[start : start + min(int(payloads.length[row]), racs2.BRIDGE_HEADER)][None]
-            full = head.shape[1] == racs2.BRIDGE_HEADER
-            self.foreign |= not (full and bool((_names_topic(head) | _names_msg_id(head))[0]))
-        return payloads
 
 
 def _names_topic(head: Octets) -> Mask:

@@ -20,6 +20,8 @@ BRIDGE_WEBSOCKET_PORT: Final = 8765
 SUBPROTOCOL: Final = "example-protocol"
 """The subprotocol that the cFS side requests in the handshake; the public ROS side answers without one."""
 BRIDGE_HEADER: Final = 32
+LARGEST_MESSAGE: Final = 1 << 20
+"""Bytes of the longest message that is read, its WebSocket header included."""
 LARGEST_BODY: Final = 128
 """Size in bytes of the cFS side's buffer for a body; it copies longer ones beyond the buffer's end."""
 TO_ROS: Final = Layout(
