@@ -24,7 +24,7 @@ from edoras_tools.structs.shapes import ByteOrder, Key, StructLayout
 from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 
 _CLASSES: Final = frozenset({".hh", ".hpp", ".hxx", ".cc", ".cpp", ".cxx"})
@@ -109,6 +109,22 @@ def _shape(die: dwarf.Die) -> tuple[object, ...]:
     return dwarf.number_attribute(die, "DW_AT_byte_size"), *(
         (dwarf.name_of(item), dwarf.offset_of(item)) for item in dwarf.members_of(die)
     )
+
+
+def struct_name(name: str, names: Collection[str], origin: object, otherwise: str) -> str:
+    """Return the name that a struct has among others; ``_t`` may be absent, or one too many.
+
+    Args:
+        origin: file that has the structs, for the error.
+        otherwise: advice if no name is similar.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    for spelling in (name, f"{name}_t", name.removesuffix("_t"), dwarf.spelled(name)):
+        if spelling in names:
+            return spelling
+    raise ConfigError(f"{origin}: no struct {name!r}; {did_you_mean(name, names) or otherwise}")
 
 
 class DebugInfo:
@@ -283,12 +299,9 @@ class DebugInfo:
         Raises:
             ConfigError: no struct has that name; the error lists similar names.
         """
-        for spelling in (name, f"{name}_t", name.removesuffix("_t"), dwarf.spelled(name)):
-            if spelling in self._found:
-                return self._found[spelling]
-
-        hint = did_you_mean(name, self._found) or f"'edoras structs {self.path}' lists all"
-        raise ConfigError(f"{self.path}: no struct {name!r}; {hint}")
+        return self._found[
+            struct_name(name, self._found, self.path, f"'edoras structs {self.path}' lists all")
+        ]
 
     def called(self, die: dwarf.Die) -> str:
         """Return the name of a struct or an enumeration; empty if it has none."""

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.addons.debug_info.dwarf import SOURCE_SUFFIXES, DebugInfo, Listed, compiled
+from edoras_tools.addons.debug_info.dwarf import SOURCE_SUFFIXES, DebugInfo, Listed, compiled, struct_name
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.outputs import write_files
 from edoras_tools.structs import cfe
 from edoras_tools.structs.bindings import Bindings
 from edoras_tools.structs.files import LAYOUT_FILE, dumps, load_together
 from edoras_tools.structs.shapes import ENTRY_KEY, Key, StructLayout
-from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -78,12 +77,8 @@ class LayoutFile:
         return part, called
 
     def _find(self, name: str) -> str:
-        for spelling in (name, f"{name}_t", name.removesuffix("_t")):
-            if spelling in self._layout.structs:
-                return spelling
-        existing = self._layout.structs
-        hint = did_you_mean(name, existing) or f"there are {', '.join(existing)}"
-        raise ConfigError(f"{self._layout.origin}: no struct {name!r}; {hint}")
+        names = self._layout.structs
+        return struct_name(name, names, self._layout.origin, f"there are {', '.join(names)}")
 
 
 def open_types(
