@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from ipaddress import ip_address
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -152,7 +152,7 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
     if loss.hop != telemetry_output.PIPE:
         return None
     times = loss.among.times_ns if loss.among and len(loss.among.rows) else (loss.start_ns, loss.end_ns)
-    changes = _entry_commands(case, loss.instance, loss.msg_id)
+    changes = case.timeline.entry(loss.msg_id, case.instances.system(loss.instance))
     last = next((item for item in reversed(changes) if item.not_before_ns <= times[0] + SECOND), None)
     low = _limit_of(last) or queues.telemetry_pipe(case.profile).limit(loss.msg_id)
     again = [item for old, item in pairwise(changes) if old.state == "unsubscribed"]  # else its limit stays
@@ -182,22 +182,8 @@ def _other_limits(case: Case, losses: Iterable[Loss], worst: Loss) -> str:
     )
 
 
-def told_limit(case: Case, stream: Stream) -> int | None:
-    """Return the limit of a stream at Telemetry Output, if the last command on its entry set one."""
-    if not stream.link.only_from_cfs:
-        return None
-    return _limit_of(next(reversed(_entry_commands(case, case.owner(stream), stream.msg_id)), None))
-
-
 def _limit_of(command: Change | None) -> int | None:
     return command.value if command and isinstance(command.value, int) else None
-
-
-def _entry_commands(case: Case, instance: int, msg_id: int) -> list[Change]:
-    """Return the changes of an entry of Telemetry Output's table, or of all entries, in order of time."""
-    own = [StateOwner("entry", "", msg_id), StateOwner("entry")]
-    changes = (case.timeline.of(subject, case.instances.system(instance)) for subject in own)
-    return sorted(chain.from_iterable(changes), key=lambda item: item.not_before_ns)
 
 
 def crowding_of(case: Case, loss: Loss) -> str:
@@ -237,8 +223,8 @@ def advise(case: Case, loss: Loss) -> Advice:
         alike = [item for item in case.losses if _key(item) == key]
         at_output = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
         # A remedy for the lowest commanded limit also helps at the other limits.
-        lowest = {id(item): -(_limit_of(limit_command(case, item)) or _MOST) for item in alike}
-        worst = max(alike, key=lambda item: (not item.closed, lowest[id(item)], item.lost))
+        lowest = ((_limit_of(limit_command(case, item)) or _MOST, item) for item in alike)
+        worst = max(lowest, key=lambda pair: (not pair[1].closed, -pair[0], pair[1].lost))[1]
         advice = (_at_pipe if at_output else _at_application)(case, worst)
         still = stood_still(case, worst)
         because = [_other_limits(case, alike, worst) if at_output else crowding_of(case, worst), still]

@@ -576,6 +576,12 @@ class Case:
         name = self.network.identity_of.get(stream.sender, "")
         return self.instances.named(name, start_ns, stream.sender)
 
+    def commanded_limit(self, stream: Stream) -> int | None:
+        """Return the limit of a stream at Telemetry Output, if the last command on its entry set one."""
+        system = self.instances.system(self.owner(stream))
+        changes = self.timeline.entry(stream.msg_id, system) if stream.link.only_from_cfs else []
+        return next((item.value for item in changes[-1:] if isinstance(item.value, int)), None)
+
     def pipe_of(self, stream: Stream) -> str:
         """Return the name of the pipe that a telemetry stream comes out of."""
         if stream.link.only_from_cfs:

@@ -478,9 +478,8 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
         way.hop(BUS, _BY_BUS)
         way.end("not_captured", number)
         yield way
-    for refused in case.refused:
-        if count := case.commands.unplaced[id(refused)]:
-            yield _of_no_stream(case, refused, count)
+    for refused in filter(case.commands.unplaced.__getitem__, case.refused):
+        yield _of_no_stream(case, refused, case.commands.unplaced[refused])
     if drops := case.capture.drops:
         way = LedgerWay(LedgerTraffic(), drops + len(case.rows))
         way.hop(CAPTURE, {"in": "the capture's own counter", "out": SEEN})

@@ -18,7 +18,6 @@ import numpy as np
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
-from edoras_tools.diagnosis.advice import told_limit
 from edoras_tools.diagnosis.constants import find_round
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.streams import Stream, bursts, full_rounds
@@ -276,7 +275,7 @@ class _Learner:
     def _limit(self, stream: Stream, period_ns: int) -> Iterator[LearnedConstant]:
         """Yield the limit of messages of a MsgId at Telemetry Output."""
         case = self._case
-        command = told_limit(case, stream)
+        command = case.commanded_limit(stream)
         known_id = case.context.msg_ids.of_known(stream.known_id)
         if command:
             text = "the last command that adds it says so"

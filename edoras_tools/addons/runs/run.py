@@ -23,7 +23,7 @@ from edoras_tools.addons.runs.observation import Examined, Subject, examine_or_c
 from edoras_tools.addons.runs.values import TopicValues, ValueCount
 from edoras_tools.cfs import queues
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
-from edoras_tools.diagnosis.advice import Arrivals, published_into, told_limit
+from edoras_tools.diagnosis.advice import Arrivals, published_into
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import FILE_SUFFIXES
 from edoras_tools.pipelines.capture.info import Counting
@@ -84,7 +84,7 @@ def _model(case: Case, stream: Stream) -> list[int]:
         way = queues.ci_socket(profile), queues.application_pipe(profile)
         return arrivals.lost(way, stream.msg_id, _PHASES)
     if stream.link.only_from_cfs:
-        limit = told_limit(case, stream)
+        limit = case.commanded_limit(stream)
         pipe = queues.telemetry_pipe(profile)
         return published_into(case, stream).lost(
             (pipe.with_limit(stream.msg_id, limit),), stream.msg_id, _PHASES

@@ -23,7 +23,7 @@ from msgspec.structs import asdict
 
 from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import BUS, COUNTERS, Among
-from edoras_tools.diagnosis.advice import published_at, told_limit
+from edoras_tools.diagnosis.advice import published_at
 from edoras_tools.diagnosis.ledger import APPLICATION, LedgerEntry, LedgerWay
 from edoras_tools.model import rate_hz
 from edoras_tools.units import SECOND
@@ -227,7 +227,7 @@ def rounds_out(case: Case, stream: Stream) -> Rounds:
     # A missing message would have left between the one before and the one behind.
     after = np.append(departure[1:], departure[-1:])[row]
     wake = np.where(out, departure[row], np.clip(np.searchsorted(wakes, times), departure[row], after))
-    command = told_limit(case, stream)
+    command = case.commanded_limit(stream)
     limit = command if command is not None else queue.limit(stream.msg_id)
     is_told = command is not None or stream.msg_id in case.constants.learned
     return Rounds(

@@ -88,8 +88,11 @@ def closed_at(case: Case, stream: Stream, at: Places) -> Mask:
     if stream.link.only_from_cfs:
         # Telemetry Output that sends from another port has restarted, and lost its destination.
         out |= rows.source[stream.rows[at]] != rows.source[stream.rows[behind]]
-        added_ns = _commanded_ns(case, stream, telemetry_output.ADD_PACKET)
-        stops_ns = _commanded_ns(case, stream, *telemetry_output.STOPS)
+        changes = case.timeline.entry(stream.msg_id, case.instances.system(case.owner(stream)))
+        added_ns, stops_ns = (
+            np.array([item.not_before_ns for item in changes if item.state == state], np.int64)
+            for state in ("subscribed", "unsubscribed")
+        )
         for when in added_ns[:1][added_ns[:1] < stops_ns.min(initial=NEVER)]:
             out |= (starts < when) & (when < ends)  # it may have been removed before the capture began
         for when in stops_ns:
@@ -114,12 +117,6 @@ def closed_at(case: Case, stream: Stream, at: Places) -> Mask:
 def routes_cut(case: Case, stream: Stream) -> list[StateSpan]:
     """Return the spans in which a command had disabled the route of a stream's MsgId on its software bus."""
     return case.timeline.spans(StateOwner("route", "", stream.msg_id), "cut", case.system(stream))
-
-
-def _commanded_ns(case: Case, stream: Stream, *codes: int) -> Integers:
-    """Return the times of commands to Telemetry Output about a stream's MsgId, or about all: i64, ns."""
-    about = (item for item in case.payloads.outputs(*codes) if item.entry in {-1, stream.msg_id})
-    return np.array([item.time_ns for item in about], np.int64)
 
 
 def containing(stream: Stream, at: Places, spans: Sequence[tuple[int, int]]) -> Mask:

@@ -52,6 +52,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes
 from edoras_tools.diagnosis.matching.streams import Stream, counted_gaps, full_rounds
 from edoras_tools.diagnosis.quality import CONFIDENCE, overlapping
+from edoras_tools.diagnosis.verdict import Verdict
 from edoras_tools.model import Finding
 from edoras_tools.wire.arrays.order import Integers, Mask, Places, distinct
 from edoras_tools.words import plural
@@ -65,7 +66,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.relays import LostInRelay
     from edoras_tools.diagnosis.matching.crossing import Hop
-    from edoras_tools.diagnosis.verdict import Verdict
 
 _COUNTS: Final = 256
 _WRAPPED: Final = 128
@@ -81,9 +81,9 @@ class Commands:
         telemetry: losses of telemetry by sequence counts.
         fates: stream to the fates of its messages.
         losses: losses of messages into cFS.
-        unplaced: id of a refusal to the number of its messages that no stream has.
-        placed: id of a refusal to the number of its messages in a stream, and among which they are.
-        refused_of: stream to the refusals of its messages, each with the values of ``placed``.
+        unplaced: refusal to the number of its messages that no stream has.
+        placed: refusal to the number of its messages that a stream has.
+        refused_of: stream to the refusals of its messages, each with their number, and among which they are.
         relayed: stream to the losses in a relay in front of cFS, both sides of which are captured.
         never_came: stream to the number of its sequence counts that the capture does not have.
         uncaptured: instance to the losses that it counted while the capturing interface was away, and that no
@@ -93,10 +93,10 @@ class Commands:
     def __init__(self, case: Case, telemetry: Telemetry) -> None:
         self._case, self.telemetry = case, telemetry
         self.losses: list[Loss] = []
-        self.unplaced: dict[int, int] = {}
+        self.unplaced, self.placed = Counter[Verdict](), Counter[Verdict]()
+        self.refused_of: dict[Stream, list[tuple[Verdict, int, Among]]] = {}
         self.relayed: dict[Stream, LostInRelay] = {}
         self.never_came: dict[Stream, int] = {}
-        self.placed: dict[int, tuple[int, Among]] = {}
         self.fates: dict[Stream | None, Fate] = {
             stream: follow(case, stream)
             for stream in case.streams
@@ -160,10 +160,6 @@ class Commands:
         doubt(case, telemetry, fates, self.losses)
         leftover.make_losses()
         self.uncaptured = leftover.uncaptured
-        self.refused_of: dict[Stream, list[tuple[Verdict, int, Among]]] = {}
-        for item in case.refused:
-            if placed := self.placed.get(id(item)):
-                self.refused_of.setdefault(placed[1].stream, []).append((item, *placed))
         self._take_back_refused()
         self._mark_undecidable(fates)
         self._number(fates)
@@ -378,7 +374,7 @@ class Commands:
 
     def refusals(self, item: Verdict) -> int:
         """Return how many messages were lost by a refusal, and by nothing else."""
-        return self.unplaced[id(item)] + self.placed.get(id(item), (0, None))[0]
+        return self.unplaced[item] + self.placed[item]
 
     def _alike(self, item: Verdict) -> Iterator[tuple[Fate, Mask]]:
         """Yield the streams that a refusal can be of, each with a mask of the messages in its span."""
@@ -404,7 +400,8 @@ class Commands:
         """
         if number := fate.claim(inside[:most]):
             fate.refused[item.rule] += number
-            self.placed[id(item)] = number, Among(fate.stream, inside)
+            self.placed[item] += number
+            self.refused_of.setdefault(fate.stream, []).append((item, number, Among(fate.stream, inside)))
         return number
 
     def _refuse(self, *, counted: bool) -> None:
@@ -431,7 +428,7 @@ class Commands:
                     rest = number - self._case.perhaps_missed(int(within.sum()), number)  # some come out
                 self._place(item, fate, rows, rest)
                 rest = 0  # the others arrived, or are in another verdict
-            self.unplaced[id(item)] = rest
+            self.unplaced[item] += rest
 
     @staticmethod
     def _swap_refused(fate: Fate, rows: Places) -> None:
@@ -462,7 +459,7 @@ class Commands:
                 part = max(0, min(over, number))
                 over -= part
                 placed[place] = item, number - part, ones
-                self.placed[id(item)] = number - part, ones
+                self.placed[item] -= part
                 fate.refused[item.rule] -= part
 
     def _name(self, refused: Sequence[Verdict]) -> None:
@@ -470,7 +467,6 @@ class Commands:
 
         The types are wrong if a message arrived that does not fit them.
         """
-        self.unplaced |= dict.fromkeys(map(id, refused), 0)
         verdicts: dict[Stream, list[tuple[Verdict, Mask]]] = {}
         for item in refused:
             for fate, within in self._alike(item):

@@ -462,16 +462,8 @@ class Leftover:
     def _absent(self) -> Iterator[tuple[ReportedLoss, LossEvents, PipeKind]]:
         """Yield losses that events name and whose traffic is not captured, such as a scheduler's wake-ups."""
         for item, report in self._case.reported_losses.items():
-            if item.at_pipe and not (self._seen_behind(item) or self._fed(item, item.instance)):
+            if item.at_pipe and not (self._seen_behind(item) or self._fed(item)):
                 yield item, report, item.at_pipe
-
-    def _followed(self) -> Iterator[tuple[ReportedLoss, LossEvents, PipeKind, Stream]]:
-        """Yield losses that events name at the pipe of an application whose output is captured."""
-        for item, report in self._case.reported_losses.items():
-            if item.at_pipe and not (item.at_output or item.at_peer):
-                fate = self._fed(item, item.instance)
-                if fate is not None and fate.seen:
-                    yield item, report, item.at_pipe, fate.stream
 
     def take_reported(self) -> None:
         """Assign one count to every loss event, and make losses of those whose traffic is not captured."""
@@ -482,10 +474,14 @@ class Leftover:
                     self._blame(
                         self._from_events(item, report), range(0), (item.instance, kind), number, times
                     )
-        for item, report, kind, stream in self._followed():
-            if claims := self._settled(item, report, kind):
-                own = [claim for claim in self._pipes.claims if claim.flow == stream]
-                hand_on(self._counts[item.instance], item.instance, kind, claims, own)
+        # At the pipe of an application whose output is captured, they are among the messages that lack there.
+        for item, report in self._case.reported_losses.items():
+            fate, at_pipe = self._fed(item), item.at_pipe
+            if fate is None or not (fate.seen and at_pipe) or item.at_output or item.at_peer:
+                continue
+            own = [claim for claim in self._pipes.claims if claim.flow == fate.stream]
+            if claims := self._settled(item, report, at_pipe):
+                hand_on(self._counts[item.instance], item.instance, at_pipe, claims, own)
 
     def _settled(self, item: ReportedLoss, report: LossEvents, kind: PipeKind) -> list[Claim]:
         """Return a claim a second for the events of one loss, settled."""
@@ -537,12 +533,10 @@ class Leftover:
         case, same = self._case, Counter((item.sender, item.msg_id) for item in self._case.streams)
         for stream in (item for item in case.streams if item.counted and not item.link.only_to_cfs):
             at, last_ns = case.owner(stream), int(stream.time_ns[-1])
-            pipe = queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe
-            changes = case.timeline.of(StateOwner("entry", "", stream.msg_id), case.instances.system(at))
-            limits = [item.value for item in changes if isinstance(item.value, int) and item.value]
-            limit = [pipe(case.profile).limit(stream.msg_id), *limits][-1]
+            pipe = (queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe)(case.profile)
+            limit = case.commanded_limit(stream) or pipe.limit(stream.msg_id)
             alone = at in self._counts and same[stream.sender, stream.msg_id] == 1
-            if alone and len(_full(stream.time_ns[-limit:], case.profile.to_wake_ns, limit)):
+            if alone and len(_full(stream.time_ns[-limit:], pipe.round_ns, limit)):
                 yield Rival(stream, at, "limit", last_ns, last_ns + LATE_NS)
 
     def _ticked(self) -> Iterator[tuple[Outage, int]]:
@@ -622,11 +616,7 @@ class Leftover:
                         fate.ends["shared"] += min(share, len(fate.stream))
                 flows = frozenset(item.stream for item in rivals if item.stream is not None)
                 self._together(Shared(instance, kind, flows, share, *times), {item.labels for item in rivals})
-            number -= share
-            for second in seconds:
-                part = min(int(rest[second]), number)
-                number -= part
-                rest[second] = part
+            rest[seconds] = np.diff(np.minimum(np.cumsum(rest[seconds]), number - share), prepend=0)
 
     def _leave_earlier(
         self, candidates: Sequence[_Candidate], counts: Counts, kind: PipeKind, old: Mask
@@ -658,7 +648,7 @@ class Leftover:
             # Losses at a pipe whose output is captured show as gaps there, except after its last message.
             if any(stream.time_ns[-1] > report.first_ns for stream in out):
                 continue
-            fate = self._fed(reported, instance)
+            fate = self._fed(reported)
             if fate is None:
                 candidates.append(self._from_events(reported, report))
             elif not fate.seen:
@@ -696,15 +686,12 @@ class Leftover:
             stream.msg_id, pipe, stream, stream, spans, since_ns, sender, report, times, queue, counted_ns
         )
 
-    def _fed(self, reported: ReportedLoss, instance: int) -> Fate | None:
+    def _fed(self, reported: ReportedLoss) -> Fate | None:
         """Return the fate of the captured traffic that a reported loss is of; None if there is none."""
         link = carrying("flight" if reported.sender.startswith("SBN") else "ground", to_cfs=True)
-        for fate in self._fates.values():
-            stream = fate.stream
-            same = stream.msg_id == reported.msg_id and stream.link is link
-            if same and self._case.goes_to(stream, instance):
-                return fate
-        return None
+        alike = (fate for fate in self._fates.values() if fate.stream.link is link)
+        own = (fate for fate in alike if fate.stream.msg_id == reported.msg_id)
+        return next((fate for fate in own if self._case.goes_to(fate.stream, reported.instance)), None)
 
     def _suspects(self, instance: int) -> Iterator[_Candidate]:
         case = self._case

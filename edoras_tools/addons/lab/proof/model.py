@@ -36,7 +36,7 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
 from edoras_tools.cfs.queues import QueueEnd
 from edoras_tools.cfs.telemetry_output import COMMAND_MSG_ID as TO_COMMAND
-from edoras_tools.diagnosis.advice import Arrivals, published_at, told_limit
+from edoras_tools.diagnosis.advice import Arrivals, published_at
 from edoras_tools.diagnosis.ledger import PEER_RESTARTED, UNHEARD
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.links.table import among
@@ -417,7 +417,7 @@ def _with_others(case: Case, model: Model, inputs: ModelInput) -> ModelInput:
         if 2 * entered > len(times):
             continue
         published[stream.msg_id] = max(times, published.get(stream.msg_id, times), key=len)
-        if stream.link.only_from_cfs and told_limit(case, stream) is None:
+        if stream.link.only_from_cfs and case.commanded_limit(stream) is None:
             limits.setdefault(stream.msg_id, inputs.profile.to_default_limit)
     return inputs._replace(published=published, profile=replace(inputs.profile, to_limits=limits))
 

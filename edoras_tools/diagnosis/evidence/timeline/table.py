@@ -136,6 +136,11 @@ class Timeline:
                 out.append(StateSpan(item.not_before_ns, item.not_after_ns, *ends, item, end))
         return out
 
+    def entry(self, msg_id: int, system: int) -> list[Change]:
+        """Return the changes of an entry of Telemetry Output's table, or of all entries, in order of time."""
+        both = [*self.of(StateOwner("entry", "", msg_id), system), *self.of(StateOwner("entry"), system)]
+        return sorted(both, key=lambda item: item.not_before_ns)
+
     def every(self, *states: str) -> Iterator[StateSpan]:
         """Yield the spans of all subjects in any of some states."""
         for system, subject in self.subjects:
@@ -242,8 +247,8 @@ def _spans(timeline: Timeline, subject: StateOwner, state: str, system: int) -> 
     """Return the spans of a subject in a state; a change of all entries of a table applies to each entry."""
     if subject.kind != "entry":
         return timeline.spans(subject, state, system)
-    both = [*timeline.of(subject, system), *timeline.of(StateOwner("entry"), system)]
-    return Timeline(replace(item, subject=subject) for item in both).spans(subject, state, system)
+    both = (replace(item, subject=subject) for item in timeline.entry(subject.msg_id, system))
+    return Timeline(both).spans(subject, state, system)
 
 
 def _blocking(way: Way) -> Iterator[tuple[int, StateOwner, Sequence[str]]]:
