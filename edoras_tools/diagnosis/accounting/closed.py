@@ -147,14 +147,19 @@ def lacks_control(case: Case, stream: Stream) -> bool:
     return not rows.on(lambda link: link.only_to_cfs).any()
 
 
+def may_lack_control(case: Case, stream: Stream) -> bool:
+    """Return whether the capture lacks all of them, or surely misses datagrams, perhaps some of them."""
+    return lacks_control(case, stream) or (stream.link.only_from_cfs and case.quality.lacks_answered)
+
+
 def unexplained_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], ...]:
     """Return spans in which nothing came on a stream's way, and the capture does not show whether it should.
 
     Returns:
-        Spans without any packet where the controlling commands are not captured; and spans without any packet
-        after which fewer MsgIds came, so that Telemetry Output was commanded, captured or not.
+        Spans without any packet where the controlling commands may not be captured; and spans without any
+        packet after which fewer MsgIds came, so that Telemetry Output was commanded, captured or not.
     """
-    controlled, output = not lacks_control(case, stream), stream.link.only_from_cfs
+    controlled, output = not may_lack_control(case, stream), stream.link.only_from_cfs
     rows = case.rows
     own = (rows.source == stream.sender) & (rows.destination == stream.receiver)
     times = _sent_by(case, stream.sender) if output else rows.time_ns[own & (rows.msg_id != NO_MSG_ID)]
@@ -386,7 +391,7 @@ class Outage(NamedTuple):
         start_ns: the command to stop it, or the event that it stopped.
         end_ns: the event that it started again; None if there is none.
         ended_ns: from this time on it surely received nothing.
-        asked_ns: until this time it surely received nothing: then it was commanded to start.
+        asked_ns: until this time it surely received nothing: then it was commanded to start; else ``NEVER``.
         witness: commands and events that show it.
         system: number of its cFS.
         restarted: whether it was restarted; else it was stopped.
@@ -503,8 +508,10 @@ class Stops:
     def _mark(self, fate: Fate, item: Outage) -> None:
         """Mark the messages that a stopped application did not receive (rule 8)."""
         times = fate.stream.time_ns
-        back = times[fate.arrived & (times > item.start_ns + WAITS_NS)]
-        until_ns = int(back[0]) if len(back) else NEVER
+        # A message that came out shows that it runs, also one whose origin is not known or was sent before.
+        out_ns = (np.maximum(hop.out.time_ns, (hop.origin >= 0) * times[hop.origin]) for hop in fate.hops)
+        came_ns = np.concatenate((times[fate.arrived], *out_ns))
+        until_ns = int(came_ns[came_ns > item.start_ns + WAITS_NS].min(initial=NEVER))
         left_ns = READY_NS + 1 if item.end_ns is None else self._case.end_ns - item.end_ns
         if until_ns == NEVER and not 0 <= left_ns <= READY_NS:
             self._await_no_more(fate, item)
@@ -683,9 +690,7 @@ class Stops:
                 if not len(inner):
                     continue
                 kind, hop, text = causes[place]
-                evidence = [text]
-                if number:
-                    evidence.append(f"0x803 counted {number:,} of them: nobody read the pipe")
+                evidence = [text, *[f"0x803 counted {number:,} of them: nobody read the pipe"] * bool(number)]
                 self.losses.append(fate.loss(kind, inner, evidence, hop=hop))
 
     def _unfollowed(self, fate: Fate, own: Sequence[Outage]) -> None:
@@ -702,10 +707,7 @@ class Stops:
         if not surely and len(alike) == 1 and len({item.app for item in own}) == 1:
             surely = list(own)
         for item in surely:
-            inside = fate.open & (times > item.ended_ns)
-            if item.end_ns is not None:
-                inside &= times < item.asked_ns
-            lacking = np.flatnonzero(inside)
+            lacking = np.flatnonzero(fate.open & (times > item.ended_ns) & (times < item.asked_ns))
             if fate.claim(lacking):
                 self.losses.append(fate.loss("stopped", lacking, [item.witness], hop=item.app))
         first = min(surely or own, key=lambda item: item.start_ns)

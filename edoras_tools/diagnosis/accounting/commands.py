@@ -129,6 +129,8 @@ class Commands:
         # All claims on the counters are settled together: first surely missing messages, then possible ones.
         leftover = Leftover(case, self.fates, pipes)
         leftover.take_reported()
+        if case.quality.lacks_answered:
+            leftover.leave_away()
         shared = settle_known(counts, claims, leftover.rivals())
         if case.quality.lacks_answered:  # a missing message may be lost, or only missed by the capture
             shared += share_open(counts, claims)
@@ -580,10 +582,12 @@ class Commands:
             fate.ends["queued"] = min(fate.ends["queued"], rest)
             fate.ends["late"] = min(fate.ends["late"], rest - fate.ends["queued"])
             rest -= fate.ends["queued"] + fate.ends["late"]
-            late = fate.stream.time_ns > self._case.end_ns - WAITS_NS
+            times = fate.stream.time_ns
+            late = times > self._case.end_ns - WAITS_NS
             bare = rows.packet_length[fate.stream.rows] <= rows.header_length[fate.stream.rows]
+            bare |= overlapping(times, times + WAITS_NS, self._case.blind)
             self._make_unaccounted(fate, rest - int((late | bare).sum()))
-            # A command without a message reaches no robot; some of these may be lost already.
+            # A command without a message reaches no robot, others one that nothing shows; some may be lost.
             fate.ends["elsewhere"] += min(int(bare.sum()), max(0, rest))
 
     def _make_unaccounted(self, fate: Fate, number: int) -> None:

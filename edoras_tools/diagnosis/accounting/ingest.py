@@ -563,13 +563,15 @@ class _Counted:
         """Return the most datagrams sent before the first count that can be missing in it.
 
         Until the first sample CI read no more than it can in that time. Until the first command of the
-        capture came out, CI read only datagrams from before the capture, because it reads in order.
+        capture came out, or until its socket was empty, CI read only datagrams from before the capture,
+        because it reads in order.
         """
         first = self._own[0]
         since_ns = int(self._sent_ns[0]) if len(self._sent_ns) else first.seen_ns
         most = self._most * max(0, 2 + (first.seen_ns - since_ns) // self._profile.ci_wake_ns) - first.count
         out_ns, went_ns = self._first_out
-        until = [item for item in self._own[:end] if item.seen_ns <= out_ns]
+        idle = np.append(np.flatnonzero(np.diff(self._count[:end]) < self._most), end)
+        until = [item for item in self._own[:end][: idle[0] + 1] if item.seen_ns <= out_ns]
         return min(most, int(self._sent_until(went_ns)) - until[-1].count) if until else most
 
     def _most_waited(self, before: int) -> int:

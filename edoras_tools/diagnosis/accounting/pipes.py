@@ -304,11 +304,15 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
         # Part of the pipe's traffic may not be captured: half its depth is taken as full.
         most_ns = _full(times, period, min(queue.depth // 2, measured_depth(times, period)))
         return _beside(most_ns, own[at] - period, own[at + 1] + period, missing[at])
-    rounds, clean = case.rounds(stream, span), limit
+    rounds, clean, times = case.rounds(stream, span), limit, case.times(stream)
     if not full and rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
         clean, limit = rounds.most, max(limit, rounds.most)
+    limits = np.full(len(times), limit)  # and those that commands set, from then on
+    system = case.instances.system(case.owner(stream))
+    for change in case.timeline.entry(stream.msg_id, system) if output else ():
+        limits[times > change.not_before_ns] = change.value if isinstance(change.value, int) else limit
     # Other senders may use the MsgId: their messages fill the pipe too.
-    if _beside(_full(case.times(stream), period, limit), own[at], own[at + 1], missing[at]):
+    if _beside(_full(times, period, limits), own[at], own[at + 1], missing[at]):
         return True
     inside = own[span.rows]
     later = len(inside) - int(np.searchsorted(inside, inside[0] + period // 2))
@@ -329,8 +333,8 @@ def measured_depth(times: Integers, period: int) -> int:
     return most if (sizes == most).sum() > _OFTEN else int(np.iinfo(np.int64).max)
 
 
-def _full(times: Integers, period: int, most: int) -> Integers:
-    """Return those of some times at which a burst has reached ``most`` messages."""
+def _full(times: Integers, period: int, most: int | Integers) -> Integers:
+    """Return those of some times at which a burst has reached ``most`` messages, of all times or of each."""
     burst = np.arange(1, len(times) + 1) - np.searchsorted(times, times - period // 2)
     return times[burst >= most]
 
@@ -440,17 +444,22 @@ class Leftover:
         """
         for item in shared:
             self._together(item, {self._labels(flow) for flow in item.flows})
+        self.leave_away()
         for instance, counts in self._counts.items():
-            away = self._away(counts)
             for kind, rest in counts.left.items():
-                if number := int(rest[away].sum()):
-                    self.uncaptured[instance] += number
-                    rest[away] = 0
                 if rest.any() or counts.first.get(kind, 0):
                     self._leftover(instance, counts, kind)
                 old = self._old(instance)
                 counts.older += int(rest[old].sum())
                 rest[old] = 0
+
+    def leave_away(self) -> None:
+        """Leave the counts that may be of messages sent while the capturing interface was away to these."""
+        for instance, counts in self._counts.items():
+            away = self._away(counts)
+            for rest in counts.left.values():
+                self.uncaptured += Counter({instance: int(rest[away].sum())})  # which drops 0
+                rest[away] = 0
 
     def _away(self, counts: Counts) -> Mask:
         """Return which seconds may count messages that were sent while the capturing interface was away.

@@ -10,7 +10,13 @@ import numpy as np
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.software_bus import NAME
 from edoras_tools.diagnosis.accounting.budget import limit
-from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT, lacks_control
+from edoras_tools.diagnosis.accounting.closed import (
+    PORT_CLOSED,
+    REFUSED,
+    UDP_PORT,
+    lacks_control,
+    may_lack_control,
+)
 from edoras_tools.diagnosis.accounting.losses import BUS, Fate, Loss
 from edoras_tools.diagnosis.advice import loss_verdict, lost_at
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
@@ -288,7 +294,7 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
 
 def _why_undecided(case: Case, stream: Stream) -> tuple[str, str]:
     """Return why nothing tells what became of counts that are missing, and what would tell."""
-    if not lacks_control(case, stream):
+    if not may_lack_control(case, stream):
         why = (
             "the capture cut off when packets were made, so nothing tells whether they were lost, not sent, "
         )
@@ -296,7 +302,10 @@ def _why_undecided(case: Case, stream: Stream) -> tuple[str, str]:
     if stream.link.peers:
         why = "what the peer sends is not in the capture, or cut, so nothing tells whether it was to get them"
         return f"SBN sent it none then, and {why}", "capture what the peer sends, too, in whole frames"
-    why = "no command to cFS is in the capture, so nothing tells whether it was told not to send them"
+    why = "no command to cFS is in the capture"
+    if not lacks_control(case, stream):
+        why = "the capture misses some datagrams, perhaps a command to it"
+    why = f"{why}, so nothing tells whether it was told not to send them"
     return f"Telemetry Output sent none then, and {why}", "capture what is sent to CI, too"
 
 

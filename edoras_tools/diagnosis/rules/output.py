@@ -246,9 +246,10 @@ def _silent(case: Case) -> Iterator[Verdict]:
     silenced = case.telemetry.silenced
     for sender in dict.fromkeys(stream.sender for stream, lost, _ in silenced if lost):
         spans = case.silences_of(sender)
-        for start_ns, end_ns in spans:
-            own = ((lost, among.times_ns) for item, lost, among in silenced if item.sender == sender)
-            number = sum(lost for lost, (before_ns, behind_ns) in own if before_ns <= start_ns < behind_ns)
+        for (_, back_ns), (start_ns, end_ns) in pairwise([(0, 0), *spans]):
+            own = ((lost, *among.times_ns) for item, lost, among in silenced if item.sender == sender)
+            # A gap over several silences is counted in the first of them.
+            number = sum(lost for lost, before, behind in own if back_ns <= before <= start_ns < behind)
             if not number:
                 continue
             failed = case.suppressed((start_ns, end_ns))
