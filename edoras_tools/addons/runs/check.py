@@ -9,12 +9,13 @@ import msgspec
 from msgspec.structs import asdict
 
 from edoras_tools.addons.runs.expectations import LOSS_KEYS
-from edoras_tools.addons.runs.figures import Figures, Parts
 from edoras_tools.addons.runs.observation import (
     NOT_OBSERVABLE,
     Examined,
+    Figures,
     FilterCount,
     Observation,
+    Parts,
     examine_or_count,
 )
 from edoras_tools.diagnosis.ledger import CAPTURE

@@ -44,8 +44,7 @@ from edoras_tools.wire import cfe
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from edoras_tools.addons.runs.run import Run
-    from edoras_tools.addons.runs.values import FieldValues, TopicValues
+    from edoras_tools.addons.runs.run import FieldValues, Run, TopicValues
 
     Key = tuple[str, str, int]
     """Link, MsgId and spacecraft."""

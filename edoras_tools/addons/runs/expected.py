@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.addons.runs.values import TopicValues
+    from edoras_tools.addons.runs.run import TopicValues
 
 _WINDOW_NS: Final = SECOND
 _PERCENT: Final = 10.0

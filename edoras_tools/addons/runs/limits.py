@@ -22,8 +22,8 @@ from edoras_tools.intervals import MEAN_CONFIDENCE, MeanInterval
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from edoras_tools.addons.runs.figures import Figures
-    from edoras_tools.addons.runs.values import FieldValues
+    from edoras_tools.addons.runs.observation import Figures
+    from edoras_tools.addons.runs.run import FieldValues
 
 _DIGITS: Final = 15
 """Most decimals of a number; with more, it is written with an exponent."""
