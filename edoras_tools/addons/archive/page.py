@@ -11,23 +11,14 @@ import msgspec
 from edoras_tools.addons.archive.views import short
 from edoras_tools.older import UTC
 from edoras_tools.render import units
+from edoras_tools.render.pages import parts
 from edoras_tools.render.pages.charts import CHART_WIDTH, LEFT, RIGHT, Frame, TimeSpan, svg_box
-from edoras_tools.render.pages.parts import (
-    chart_card,
-    colour_key,
-    contents,
-    document,
-    footer,
-    heading,
-    section,
-)
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from edoras_tools.render.pages.parts import Made
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _MOST_WORST: Final = 20
@@ -124,30 +115,32 @@ class _DateFrame(Frame):
         return marks
 
 
-def archive_page(trends: ArchiveTrends, origin: Made) -> str:
+def archive_page(trends: ArchiveTrends, origin: parts.Made) -> str:
     """Return the HTML page."""
     calendar = _Calendar.of(trends)
     sections = [
-        section(
+        parts.section(
             "Runs over time",
             _runs(trends, calendar),
-            colour_key((("note", "nothing missing"), ("error", "something missing"))),
+            parts.colour_key((("note", "nothing missing"), ("error", "something missing"))),
         ),
-        section(
+        parts.section(
             "Runs and topics",
             _heat_map(trends),
-            colour_key([(f"heat{place}", text) for place, text in enumerate(_HEATS)]),
+            parts.colour_key([(f"heat{place}", text) for place, text in enumerate(_HEATS)]),
         ),
-        section("Trends", _trends(trends, calendar), colour_key((("error", "lost or unaccounted for"),))),
-        section("Latency", _delays(trends, calendar)),
-        section("Worst routes", [_routes(trends)] if trends.routes else []),
-        section("Worst runs", [_worst(trends)] if trends.totals["with_loss"] else []),
-        section("Verdicts by rule", [_rules(trends)] if trends.rules else []),
-        section("Not whole", _errors(trends)),
+        parts.section(
+            "Trends", _trends(trends, calendar), parts.colour_key((("error", "lost or unaccounted for"),))
+        ),
+        parts.section("Latency", _delays(trends, calendar)),
+        parts.section("Worst routes", [_routes(trends)] if trends.routes else []),
+        parts.section("Worst runs", [_worst(trends)] if trends.totals["with_loss"] else []),
+        parts.section("Verdicts by rule", [_rules(trends)] if trends.rules else []),
+        parts.section("Not whole", _errors(trends)),
     ]
-    return document(
+    return parts.document(
         f"edoras archive report: {trends.name}",
-        [_head(trends), contents(sections), *sections, footer(origin)],
+        [_head(trends), parts.contents(sections), *sections, parts.footer(origin)],
     )
 
 
@@ -163,7 +156,7 @@ def _head(trends: ArchiveTrends) -> str:
     )
     when = f"{units.utc(totals['start_ns'], digits=0)} to {units.utc(totals['end_ns'], digits=0)} UTC"
     return (
-        f"<header>{heading(short(trends.name))}"
+        f"<header>{parts.heading(short(trends.name))}"
         f'<p class="dim">{plural(totals["captures"], "run")}, {totals["datagrams"]:,} datagrams, '
         f"{units.duration(totals['seconds'])} in all, {when}</p>"
         f'<p class="end-note {style}">{text}</p></header>'
@@ -180,13 +173,13 @@ def _runs(trends: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
     frame = _DateFrame(calendar, most or 1.0, "% missing", "share of each run's messages that is missing")
     for lossy, style in ((False, "run"), (True, "run lossy")):
         frame.dots(_apart(frame, ((x, y) for x, y, _ in shares if bool(y) is lossy)), style)
-    yield chart_card("Missing of what was sent, a dot for each run", frame.svg())
+    yield parts.chart_card("Missing of what was sent, a dot for each run", frame.svg())
     counts = [0.0] * _bins(trends)
     for row in trends.runs:
         counts[min((row["start_ns"] - trends.totals["start_ns"]) // trends.bin_ns, len(counts) - 1)] += 1
     frame = _DateFrame(calendar, max(counts), "runs", "runs over time")
     frame.bars(counts, [0.0] * len(counts), trends.bin_ns / 1e9, "seen all")
-    yield chart_card("Runs", frame.svg(), f"a bar is {_round_time(trends.bin_ns / SECOND)}")
+    yield parts.chart_card("Runs", frame.svg(), f"a bar is {_round_time(trends.bin_ns / SECOND)}")
 
 
 def _round_time(seconds: float) -> str:
@@ -236,7 +229,7 @@ def _heat_map(trends: ArchiveTrends) -> Iterable[str]:
         f"a column a run, the oldest first, {which}{len(captures)} runs; empty where it has none of a topic"
     )
     picture = svg_box("".join(inside), 4 + _STRIP * len(routes), title)
-    yield chart_card("Missing of what was sent, topic by topic", picture, note)
+    yield parts.chart_card("Missing of what was sent, topic by topic", picture, note)
 
 
 def _trends(archive: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
@@ -250,7 +243,7 @@ def _trends(archive: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
         missing = row["lost"] + row["unaccounted"]
         runs = f"{row['with_loss']:,} of {plural(row['captures'], 'run')}"
         note = f"{missing:,} of {row['sent']:,} missing, in {runs}"
-        yield chart_card(f"{row['route']}, {row['link'].upper()}".rstrip(", "), frame.svg(), note)
+        yield parts.chart_card(f"{row['route']}, {row['link'].upper()}".rstrip(", "), frame.svg(), note)
 
 
 def _delays(trends: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
@@ -261,7 +254,9 @@ def _delays(trends: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
             f"a dot is the 99th percentile of a run, the highest {units.milliseconds(row['p99_ms'])}; "
             f"{row['timed']:,} messages in {plural(row['captures'], 'run')}"
         )
-        yield chart_card(f"{row['route']}, {row['link'].upper()}, {_PARTS[row['part']]}", frame.svg(), note)
+        yield parts.chart_card(
+            f"{row['route']}, {row['link'].upper()}, {_PARTS[row['part']]}", frame.svg(), note
+        )
 
 
 def _routes(trends: ArchiveTrends) -> str:
