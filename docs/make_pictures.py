@@ -19,8 +19,8 @@ from textual.widgets import Input
 
 from edoras_tools.addons.plot.request import parse_request
 from edoras_tools.addons.plot.series import open_recordings, read_plot
-from edoras_tools.addons.report.sankey import sankey
-from edoras_tools.addons.trace.pictures import standalone
+from edoras_tools.addons.report.charts import sankey
+from edoras_tools.addons.trace.views import standalone
 from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
 from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.info import inspect

@@ -18,7 +18,7 @@ from edoras_tools.addons.plot.series import open_recordings, read_plot
 from edoras_tools.addons.report.page import page
 from edoras_tools.addons.report.plots import plots
 from edoras_tools.addons.runs.views import check_view, runs_view
-from edoras_tools.addons.trace.pictures import standalone
+from edoras_tools.addons.trace.views import standalone
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.doctor.doctor import examine

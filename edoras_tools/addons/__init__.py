@@ -194,7 +194,7 @@ ADDONS: Final = (
             "trace": _LOOK("Follow one message hop by hop, or a topic's rounds.", "cli:trace", "host"),
             "hz": _LOOK("Show the rate of a topic, hop by hop.", "cli:hz", "host"),
         },
-        {"parts": {"trace": "texts:packet_ladder"}},
+        {"parts": {"trace": "views:packet_ladder"}},
     ),
     Addon(
         "ros_verbs",

@@ -1,16 +1,183 @@
-"""The charts of a report: rates, delays, counters, connections and events over time."""
+"""The pictures of a report: the balance as a Sankey diagram, routes over time, and charts over time."""
 
 from __future__ import annotations
 
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
+
+from edoras_tools.diagnosis.balance import ways
+from edoras_tools.diagnosis.ledger import ENDING_TEXTS, ENDINGS, Row, cause_text, summed
+from edoras_tools.model import NO_ROUTE
+from edoras_tools.render.pages import charts
 from edoras_tools.render.pages.charts import BOTTOM, LEFT, TOP, Frame, svg_box
+from edoras_tools.render.terminal.text import clean, clip
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.addons.report.plots import Plots
+    from edoras_tools.diagnosis.examination import Diagnosis
+
+
+_MOST_LANES: Final = 8
+_BAND: Final = 64.0
+"""Height of the widest band."""
+_NODE, _LINE = 8, 15
+_LEFT: Final = 12
+
+
+class Band(msgspec.Struct, frozen=True):
+    """Messages that go on from one hop, or end there; the width of the band is to scale.
+
+    Attributes:
+        hop: hop at which the band starts.
+        ending: ``out``, or how the messages ended.
+        number: number of messages.
+        text: the ending for people.
+    """
+
+    hop: str
+    ending: str
+    number: int
+    text: str
+
+
+def bands(row: Row) -> list[Band]:
+    """Return the bands of a hop; their numbers add up to the messages that came, and copies."""
+    members = [Band(row.hop, "out", row.out, "went on")]
+    members += [Band(row.hop, "lost", number, cause_text(cause)) for cause, number in row.lost.items()]
+    for ending in ENDINGS[1:]:
+        members.append(Band(row.hop, ending, getattr(row, ending), ENDING_TEXTS[ending]))
+    return [item for item in members if item.number or item.ending == "out"]
+
+
+def sankey(result: Diagnosis) -> str:
+    """Draw the balance: a lane for each route, widths in proportion to messages; empty without any."""
+    everything = [
+        way for way in ways(summed(result.balance)) if way.hops[0].came and way.hops[0].msg_id is not None
+    ]
+    routes = [way for way in everything if way.hops[0].route != NO_ROUTE] or [
+        way for way in everything if not way.hops[0].name
+    ]
+    routes.sort(key=lambda way: (-sum(row.proven for row in way.hops), -way.hops[0].came))
+    lanes, rest = routes[:_MOST_LANES], len(routes) - _MOST_LANES
+    if not lanes:
+        return ""
+    most = max(max(row.came + row.duplicated, row.out) for way in lanes for row in way.hops)
+    columns = max(len(way.hops) for way in lanes)
+    y, drawn, texts = 8.0, [], []
+    for way in lanes:
+        topic = result.topics.get(way.hops[0].route) or way.hops[0].topic or f"0x{way.hops[0].msg_id:04x}"
+        inside, y = _lane(topic, way.hops, y, _BAND / most, columns)
+        drawn.append(inside)
+        ends = [band for row in way.hops for band in bands(row) if band.ending != "out"]
+        losses = "".join(f", {band.number:,} {band.text} at {band.hop}" for band in ends)
+        texts.append(f"{topic}: {way.hops[0].came:,} sent, {way.hops[-1].out:,} came out{losses}")
+    if rest > 0:
+        drawn.append(
+            f'<text x="{_LEFT}" y="{y + 12}">and {plural(rest, "more route")}, in the balance</text>'
+        )
+        y += 20
+    box = charts.svg_box("".join(drawn), round(y), f"What became of the messages. {'. '.join(texts)}")
+    return box.replace("<svg", '<svg class="wide"', 1)  # letters sized for a phone do not fit between hops
+
+
+def _lane(topic: str, hops: Sequence[Row], y: float, scale: float, columns: int) -> tuple[str, float]:
+    """Draw the path of one route; return it and the y coordinate where the next one begins."""
+    step = (charts.CHART_WIDTH - 2 * _LEFT - 60) / columns
+    name = f"{topic}, {hops[0].link.upper()}: {hops[0].came:,}"
+    out = [f'<text class="label" x="{_LEFT}" y="{y + 12:.1f}">{escape(clip(clean(name), 90))}</text>']
+    top, bottom = y + 34, y + 34
+    for place, row in enumerate(hops):
+        x = _LEFT + place * step
+        height = (row.came + row.duplicated) * scale
+        out.append(
+            f'<text x="{x:.1f}" y="{top - 5:.1f}">{escape(clip(clean(row.hop), int(step / 6.2)))}</text>'
+        )
+        out.append(f'<rect class="node" x="{x:.1f}" y="{top:.2f}" width="{_NODE}" height="{height:.2f}"/>')
+        at, below = top, top + max(row.out * scale, (hops[0].came * scale)) + 8
+        for band in bands(row):
+            wide = band.number * scale
+            begin, end = x + _NODE, x + step
+            if band.ending == "out":
+                out.append(_band(row.link, band, (begin, at), (end, top), wide))
+                out.append(
+                    f'<text class="label" x="{end - 6:.1f}" y="{at + wide / 2 + 4:.1f}" text-anchor="end">'
+                )
+                out.append(f"{band.number:,}</text>")
+            else:
+                tip = begin + min(46.0, step / 3)
+                out.append(_band(row.link, band, (begin, at), (tip, below), wide))
+                text = clip(clean(f"{band.number:,} {band.text}"), int((charts.CHART_WIDTH - tip) / 5.8))
+                out.append(f'<text x="{tip + 4:.1f}" y="{below + wide / 2 + 4:.1f}">{escape(text)}</text>')
+                below += max(wide, _LINE) + 3
+            at += wide
+        bottom = max(bottom, below, top + height)
+    return "".join(out), bottom + 14
+
+
+def _band(link: str, band: Band, begin: tuple[float, float], end: tuple[float, float], wide: float) -> str:
+    """Draw a band between two places; ``wide`` is its constant width."""
+    (x, y), (to_x, to_y) = begin, end
+    middle = (x + to_x) / 2
+    style = f"seen {link}" if band.ending == "out" else "missing" if band.ending in _GONE else "rest"
+    title = f"{band.hop}: {band.number:,} {band.text}"
+    return (
+        f'<path class="band {style}" data-number="{band.number}" data-width="{wide:.4f}" '
+        f'd="M{x:.1f} {y:.2f}C{middle:.1f} {y:.2f} {middle:.1f} {to_y:.2f} {to_x:.1f} {to_y:.2f}'
+        f"V{to_y + wide:.2f}C{middle:.1f} {to_y + wide:.2f} {middle:.1f} {y + wide:.2f} {x:.1f} "
+        f'{y + wide:.2f}Z"><title>{escape(clean(title))}</title></path>'
+    )
+
+
+_GONE: Final = frozenset({"lost", "unaccounted"})
+_STRIP: Final = 20
+
+
+def strip(drawn: Plots) -> str:
+    """Draw all routes over time: where messages came, where some were lost, and where none came."""
+    rows = [row for row in drawn.rates if any(row["seen"]) or any(row["missing"])]
+    if not rows:
+        return ""
+    height = _STRIP * 2 * len(rows) + 44
+    names = [f"{row['label']}, {row['link'].upper()}" for row in rows]
+    texts = "; ".join(f"{name}: {_became(row, drawn)}" for name, row in zip(names, rows, strict=True))
+    frame = charts.Frame(drawn, 1.0, "", f"Routes over time. {texts}", height)
+    inside = []
+    for place, (name, row) in enumerate(zip(names, rows, strict=True)):
+        top = 4 + place * _STRIP * 2
+        inside.append(f'<text x="{frame.x(0)}" y="{top + 12}">{escape(clean(name))}</text>')
+        inside += list(_cells(frame, row, drawn, top + 17))
+    return charts.svg_box("".join([*inside, *frame.seconds()]), height, frame.title)
+
+
+def _became(row: dict[str, Any], drawn: Plots) -> str:
+    quiet = [not rate and not gap for rate, gap in zip(row["seen"], row["missing"], strict=True)]
+    lost, silent = sum(row["missing"]) * drawn.bin_s, sum(quiet) * drawn.bin_s
+    return f"{lost:,.0f} lost, {silent:.0f} s without a message"
+
+
+def _cells(frame: charts.Frame, row: dict[str, Any], drawn: Plots, top: int) -> Iterator[str]:
+    """Yield runs of bins of one kind, each as one bar."""
+    kinds = [
+        "missing" if gap else f"seen {row['link']}" if rate else "silence"
+        for rate, gap in zip(row["seen"], row["missing"], strict=True)
+    ]
+    first = 0
+    for place in range(1, len(kinds) + 1):
+        if place == len(kinds) or kinds[place] != kinds[first]:
+            begin, end = frame.x(first * drawn.bin_s), frame.x(min(place * drawn.bin_s, frame.x_most))
+            lost = sum(row["missing"][first:place]) * drawn.bin_s
+            about = f"{lost:.0f} lost" if lost else kinds[first].partition(" ")[0]
+            yield (
+                f'<rect class="{kinds[first]}" x="{begin}" y="{top}" width="{max(0.5, end - begin):.1f}" '
+                f'height="{_STRIP - 6}"><title>{about}</title></rect>'
+            )
+            first = place
+
 
 _ROW: Final = 36
 

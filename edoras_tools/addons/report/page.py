@@ -8,24 +8,15 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.addons.report import charts
+from edoras_tools.addons.report.charts import sankey, strip
 from edoras_tools.addons.report.plots import Plots, plots
-from edoras_tools.addons.report.sankey import sankey, strip
 from edoras_tools.diagnosis.ledger import Row, summed
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts
 from edoras_tools.render import units
 from edoras_tools.render.doctor import balance
 from edoras_tools.render.doctor.doctor import clean_to, limits, told_of
-from edoras_tools.render.pages.parts import (
-    Made,
-    chart_card,
-    colour_key,
-    contents,
-    document,
-    footer,
-    heading,
-    section,
-)
+from edoras_tools.render.pages import parts
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -53,10 +44,10 @@ _ALIKE: Final = 4
 """Number of verdicts of one rule from which on they share a table."""
 
 
-def page(result: Diagnosis, name: str, origin: Made) -> str:
+def page(result: Diagnosis, name: str, origin: parts.Made) -> str:
     """Return the HTML page."""
     picture = sankey(result)
-    sections = [section("Messages", [_card(picture)], _key(picture, "bands"))]
+    sections = [parts.section("Messages", [_card(picture)], _key(picture, "bands"))]
     drawn = [
         (whose, plots(part.case, part.choice))
         for whose, part in _parts(result)
@@ -64,19 +55,19 @@ def page(result: Diagnosis, name: str, origin: Made) -> str:
     ]
     for whose, item in drawn:
         picture = strip(item)
-        sections.append(section(f"Routes over time{whose}", [_card(picture)], _key(picture)))
-    sections += [section("Links", [links_picture(result)]), _verdicts(result)]
+        sections.append(parts.section(f"Routes over time{whose}", [_card(picture)], _key(picture)))
+    sections += [parts.section("Links", [links_picture(result)]), _verdicts(result)]
     for whose, item in drawn:
         sections += [draw(item, whose) for draw in (_rates, _latency, _time, _sizes)]
     sections += [_balance(result), _routes(result), _habits(result)]
-    parts = [_head(result, name), _summary(result), contents(sections), *sections, footer(origin)]
-    return document(f"edoras report: {name}", parts)
+    whole = [_head(result, name), _summary(result), parts.contents(sections), *sections, parts.footer(origin)]
+    return parts.document(f"edoras report: {name}", whole)
 
 
 def _parts(result: Diagnosis) -> list[tuple[str, Diagnosis]]:
     """Return the diagnosis of each spacecraft, with the suffix of its titles; empty for a single one."""
-    parts = [(f" of {result.mission.called(number)}", part) for number, part in result.parts.items()]
-    return parts or [("", result)]
+    each = [(f" of {result.mission.called(number)}", part) for number, part in result.parts.items()]
+    return each or [("", result)]
 
 
 def _key(drawing: str, style: str = "") -> str:
@@ -85,7 +76,7 @@ def _key(drawing: str, style: str = "") -> str:
     entries = [(label, label.upper()) for label in _LINKS if label in links]
     others = sorted(links - {*_LINKS})
     entries += [("other", ", ".join(others).upper())] * bool(others)
-    return colour_key([*entries, *(entry for words, entry in _ENDS.items() if words in drawing)], style)
+    return parts.colour_key([*entries, *(entry for words, entry in _ENDS.items() if words in drawing)], style)
 
 
 def _card(svg: str) -> str:
@@ -112,7 +103,7 @@ def _head(result: Diagnosis, name: str) -> str:
         for text in (f"{plural(result.datagrams, 'datagram')}{when}", *limits(result))
     )
     warned = "".join(f'<p class="warning">{escape(text)}</p>' for text in result.capture.warnings)
-    return f"<header>{heading(name)}{line}{warned}{end}</header>"
+    return f"<header>{parts.heading(name)}{line}{warned}{end}</header>"
 
 
 def _summary(result: Diagnosis) -> str:
@@ -145,7 +136,7 @@ def _verdicts(result: Diagnosis) -> str:
     ]
     rest = len(cards) - _MOST_VERDICTS
     more = f'<p class="dim">... and {rest:,} more, in doctor --json</p>' if rest > 0 else ""
-    return section("Verdicts", [*cards[:_MOST_VERDICTS], more])
+    return parts.section("Verdicts", [*cards[:_MOST_VERDICTS], more])
 
 
 def _many(result: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
@@ -185,8 +176,8 @@ def _verdict(result: Diagnosis, members: Sequence[Verdict]) -> str:
 
 def _remedy(text: str, promise: str = "") -> str:
     """Return the remedy, with commands marked, and the losses that would remain; empty without a remedy."""
-    parts = re.split(r"\s*(edoras [a-z][^;]*);?", escape(text, quote=False))
-    marked = "".join(f"<code>{part}</code>" if place % 2 else part for place, part in enumerate(parts))
+    pieces = re.split(r"\s*(edoras [a-z][^;]*);?", escape(text, quote=False))
+    marked = "".join(f"<code>{piece}</code>" if place % 2 else piece for place, piece in enumerate(pieces))
     rest = f'<span class="dim left">left {promise}</span>' if promise else ""
     return f'<p class="remedy">{marked}{rest}</p>' if text else ""
 
@@ -211,9 +202,10 @@ def _when(result: Diagnosis, item: Verdict) -> str:
 def _rates(drawn: Plots, whose: str) -> str:
     rows = drawn.rates[:_MOST_CHARTS]
     cards = "".join(
-        chart_card(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn)) for row in rows
+        parts.chart_card(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn))
+        for row in rows
     )
-    return section(f"Rates against limits{whose}", [cards], _key(cards))
+    return parts.section(f"Rates against limits{whose}", [cards], _key(cards))
 
 
 def _latency(drawn: Plots, whose: str) -> str:
@@ -222,10 +214,10 @@ def _latency(drawn: Plots, whose: str) -> str:
         figures = [units.milliseconds(latency[name]) for name in ("p50_ms", "p99_ms", "max_ms")]
         return "p50 {}, p99 {}, max {}".format(*figures)
 
-    return section(
+    return parts.section(
         f"Latency through cFS{whose}",
         (
-            chart_card(row["label"], charts.delays(row, drawn), note(row))
+            parts.chart_card(row["label"], charts.delays(row, drawn), note(row))
             for row in drawn.delays[:_MOST_CHARTS]
         ),
     )
@@ -233,7 +225,7 @@ def _latency(drawn: Plots, whose: str) -> str:
 
 def _time(drawn: Plots, whose: str) -> str:
     inside = [
-        chart_card(
+        parts.chart_card(
             f"Lost on the software bus, {row['label']}",
             charts.counters(row, drawn),
             "from 0x803; solid: over a message limit, dashed: by full pipes",
@@ -244,8 +236,8 @@ def _time(drawn: Plots, whose: str) -> str:
     if drawn.peers or drawn.events:
         picture = charts.timeline(drawn)
         entries = [entry for style, entry in _STATES.items() if f'class="{style}"' in picture]
-        inside += [colour_key(entries), chart_card("SBN peers and events", picture)]
-    return section(f"Over time{whose}", inside)
+        inside += [parts.colour_key(entries), parts.chart_card("SBN peers and events", picture)]
+    return parts.section(f"Over time{whose}", inside)
 
 
 def _sizes(drawn: Plots, whose: str) -> str:
@@ -258,7 +250,7 @@ def _sizes(drawn: Plots, whose: str) -> str:
     )
     head = "<tr><th>route</th><th>link</th><th></th><th>largest</th><th>buffer</th></tr>"
     table = f'<div class="scroll"><table>{head}{rows}</table></div>'
-    return section(f"Sizes against buffers{whose}", [table] if rows else [])
+    return parts.section(f"Sizes against buffers{whose}", [table] if rows else [])
 
 
 def _balance(result: Diagnosis) -> str:
@@ -289,7 +281,7 @@ def _balance(result: Diagnosis) -> str:
     both = "In and Twice are" if any(name == "duplicated" for name, _ in figures) else "In is"
     lead = f'<p class="dim">{both} the sum of the figures that follow, in every row.</p>'
     table = f'<div class="scroll"><table class="balance"><tr>{head}</tr>{rows}</table></div>'
-    return section("Balance", [table] if rows else [], lead)
+    return parts.section("Balance", [table] if rows else [], lead)
 
 
 def _routes(result: Diagnosis) -> str:
@@ -321,13 +313,13 @@ def _routes(result: Diagnosis) -> str:
         for row in result.routes
     )
     table = f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
-    return section("Accounts", [table] if rows else [])
+    return parts.section("Accounts", [table] if rows else [])
 
 
 def _habits(result: Diagnosis) -> str:
     lines = "".join(f"<li>{escape(item.reason)}</li>" for item in result.habits)
     lead = '<p class="dim">What these senders always do.</p>'
-    return section("Habits", [f"<ul>{lines}</ul>"] if lines else [], lead)
+    return parts.section("Habits", [f"<ul>{lines}</ul>"] if lines else [], lead)
 
 
 _MOST: Final = 12
@@ -347,13 +339,13 @@ def links_picture(result: Diagnosis) -> str:
         own = rows[0].route not in result.topics and bool(rows[0].name)
         lanes.setdefault((own, link, tuple(row.hop for row in rows)), []).append(rows)
     first_lanes = sorted(lanes.items(), key=lambda lane: lane[0][0])[:_MOST]
-    parts = [
+    drawn = [
         f"<h3>{escape(_title(result, link, members, own=own))}</h3>{_lane(link, hops, members)}"
         for (own, link, hops), members in first_lanes
     ]
     if len(lanes) > _MOST:
-        parts.append(f'<p class="dim">and {len(lanes) - _MOST} more, in the balance</p>')
-    return f'<div class="links">{"".join(parts)}</div>' if parts else ""
+        drawn.append(f'<p class="dim">and {len(lanes) - _MOST} more, in the balance</p>')
+    return f'<div class="links">{"".join(drawn)}</div>' if drawn else ""
 
 
 def _title(result: Diagnosis, link: str, members: list[list[Row]], *, own: bool) -> str:

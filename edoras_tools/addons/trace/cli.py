@@ -142,7 +142,7 @@ def _check(output: Path, request: TraceRequest) -> None:
 def _print(tracing: Tracing, zero_ns: int) -> None:
     from rich.text import Text
 
-    from edoras_tools.addons.trace.texts import diagram, ladder
+    from edoras_tools.addons.trace.views import diagram, ladder
 
     message, timing = tracing.trace, tracing.timing
 
@@ -157,8 +157,7 @@ def _write(tracing: Tracing, zero_ns: int, name: str, output: Path) -> None:
     """Write a picture, a page or Mermaid."""
     import shlex
 
-    from edoras_tools.addons.trace.pictures import trace_page, trace_svg
-    from edoras_tools.addons.trace.texts import trace_mermaid
+    from edoras_tools.addons.trace.views import trace_mermaid, trace_page, trace_svg
     from edoras_tools.render.pages.parts import Made
 
     subject = tracing.trace or tracing.timing
@@ -181,7 +180,7 @@ class _Printer:
 
     def update(self, _run: object, /) -> None:
         """Print the present rates."""
-        from edoras_tools.addons.trace.texts import rate_lines
+        from edoras_tools.addons.trace.views import rate_lines
 
         for rates in self._tracing.rates:
             sys.stdout.write(f"{rate_lines(rates)[0]}\n")
@@ -274,7 +273,7 @@ def _hop_rates(
 
 def _print_rates(tracing: Tracing, name: str, printing: options.PrintOptions, *, is_whole: bool) -> None:
     """Print the rates of a file, or those at the end; of one topic in full, else one line for each topic."""
-    from edoras_tools.addons.trace.texts import rate_lines
+    from edoras_tools.addons.trace.views import rate_lines
 
     if printing.json:
         print_json({"source": name, "topics": [item.as_json() for item in tracing.rates]})
