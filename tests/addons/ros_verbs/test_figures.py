@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from edoras_tools.addons.ros_verbs.figures import TopicFigures, rate_table
-from edoras_tools.addons.ros_verbs.messages import MessageBlock
+from edoras_tools.addons.ros_verbs.messages import MessageBlock, TopicFigures, rate_table
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros import TypeStore
 

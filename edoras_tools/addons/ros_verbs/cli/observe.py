@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit
 
-from edoras_tools.addons.ros_verbs.cli.inputs import QosOptions, SourceOptions, Words
+from edoras_tools.addons.ros_verbs.cli.topics import QosOptions, SourceOptions, Words
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.bridge import RosOptions
 from edoras_tools.cli.declare import grouped
