@@ -6,8 +6,7 @@ import subprocess
 import pytest
 
 from edoras_tools.addons.lab.emulator import WireDatagram
-from edoras_tools.addons.wireshark.lua import dissector
-from edoras_tools.addons.wireshark.structs import engine_structs
+from edoras_tools.addons.wireshark.lua import dissector, engine_structs
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcap.writer import PcapSink
 from edoras_tools.io.frames.build import frames_of
