@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.addons.foxglove.server.origins import OriginCheck
-from edoras_tools.addons.foxglove.server.requests import Publisher
+from edoras_tools.addons.foxglove.server.page import OriginCheck
+from edoras_tools.addons.foxglove.server.protocol import Publisher
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.net.address import reach_note

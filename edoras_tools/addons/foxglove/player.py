@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.addons.foxglove.server.requests import PlaybackRequest, PlaybackState
+from edoras_tools.addons.foxglove.server.protocol import PlaybackRequest, PlaybackState
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.stream import SettledFile
 from edoras_tools.links.table import LinkStates

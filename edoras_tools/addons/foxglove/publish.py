@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from msgspec.structs import replace
 
-from edoras_tools.addons.foxglove.server.requests import Publisher
+from edoras_tools.addons.foxglove.server.protocol import Publisher
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import is_loopback
 from edoras_tools.io.net.transmit import Transmitter

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from edoras_tools.addons.foxglove.server.origins import OriginCheck
-from edoras_tools.addons.foxglove.server.requests import Player, Publisher
+from edoras_tools.addons.foxglove.server.page import OriginCheck
+from edoras_tools.addons.foxglove.server.protocol import Player, Publisher
 from edoras_tools.addons.foxglove.server.server import HERE, ServerOptions
 from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, LinkMonitor, RecordedSink, ServedSink
 from edoras_tools.io.net.address import is_loopback

@@ -1,7 +1,7 @@
 import pytest
 
 from edoras_tools.addons.foxglove.cli import playback_line, served
-from edoras_tools.addons.foxglove.server.requests import PlaybackState
+from edoras_tools.addons.foxglove.server.protocol import PlaybackState
 
 
 def client(**values):

@@ -24,7 +24,7 @@ from edoras_tools.addons.foxglove.player import (
     request_of,
     split_keys,
 )
-from edoras_tools.addons.foxglove.server.requests import PlaybackRequest, PlaybackState
+from edoras_tools.addons.foxglove.server.protocol import PlaybackRequest, PlaybackState
 from edoras_tools.addons.foxglove.serving import attach
 from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.io.formats.open import kept_recording

@@ -28,7 +28,7 @@ import numpy as np
 from msgspec.structs import asdict
 
 from edoras_tools.addons.foxglove.server import page, protocol
-from edoras_tools.addons.foxglove.server.origins import OriginCheck
+from edoras_tools.addons.foxglove.server.page import OriginCheck
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.model import Endpoint
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from edoras_tools.addons.foxglove.server.client import FoxgloveClient, SharedFrames
-    from edoras_tools.addons.foxglove.server.requests import PlaybackState, Player, Publisher
+    from edoras_tools.addons.foxglove.server.protocol import PlaybackState, Player, Publisher
     from edoras_tools.io.topics.rows import Records
     from edoras_tools.io.topics.streams import Topic
 

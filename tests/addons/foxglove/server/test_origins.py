@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.addons.foxglove.server.origins import OriginCheck
+from edoras_tools.addons.foxglove.server.page import OriginCheck
 from edoras_tools.errors import ConfigError
 
 FRIENDS = [

@@ -18,7 +18,7 @@ import waiting
 
 from edoras_tools.addons.foxglove.server import page
 from edoras_tools.addons.foxglove.server import server as foxglove_server
-from edoras_tools.addons.foxglove.server.origins import OriginCheck
+from edoras_tools.addons.foxglove.server.page import OriginCheck
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.io.topics.streams import Topic

@@ -17,7 +17,7 @@ from websockets.protocol import State
 from websockets.uri import parse_uri
 
 from edoras_tools.addons.foxglove.server import protocol
-from edoras_tools.addons.foxglove.server.requests import PlaybackRequest, PlaybackState
+from edoras_tools.addons.foxglove.server.protocol import PlaybackRequest, PlaybackState
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.errors import WireError
 from edoras_tools.io.topics.rows import Records

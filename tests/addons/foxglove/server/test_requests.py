@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.addons.foxglove.server.requests import Publisher
+from edoras_tools.addons.foxglove.server.protocol import Publisher
 from edoras_tools.ros import TypeStore
 
 TWIST = "geometry_msgs/msg/Twist"
