@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from shutil import get_terminal_size
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.io.formats.stream import SettledFile
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
-    from edoras_tools.pipelines.capture.record import CaptureReport, Target
     from edoras_tools.pipelines.reading import Limits
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.sending.options import Receiver
@@ -124,14 +123,14 @@ def live(
     For example: edoras live --sim two-rovers; or edoras live -i lo -c rover.yaml
     """
     from edoras_tools.addons.foxglove.serving import attach, attach_player
+    from edoras_tools.addons.foxglove.serving import live as run
+    from edoras_tools.pipelines.interrupt import on_interrupt
 
     (_, live_options), sim = source
-    files: Sequence[Path | SettledFile] = source.inputs.paths
     (json, quiet), limits = printing, stop.limits.limits()
-    if sum(map(bool, (files, live_options.interface, live_options.listen, sim))) != 1:
+    if sum(map(bool, (source.inputs.paths, live_options.interface, live_options.listen, sim))) != 1:
         raise ConfigError("name one source: FILE, -i IFACE, --listen PORT or --sim DEMO")
-    file, stream = _piped(source.inputs.paths)
-    files = [file] if file else () if stream else files
+    files, stream = _piped(source.inputs.paths)
     if files and (
         publishing.allow or outputs.output or outputs.metrics or stop.every or stop.limits.datagrams
     ):
@@ -151,15 +150,11 @@ def live(
         "origins": _origin_check(outputs.allow_origin),
         "token": outputs.token or "",
     }
-    serve = partial(attach, **serving)
-    report = None
+    report = failure = None
     if files:
-        serve_player = partial(attach_player, **serving)
-        summary, failure = _play(
-            files, settings, selection, serve_player, playback, limits, quiet=quiet or json
-        )
+        serve = partial(attach_player, **serving)
+        summary, failure = _play(files, settings, selection, serve, playback, limits, quiet=quiet or json)
     else:
-        failure = None
         with ExitStack() as stack:
             traffic, bench, outlets = _traffic(source, stream, settings, outputs.output, every=stop.every)
             stack.callback(traffic.close)
@@ -167,9 +162,15 @@ def live(
             if commands:
                 stack.callback(commands.close)
                 commands.open()
-            watch = watcher(traffic, goal.path if goal else None, quiet=quiet or json, live=True)
-            watch = measured(watch, outputs.metrics)
-            summary, report = _show(traffic, bench, selection, serve, commands, goal, limits, watch)
+            shown = watcher(traffic, goal.path if goal else None, quiet=quiet or json, live=True)
+            shown = measured(shown, outputs.metrics)
+            sink = attach(bench, traffic.info, statistics=traffic.statistics, publisher=commands, **serving)
+            with on_interrupt(traffic.stop), shown as watch:
+                _say(traffic.info.name, sink, commands.topics if commands else ())
+                report = run(
+                    traffic, bench, sink, selection=selection, target=goal, limits=limits, watcher=watch
+                )
+            summary = {**report.summary(), "foxglove": sink.summary()}
     if json:
         print_json(summary)
     elif not quiet:
@@ -181,15 +182,15 @@ def live(
         finish(report, live=True)
 
 
-def _piped(paths: Sequence[Path]) -> tuple[SettledFile | None, Source | None]:
-    """Open standard input or a named pipe: a recording to play, or a live capture."""
+def _piped(paths: Sequence[Path]) -> tuple[Sequence[Path | SettledFile], Source | None]:
+    """Return the recordings to play, or a live capture: standard input and a named pipe may be either."""
     if len(paths) != 1 or not (str(paths[0]) == "-" or paths[0].is_fifo()):
-        return None, None
+        return paths, None
     from edoras_tools.io.formats.open import kept_recording
     from edoras_tools.io.formats.stream import SettledFile
 
     opened = kept_recording(paths[0])
-    return (opened, None) if isinstance(opened, SettledFile) else (None, opened)
+    return ([opened], None) if isinstance(opened, SettledFile) else ((), opened)
 
 
 def _play(
@@ -253,27 +254,6 @@ def _keyboard(
     with Keys() as keyboard:
         yield keyboard.pressed, show
     sys.stderr.write("\x1b[K")
-
-
-def _show(
-    source: Source,
-    bench: Workbench,
-    selection: Selection,
-    serve: Callable[..., FoxgloveSink],
-    commands: CommandPublisher | None,
-    goal: Target | None,
-    limits: Limits,
-    view: AbstractContextManager[Any],
-) -> tuple[dict[str, Any], CaptureReport]:
-    """Show live traffic; return a summary and the report of its capture."""
-    from edoras_tools.addons.foxglove.serving import live as run
-    from edoras_tools.pipelines.interrupt import on_interrupt
-
-    sink = serve(bench, source.info, statistics=source.statistics, publisher=commands)
-    with on_interrupt(source.stop), view as watch:
-        _say(source.info.name, sink, commands.topics if commands else ())
-        report = run(source, bench, sink, selection=selection, target=goal, limits=limits, watcher=watch)
-    return {**report.summary(), "foxglove": sink.summary()}, report
 
 
 def _traffic(

@@ -6,7 +6,7 @@ import threading
 import time
 from contextlib import ExitStack
 from functools import partial
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
@@ -22,19 +22,14 @@ from edoras_tools.sessions.sbn.connection import SbnConnection
 from edoras_tools.units import MILLISECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from edoras_tools.mission import Route
     from edoras_tools.pipelines.workbench import Workbench
 
+    Send = Callable[[bytes, int], str]
+    """Sends a datagram with a packet of a MsgId to cFS; returns the reason of a failure, or an empty text."""
+
 _ROUND_NS: Final = 50 * MILLISECOND
-
-
-class Send(Protocol):
-    """Sends datagrams to cFS on one link."""
-
-    def __call__(self, data: bytes, msg_id: int, /) -> str:
-        """Send a datagram with a packet of this MsgId; return the reason of a failure, or an empty text."""
 
 
 class CommandPublisher(Publisher):
@@ -68,17 +63,25 @@ class CommandPublisher(Publisher):
         self._lock = threading.Lock()
         self._outlets: dict[Receiver, Send] = dict(outlets or {})
         self._due: dict[Receiver, float] = {}
-        self._check(allow)
-        links = set()
-        for to in (Receiver.CI, Receiver.SBN):
-            for route in _allowed(bench, to, allow):
-                if route.topic not in self.topics:
-                    links.add(to)
-                    self.accept(route.topic, route.type, partial(self._send, to, Encoder.of(route, bench)))
+        mission, links = bench.mission, set()
+        routes = [(to, route) for to in (Receiver.CI, Receiver.SBN) for route in routes_towards(to, mission)]
+        for pattern in allow:
+            if not any(fits(pattern, route.msg_id, mission) for _, route in routes):
+                existing = ", ".join(route.topic for _, route in routes) or "none; name a mission with -c"
+                raise RouteError(f"--allow {pattern!r} matches no topic that goes to cFS: {existing}")
+        for to, route in routes:
+            is_allowed = any(fits(pattern, route.msg_id, mission) for pattern in allow)
+            if is_allowed and route.topic not in self.topics:
+                links.add(to)
+                self.accept(route.topic, route.type, partial(self._send, to, Encoder.of(route, bench)))
         options = options or SendOptions()
         if options.target is not None and len(links) > 1:
             raise ConfigError("--target: topics of both CI and SBN are allowed; allow those of one link")
-        self.options = {to: _placed(options, to, bench) for to in links if to not in self._outlets}
+        self.options = {
+            to: replace(options, to=to, no_listen=to is Receiver.CI).placed(mission)
+            for to in links
+            if to not in self._outlets
+        }
 
     def open(self) -> None:
         """Open the sockets; on the SBN link a session starts.
@@ -124,27 +127,6 @@ class CommandPublisher(Publisher):
             return f"the rate to {options.target} is limited to {cap:g} messages per second"
         self._due[to] = due + 1 / cap
         return ""
-
-    def _check(self, allow: Sequence[str]) -> None:
-        mission = self._bench.mission
-        routes = [route for to in (Receiver.CI, Receiver.SBN) for route in routes_towards(to, mission)]
-        for pattern in allow:
-            if not any(fits(pattern, route.msg_id, mission) for route in routes):
-                existing = ", ".join(route.topic for route in routes) or "none; name a mission with -c"
-                raise RouteError(f"--allow {pattern!r} matches no topic that goes to cFS: {existing}")
-
-
-def _allowed(bench: Workbench, to: Receiver, allow: Sequence[str]) -> list[Route]:
-    mission = bench.mission
-    return [
-        route
-        for route in routes_towards(to, mission)
-        if any(fits(pattern, route.msg_id, mission) for pattern in allow)
-    ]
-
-
-def _placed(options: SendOptions, to: Receiver, bench: Workbench) -> SendOptions:
-    return replace(options, to=to, no_listen=to is Receiver.CI).placed(bench.mission)
 
 
 def _send_to_ci(transmitter: Transmitter, data: bytes, _msg_id: int) -> str:

@@ -346,21 +346,17 @@ class Player(Protocol):
     @property
     def range_ns(self) -> tuple[int, int]:
         """Start and end of the recording, ns since 1970."""
-        ...
 
     @property
     def state(self) -> PlaybackState:
         """The current state."""
-        ...
 
     @property
     def waiting(self) -> bool:
         """Whether it waits for the first client."""
-        ...
 
     def control(self, request: PlaybackRequest) -> PlaybackState:
         """Apply a request soon; from any thread; return the state that follows."""
-        ...
 
 
 MESSAGE_ENCODINGS: Final = ("cdr", "json")

@@ -328,10 +328,6 @@ class ServedSink(Sink):
 
     server: FoxgloveServer
 
-    def write(self, batch: PacketBatch, columns: Columns) -> None:
-        """Send a batch to clients."""
-        raise NotImplementedError
-
     def show_time(self, time_ns: int) -> None:
         """Send a time for the clients' clocks, ns since 1970."""
         self.server.tell_time(time_ns)
