@@ -295,12 +295,12 @@ def _rows(bag: Rosbag, topics: Mapping[str, str], types: TypeStore) -> Rows:
         parts.append((block.time_ns, np.where(stamped, places[block.topic], NO_MSG_ID), stamped, plain))
     if not parts:
         raise CaptureError(f"{bag.path}: has no message on its topics {_some(topics)}")
-    names = ("time_ns", "msg_id", "packet_print", "value_print")
-    columns = {
-        name: np.concatenate(column) for name, column in zip(names, zip(*parts, strict=True), strict=True)
-    }
-    order = np.argsort(columns["time_ns"], kind="stable")
-    return Rows.of_messages(**{name: column[order] for name, column in columns.items()})
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    order = np.argsort(columns[0], kind="stable")
+    time_ns, msg_id, packet_print, value_print = (column[order] for column in columns)
+    return Rows.of_messages(
+        time_ns=time_ns, msg_id=msg_id, packet_print=packet_print, value_print=value_print
+    )
 
 
 def _fingerprints(block: RecordedBlock, kind: str, types: TypeStore) -> tuple[Any, Any]:

@@ -27,7 +27,7 @@ from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from edoras_tools.addons.runs.expectations import (
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         FieldExpectation,
         Tolerance,
     )
+    from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.io import Source
     from edoras_tools.pipelines.capture.ledger import Ledger
     from edoras_tools.pipelines.doctor.doctor import Pace
@@ -48,6 +49,8 @@ TO_END: Final = 5
 """Messages that may be missing, by the rate, at the end of a topic that lasts to the end of the capture."""
 NOTABLE_FINDINGS: Final = frozenset(item.label for item in NOTABLE)
 """Labels of the findings that are warnings or errors."""
+_MUST: Final = {True: "must appear", False: "must not appear"}
+_UNSEEN: Final = {"rate": "not seen: at least two messages are needed"}
 _OF_DATAGRAMS: Final = frozenset({*LOSS_KEYS, "latency"})
 """Keys of bounds that only datagrams show."""
 
@@ -194,23 +197,24 @@ def _results(expected: Expectations, observed: Observation, findings: Examined) 
         yield CheckResult(CAPTURE, "input", expected_input, "none", passed=False)
     parts = Parts(ledger, diagnosis)
     for topic, subject, watches in zip(expected.topics, observed.subjects, observed.fields, strict=True):
-        figures = Figures.of(subject, parts)
-        for key, bound in topic.bounds.items():
-            if diagnosis is None and key in _OF_DATAGRAMS:
-                yield CheckResult(subject.name, key, bound.text, NOT_OBSERVABLE, passed=False)
-            else:
-                yield _bounded(subject.name, key, bound, figures)
+        yield from _bounds(subject.name, topic.bounds, Figures.of(subject, parts), diagnosis)
         for item, watch in zip(topic.fields, watches, strict=True):
-            yield _field(subject.name, item, watch, ledger, findings.zero_ns)
+            yield _field(item, watch, ledger, findings.zero_ns)
     if diagnosis is None:
-        yield from _recorded(expected, Figures.whole(ledger, None))
-        return
+        yield from _not_observable(expected)
+    else:
+        yield from _judged(expected, observed, diagnosis)
+    yield from _bounds(CAPTURE, expected.bounds, Figures.whole(ledger, diagnosis), diagnosis)
+
+
+def _judged(expected: Expectations, observed: Observation, diagnosis: Diagnosis) -> Iterator[CheckResult]:
+    """Yield the results of expectations of events, findings and verdicts."""
     for event, watch in zip(expected.events, observed.events, strict=True):
         yield _event(event, watch, diagnosis.zero_ns)
     if expected.findings is not None:
         counts = {
             name: plural(number, "datagram")
-            for name, number in ledger.findings.items()
+            for name, number in observed.report.ledger.findings.items()
             if name in NOTABLE_FINDINGS
         }
         yield from _allowed("findings", expected.findings, counts)
@@ -221,28 +225,29 @@ def _results(expected: Expectations, observed: Observation, findings: Examined) 
     if grave or expected.verdicts is not None:
         reasons = {members[0].rule: members[0].reason for members in group_verdicts(grave)}
         yield from _allowed("verdicts", expected.verdicts or frozenset(), reasons)
-    whole = Figures.whole(ledger, diagnosis)
-    for key, bound in expected.bounds.items():
-        yield _bounded(CAPTURE, key, bound, whole)
 
 
-def _recorded(expected: Expectations, whole: Figures) -> Iterator[CheckResult]:
-    """Yield the results of expectations that are about no topic, for a recording without datagrams."""
+def _not_observable(expected: Expectations) -> Iterator[CheckResult]:
+    """Yield these results for a recording without datagrams."""
     for event in expected.events:
-        expectation = "must appear" if event.must else "must not appear"
-        yield CheckResult("events", event.text, expectation, NOT_OBSERVABLE, passed=False)
+        yield CheckResult("events", event.text, _MUST[event.must], NOT_OBSERVABLE, passed=False)
     for about, allowed in {"findings": expected.findings, "verdicts": expected.verdicts}.items():
         if allowed is not None:
             yield CheckResult(about, "allowed", _only(allowed), NOT_OBSERVABLE, passed=False)
-    for key, bound in expected.bounds.items():
-        if key in _OF_DATAGRAMS:
-            yield CheckResult(CAPTURE, key, bound.text, NOT_OBSERVABLE, passed=False)
+
+
+def _bounds(
+    about: str, bounds: Mapping[str, Tolerance], figures: Figures, diagnosis: Diagnosis | None
+) -> Iterator[CheckResult]:
+    for key, bound in bounds.items():
+        if diagnosis is None and key in _OF_DATAGRAMS:
+            yield CheckResult(about, key, bound.text, NOT_OBSERVABLE, passed=False)
         else:
-            yield _bounded(CAPTURE, key, bound, whole)
+            yield _bounded(about, key, bound, figures)
 
 
 def _bounded(about: str, key: str, bound: Tolerance, figures: Figures) -> CheckResult:
-    observed, unit, ended = "", bound.unit, ""
+    unit, ended = bound.unit, ""
     if bound.to_end and figures.end_silence * max(bound.low, figures.rate or 0.0) > TO_END:
         ended = f"; the last is {figures.end_silence:.1f} s before the end"
     if key in LOSS_KEYS:
@@ -259,13 +264,7 @@ def _bounded(about: str, key: str, bound: Tolerance, figures: Figures) -> CheckR
     else:
         value = figures.silence if key == "duration" else getattr(figures, key)
         passed = value is not None and bound.holds(value)
-        observed = unit.text_of(value)
-        if value is None:
-            observed = (
-                "not seen: at least two messages are needed"
-                if key == "rate"
-                else "the capture does not show it"
-            )
+        observed = _UNSEEN.get(key, "the capture does not show it") if value is None else unit.text_of(value)
     observed, passed = observed + ended, passed and not ended
     if about != CAPTURE and not figures.count:
         observed = "no message"
@@ -273,9 +272,7 @@ def _bounded(about: str, key: str, bound: Tolerance, figures: Figures) -> CheckR
     return CheckResult(about, key, bound.text, observed, passed)
 
 
-def _field(
-    about: str, item: FieldExpectation, watch: FilterCount, ledger: Ledger, zero_ns: int
-) -> CheckResult:
+def _field(item: FieldExpectation, watch: FilterCount, ledger: Ledger, zero_ns: int) -> CheckResult:
     unit = "message" if ledger.mission.recorded else "packet"
 
     def first_place(place: tuple[int, int] | None) -> str:
@@ -304,7 +301,7 @@ def _field(
             observed += f"; after {undecided:,} the capture ends too early"
         if len(missed):
             observed += f"; the first that was not is at {(int(missed[0]) - zero_ns) / SECOND:.3f} s"
-    return CheckResult(about, str(item), None, observed, passed)
+    return CheckResult(watch.subject.name, str(item), None, observed, passed)
 
 
 def _event(item: EventExpectation, watch: FilterCount, zero_ns: int) -> CheckResult:
@@ -312,18 +309,16 @@ def _event(item: EventExpectation, watch: FilterCount, zero_ns: int) -> CheckRes
     if watch.first_hit is not None:
         number, time_ns = watch.first_hit
         observed += f"; the first is packet {number:,} at {(time_ns - zero_ns) / SECOND:.3f} s"
-    expected = "must appear" if item.must else "must not appear"
-    return CheckResult("events", item.text, expected, observed, bool(watch.hits) == item.must)
+    return CheckResult("events", item.text, _MUST[item.must], observed, bool(watch.hits) == item.must)
 
 
 def _allowed(about: str, allowed: frozenset[str], observed: dict[str, Any]) -> Iterator[CheckResult]:
     """Yield a result for each observed name, with its count or reason; it fails unless it is allowed."""
-    expected = _only(allowed)
     others = [name for name in observed if name not in allowed]
     for name in others:
         yield CheckResult(about, name, "is not allowed", str(observed[name]), passed=False)
     if not others:
-        yield CheckResult(about, "allowed", expected, ", ".join(observed) or "none", passed=True)
+        yield CheckResult(about, "allowed", _only(allowed), ", ".join(observed) or "none", passed=True)
 
 
 def _only(allowed: frozenset[str]) -> str:

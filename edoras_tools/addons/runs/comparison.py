@@ -32,7 +32,7 @@ from edoras_tools.diagnosis.evidence.clocks.alignment import Alignment, Side, al
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.copies import find_echoes
 from edoras_tools.diagnosis.evidence.preparation import prepare
-from edoras_tools.diagnosis.evidence.relays import LONGEST_NS, Segment, pair_up
+from edoras_tools.diagnosis.evidence.relays import LONGEST_NS, pair_up
 from edoras_tools.diagnosis.evidence.table import Recorder, Rows
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.links import table
@@ -99,11 +99,6 @@ class Difference(msgspec.Struct, frozen=True):
     latency: Latency | None
     missed: int = 0
     spacecraft: int | None = None
-
-    def turned(self, topic: str | None, *, back: bool) -> Difference:
-        """Return the differences with a topic; with ``back`` the sender's side is the second record."""
-        first, second = (self.second, self.first) if back else (self.first, self.second)
-        return replace(self, topic=topic, back=back, first=first, second=second)
 
     def as_json(self) -> dict[str, Any]:
         """Return the differences in the shape of ``doctor --against --json``."""
@@ -210,7 +205,10 @@ def compare_captures(first: Recorder, second: Recorder, mission: Mission) -> Cap
     b = replace(b, rows=replace(b.rows, time_ns=line.set_back(b.rows.time_ns)))
     pairs = {key: _once(a.rows, b.rows, key) for key in keys}
     senders = _back(a, b, list(pairs.values()))
-    back = {key: _turned(a, b, key, senders) for key in keys}
+    back: dict[_Key, bool] = {}
+    for key in keys:
+        names = [side.sender[row] for side in (a, b) for row in _rows(side.rows, *key)[:1]]
+        back[key] = senders.get(str(names[0]), False)
     return _compared(a, b, pairs, back, topics, line.offset_ns, fit)
 
 
@@ -260,16 +258,9 @@ def _compared(
         took.append(-step if back[key] else step)
     early = np.concatenate(took)
     early_ns = max(_EARLY_NS, -int(early[early >= -LONGEST_NS].min()))
-    routes, same = [], 0
-    for key, turned in back.items():
-        near, far = (second, first) if turned else (first, second)
-        sent, came = _rows(near.rows, *key), _rows(far.rows, *key)
-        prints = near.rows.packet_print[sent], far.rows.packet_print[came]
-        segment = pair_up(prints[0], near.rows.time_ns[sent], prints[1], far.rows.time_ns[came], early_ns)
-        same += len(segment.out)
-        item = _difference(near, far, key, sent, came, segment)
-        routes.append(item.turned(topics.get(key), back=turned))
-    both = min(_within(first, second), _within(second, first))
+    sides = first, second
+    routes = [_difference(sides, key, topics.get(key), early_ns, back=turned) for key, turned in back.items()]
+    same, both = sum(item.same for item in routes), min(_within(first, second), _within(second, first))
     drift = fit.line.drift if fit is not None and fit.drift is not None else None
     return CaptureComparison(offset_ns, drift, same > _FEW * both, routes)
 
@@ -354,16 +345,14 @@ def _back(first: _Side, second: _Side, pairs: Sequence[_Pair]) -> dict[str, bool
     return {name: float(np.median(steps[senders == name])) < 0 for name in np.unique(senders).tolist()}
 
 
-def _turned(first: _Side, second: _Side, key: _Key, back: dict[str, bool]) -> bool:
-    """Return whether the packets of a MsgId go from the second point to the first."""
-    names = np.concatenate([side.sender[_rows(side.rows, *key)] for side in (first, second)])
-    return back.get(str(names[0]), False)
-
-
 def _difference(
-    near: _Side, far: _Side, key: _Key, sent: Places, came: Places, segment: Segment
+    sides: tuple[_Side, _Side], key: _Key, topic: str | None, early_ns: int, *, back: bool
 ) -> Difference:
     """Count the differences of one MsgId between the sides; packets with equal copies are not timed."""
+    near, far = sides[::-1] if back else sides
+    sent, came = _rows(near.rows, *key), _rows(far.rows, *key)
+    prints = near.rows.packet_print[sent], far.rows.packet_print[came]
+    segment = pair_up(prints[0], near.rows.time_ns[sent], prints[1], far.rows.time_ns[came], early_ns)
     ours, theirs = sent[segment.into], came[segment.out]
     # A packet is not lost if the far capture had ended. It covers everything between two packets that it has.
     longest = max(int(segment.took_ns.max(initial=0)), 0)
@@ -384,10 +373,10 @@ def _difference(
     return Difference(
         link=table.link(key[0]),
         msg_id=key[1],
-        topic=None,
-        back=False,
-        first=len(sent),
-        second=len(came),
+        topic=topic,
+        back=back,
+        first=len(came if back else sent),
+        second=len(sent if back else came),
         same=len(ours),
         lost=lost,
         extra=added,

@@ -32,7 +32,7 @@ import numpy as np
 from msgspec.structs import asdict
 
 from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, CheckResult
-from edoras_tools.addons.runs.limits import MODEL_WORTH, field_limit
+from edoras_tools.addons.runs.limits import MODEL_WORTH, field_limit, range_text
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.intervals import MEAN_CONFIDENCE, MeanInterval, t_quantile
@@ -42,13 +42,16 @@ from edoras_tools.render import units
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.addons.runs.run import FieldValues, Run, TopicValues
 
     Key = tuple[str, str, int]
     """Link, MsgId and spacecraft."""
     Route = Mapping[str, Any]
+    Ends = tuple[float, float]
+    Place = tuple[str, Key]
+    """Name of a route, and its key."""
 
 FEWEST: Final = 5
 FEWEST_DELAYS: Final = 20
@@ -201,9 +204,9 @@ def _presence(
     yield Point("route", row["name"], *key[:2], was, now, worse, text)
 
 
-def _difference(ours: Sequence[float], theirs: Sequence[float], step: float = 0.0) -> MeanInterval | None:
+def _difference(ours: Sequence[float], theirs: Sequence[float], step: float = 0.0) -> Ends | None:
     """Return the interval of a difference; None if one side has fewer than two runs."""
-    return difference_interval(ours, theirs, step) if min(len(ours), len(theirs)) > 1 else None
+    return difference_interval(ours, theirs, step)[1:] if min(len(ours), len(theirs)) > 1 else None
 
 
 def _figures(
@@ -213,14 +216,14 @@ def _figures(
     name = ours[0]["name"]
     if not _is_event(key) and min(item["count"] for item in (*ours, *theirs)) >= FEWEST:
         was, now = ([item["rate_hz"] for item in side] for side in (ours, theirs))
-        yield _moved("rate_hz", (name, key), was, now, bounds.tolerance * fmean(was), units.rate)
+        yield _moved("rate_hz", (name, key), was, now, bounds.tolerance * fmean(was))
     yield from _gone((name, key), ours, theirs)
     was, now = (
         [item["latency_ms"] for item in side if item["latency_ms"] is not None] for side in (ours, theirs)
     )
     if was and now and min(item["delays"] for item in (*ours, *theirs)) >= FEWEST_DELAYS:
         least = max(bounds.tolerance * fmean(was), LATENCY_MS)
-        yield _moved("latency_ms", (name, key), was, now, least, units.milliseconds)
+        yield _moved("latency_ms", (name, key), was, now, least)
     lows, highs = ([[item["bytes"][at] for item in side] for side in (ours, theirs)] for at in (0, 1))
     sizes = [(min(low), max(high)) for low, high in zip(lows, highs, strict=True)]
     if sizes[0] != sizes[1]:
@@ -229,27 +232,19 @@ def _figures(
         yield Point("bytes", name, *key[:2], [*sizes[0]], [*sizes[1]], False, text)
 
 
-def _moved(
-    quantity: str,
-    place: tuple[str, Key],
-    was: Sequence[float],
-    now: Sequence[float],
-    least: float,
-    text: Callable[[float | None], str],
-) -> Point:
+def _moved(quantity: str, place: Place, was: Sequence[float], now: Sequence[float], least: float) -> Point:
     """Compare a rate, where less is worse, or a delay, where more is worse."""
     before, after = fmean(was), fmean(now)
-    interval = _difference(was, now)
-    differs = abs(after - before) > least and (interval is None or not interval.low <= 0 <= interval.high)
+    ends = _difference(was, now)
+    differs = abs(after - before) > least and (ends is None or not ends[0] <= 0 <= ends[1])
     worse = differs and (after < before) == (quantity == "rate_hz")
     name, key = place
-    ends = (interval.low, interval.high) if interval is not None else None
-    word = "" if quantity == "rate_hz" else "99 % within "
+    word, text = ("", units.rate) if quantity == "rate_hz" else ("99 % within ", units.milliseconds)
     line = f"{name}: {word}{text(after)} instead of {text(before)}"
     return Point(quantity, name, *key[:2], before, after, worse, line, differs, interval=ends)
 
 
-def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence[Route]) -> Iterator[Point]:
+def _gone(place: Place | None, ours: Sequence[Route], theirs: Sequence[Route]) -> Iterator[Point]:
     """Compare the messages that did not arrive, of one route or of none."""
     name, (link, msg_id, _) = place or ("of no known route", (None, None, 0))
     route = name if place else None
@@ -261,9 +256,9 @@ def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence
         shares = [[number / of if of else 0.0 for number, of in side] for side in counts]
         before, after = map(fmean, shares)
         step = 1 / max(1, min(sent))
-        interval = _difference(shares[0], shares[1], step)
+        ends = _difference(shares[0], shares[1], step)
         spread = step * max(item["spread"] for item in ours)
-        chance = _is_chance(shares, spread) if interval is None else interval.low <= 0 <= interval.high
+        chance = _is_chance(shares, spread) if ends is None else ends[0] <= 0 <= ends[1]
         least = LOSS_SHARE if before else 0.0
         differs = abs(after - before) > least and not chance
         enough = place is None or min(sent for _, sent in counts[1]) >= FEWEST
@@ -271,7 +266,6 @@ def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence
         text = (
             f"{name}: {now:,} of {now_of:,} {words} ({after:.1%}) instead of {was:,} of {of:,} ({before:.1%})"
         )
-        ends = None if interval is None else (interval.low, interval.high)
         values = (was, now) if ends is None else (before, after)
         worse = differs and after > before and enough
         yield Point(quantity, route, link, msg_id, values[0], values[1], worse, text, differs, interval=ends)
@@ -371,8 +365,7 @@ def _value(
     if room is not None:
         low, high = min(item.low for item in before) - room, max(item.high for item in before) + room
     fields = [item.fields[name] for _, item in after]
-    ranges = [_range(side) for side in (before, fields)]
-    text = f"{topic} {name}: {_text(ranges[1])} instead of {_text(ranges[0])}"
+    text = f"{topic} {name}: {_range(fields)} instead of {_range(before)}"
     was, now = (fmean([item.mean for item in side if item.count] or [np.nan]) for side in (before, fields))
     had_none = any(np.isnan(item.first_values).any() for item in before)
     outliers: list[tuple[tuple[int, float], float]] = []
@@ -394,13 +387,8 @@ def _value(
     yield Point("value", topic, None, None, was, now, stuck, text, stuck, field=name)
 
 
-def _range(values: Sequence[FieldValues]) -> tuple[float, float]:
-    return min(item.low for item in values), max(item.high for item in values)
-
-
-def _text(limits: tuple[float, float]) -> str:
-    low, high = limits
-    return f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
+def _range(values: Sequence[FieldValues]) -> str:
+    return range_text(min(item.low for item in values), max(item.high for item in values))
 
 
 def _routes(run: RunSummary) -> dict[Key, dict[str, Any]]:

@@ -140,9 +140,8 @@ class Draft:
         self, name: str, figures: Sequence[Figures], limits: dict[str, RunLimit], indent: str
     ) -> Iterator[str]:
         for key in LOSS_KEYS:
-            if key == "lost" and (
-                missing := next((item.not_counted for item in figures if item.not_counted), "")
-            ):
+            missing = next((item.not_counted for item in figures if item.not_counted), "")
+            if key == "lost" and missing:
                 self.notes.append(f"{name}: what was lost is {missing}, so the draft has no bound")
             if key not in limits:
                 continue
@@ -150,9 +149,8 @@ class Draft:
             bound = limit.text(WHOLE_BOUNDS[key])
             yield f"{indent}{key}: {bound}  # {limit.why}"
             if limit.high:
-                self.notes.append(
-                    f"{name}: {key} {limit.why}; the draft accepts {bound.replace('at most', 'up to')}"
-                )
+                most = bound.replace("at most", "up to")
+                self.notes.append(f"{name}: {key} {limit.why}; the draft accepts {most}")
 
     def _allowed(self, key: str, names: list[str]) -> Iterator[str]:
         yield f"{key}: [{', '.join(names)}]"
@@ -283,9 +281,7 @@ class ExpectationUpdate:
         if limit.is_share and not bound.share and bound.high:
             return  # a bound in messages remains in messages
         suffix = limit.suffix if bound.to_end else ""
-        joined = (
-            RunLimit(bound.low, bound.high, "").joined(limit)._replace(suffix=suffix, is_share=limit.is_share)
-        )
+        joined = RunLimit(bound.low, bound.high, "", suffix, limit.is_share).joined(limit)
         self._replace(bound.line, joined.text(bound.unit), limit.why)
 
     def _replace(self, line: int, value: str, why: str) -> None:

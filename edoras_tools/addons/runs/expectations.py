@@ -296,14 +296,7 @@ class _Reader:
                     self.report.mistake(line, key, "this version reads schema 1")
             else:
                 self._bound(bounds, key, key, WHOLE_BOUNDS[key], value)
-        result = Expectations(
-            self.report.file,
-            tuple(topics),
-            tuple(events),
-            allowed.get("findings"),
-            allowed.get("verdicts"),
-            bounds,
-        )
+        result = Expectations(self.report.file, tuple(topics), tuple(events), bounds=bounds, **allowed)
         if result == Expectations(self.report.file) and not self.report.mistakes:
             self.report.mistake(tree.line, "", f"nothing is expected; {_FORM}")
         return result
@@ -332,12 +325,9 @@ class _Reader:
             return None
         sort, rest = sorts[0], values.keys() - set(sorts)
         if rest != ({"within", "then"} if sort == "after" else set()):
-            problem = (
-                "after: needs within: and then:, e.g. within: 2s"
-                if sort == "after"
-                else (f"{', '.join(sorted(rest))} can only be used with after:")
-            )
-            self.report.mistake(tree.line, place, problem)
+            only = f"{', '.join(sorted(rest))} can only be used with after:"
+            needed = "after: needs within: and then:, e.g. within: 2s"
+            self.report.mistake(tree.line, place, needed if sort == "after" else only)
             return None
         texts = {key: self._text(node, f"{place}.{key}") for key, (_, node) in values.items()}
         for key in (sort, "then"):
@@ -370,12 +360,8 @@ class _Reader:
         names = self._texts(value, key)
         for name, line in names:
             if name not in allowed_names:
-                kind = "verdict" if key == "verdicts" else "finding"
-                self.report.mistake(
-                    line,
-                    key,
-                    f"{name!r} is no {kind}; {suggestion(name, allowed_names) or 'see edoras doctor, info'}",
-                )
+                hint = suggestion(name, allowed_names) or "see edoras doctor, info"
+                self.report.mistake(line, key, f"{name!r} is no {key[:-1]}; {hint}")
         return frozenset(name for name, _ in names)
 
     def _entries(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.addons.runs.limits import range_text
 from edoras_tools.addons.runs.run import Run
 from edoras_tools.pipelines.workbench import Workbench, open_files
 from edoras_tools.units import SECOND
@@ -87,12 +88,10 @@ def _fields(
         if outside.any():
             place = int(outside.argmax())
             number, time_ns = theirs.place(place)
-            was = (
-                f"{low[place]:.6g}" if low[place] == high[place] else f"{low[place]:.6g} to {high[place]:.6g}"
-            )
             yield (
                 f"{topic} {name} is {values[place]:.6g} in message {number:,}, "
-                f"{(time_ns - begins[1]) / SECOND:.3f} s after the first command; it was {was} then"
+                f"{(time_ns - begins[1]) / SECOND:.3f} s after the first command; "
+                f"it was {range_text(low[place], high[place])} then"
             )
 
 

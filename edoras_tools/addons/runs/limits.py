@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from edoras_tools.addons.runs.check import TO_END
 from edoras_tools.addons.runs.expectations import LOSS_KEYS, Unit
 from edoras_tools.intervals import MEAN_CONFIDENCE, MeanInterval
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -78,12 +79,15 @@ def _worth(runs: int) -> int:
     return max(1, _WORTH // runs)
 
 
-def _range_text(values: Sequence[float], text: Callable[[float], str]) -> str:
-    """Return the range of the observed values in words."""
-    if len(values) == 1:
-        return f"{text(values[0])} in 1 run"
-    low, high = text(min(values)), text(max(values))
-    return f"{low if low == high else f'{low} to {high}'} in {len(values):,} runs"
+def range_text(low: float, high: float, text: Callable[[float], str] = "{:.6g}".format) -> str:
+    """Return a range in words: ``1`` or ``1 to 2``."""
+    first, last = text(low), text(high)
+    return first if first == last else f"{first} to {last}"
+
+
+def _observed(values: Sequence[float], text: Callable[[float], str]) -> str:
+    """Return the range of a value of each run in words."""
+    return f"{range_text(min(values), max(values), text)} in {plural(len(values), 'run')}"
 
 
 def topic_limits(
@@ -105,11 +109,11 @@ def topic_limits(
         interval = tolerance_interval(rates, own, _worth(count))
         low = max(interval.low, 0.0)
         lasts = low and all(item.end_silence * (item.rate or 0.0) <= TO_END for item in runs)
-        why = _range_text(rates, lambda value: f"{value:.4g} Hz")
+        why = _observed(rates, lambda value: f"{value:.4g} Hz")
         yield "rate", RunLimit(low, interval.high, why, " to the end" if lasts else "")
         yield "silence", _time_limit([item.silence for item in runs])
     if sizes := [size for item in runs if item.size is not None for size in item.size]:
-        yield "size", RunLimit(min(sizes), max(sizes), f"in {count:,} run{'s' * (count > 1)}")
+        yield "size", RunLimit(min(sizes), max(sizes), f"in {plural(count, 'run')}")
     delays = [item.latency for item in runs if item.latency is not None]
     if len(delays) == count:
         yield "latency", _time_limit(delays)
@@ -119,7 +123,7 @@ def topic_limits(
 def _time_limit(values: Sequence[float]) -> RunLimit:
     spread = _TIME * sum(values) / len(values) + _LEAST_S
     high = tolerance_interval(values, spread, _WORTH).high  # a longest time is no mean of many
-    return RunLimit(0, high, _range_text(values, lambda value: f"{value:.3g} s"))
+    return RunLimit(0, high, _observed(values, lambda value: f"{value:.3g} s"))
 
 
 def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, RunLimit]]:
@@ -131,7 +135,7 @@ def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, R
             continue
         numbers = [int(getattr(item, key)) for item in runs]
         shares = [number / item.sent for number, item in zip(numbers, runs, strict=True)]
-        whole = _range_text(shares, "{:.3%}".format)
+        whole = _observed(shares, "{:.3%}".format)
         if len(runs) == 1:
             whole = f"{numbers[0]:,} of {runs[0].sent:,} in 1 run"
         if not any(numbers):
@@ -153,15 +157,13 @@ def field_limit(runs: Sequence[FieldValues], *, to_cfs: bool) -> RunLimit | None
     span = max(highs) - min(lows)
     if span and runs[0].is_flag:
         return None
-    why = f"{_number(min(lows))} to {_number(max(highs))} in {len(runs):,} run{'s' * (len(runs) > 1)}"
+    why = f"{range_text(min(lows), max(highs), _number)} in {plural(len(runs), 'run')}"
     if not span:
         margin = 0.0 if runs[0].is_whole else _EQUAL * abs(lows[0])
-        return RunLimit(
-            lows[0] - margin, highs[0] + margin, why.partition(" to ")[0] + why[why.index(" in ") :]
-        )
+        return RunLimit(lows[0] - margin, highs[0] + margin, why)
     spread = span * (_SENT if to_cfs else _RECEIVED)
-    low = tolerance_interval(lows, spread, _worth(len(runs))).low
-    high = tolerance_interval(highs, spread, _worth(len(runs))).high
+    worth = _worth(len(runs))
+    low, high = tolerance_interval(lows, spread, worth).low, tolerance_interval(highs, spread, worth).high
     if runs[0].is_whole:
         return RunLimit(math.floor(low), math.ceil(high), why)
     step = 10.0 ** (math.floor(math.log10(span)) - 3)

@@ -271,10 +271,8 @@ def _watches(
 def _first(
     number: NDArray[np.int64], time_ns: NDArray[np.int64], mask: NDArray[np.bool_]
 ) -> tuple[int, int] | None:
-    if not mask.any():
-        return None
-    row = int(mask.argmax())
-    return int(number[row]), int(time_ns[row])
+    row = int(mask.argmax()) if mask.any() else None
+    return None if row is None else (int(number[row]), int(time_ns[row]))
 
 
 _Item = TypeVar("_Item")
@@ -392,38 +390,20 @@ class Figures(msgspec.Struct, frozen=True):
     @classmethod
     def of(cls, subject: Subject, parts: Parts) -> Figures:
         """Return the figures of a subject; without a diagnosis, those of its messages alone."""
-        packets = subject.packets
+        packets, ledger, size, latency = subject.packets, parts.ledger, None, None
+        own: Sequence[Account | SampleStream]
         if packets.only_samples and parts.diagnosis is not None:
-            samples, rows = parts.samples(packets)
-            rates = [rate_hz(item.count, item.last_ns - item.first_ns) for item in samples]
-            return cls._of(
-                samples, [item for item in rates if item], rows, parts.ledger, size=None, latency=None
-            )
-        accounts = parts.accounts(subject)
-        waits = [latency_ms(row) for row in parts.routes(subject)]
-        slowest = max((item for item in waits if item is not None), default=None)
-        low = min((item.bytes_min for item in accounts), default=0)
-        high = max((item.bytes_max for item in accounts), default=0)
-        return cls._of(
-            accounts,
-            [item.rate_hz for item in accounts if item.count > 1],
-            parts.balance(subject),
-            parts.ledger,
-            size=(low, high) if accounts else None,
-            latency=None if slowest is None else slowest / 1e3,
-        )
-
-    @classmethod
-    def _of(
-        cls,
-        own: Sequence[Account | SampleStream],
-        rates: Sequence[float],
-        rows: Sequence[Row],
-        ledger: Ledger,
-        *,
-        size: tuple[int, int] | None,
-        latency: float | None,
-    ) -> Figures:
+            own, rows = parts.samples(packets)
+            rates = [rate_hz(item.count, item.last_ns - item.first_ns) for item in own]
+            rates = [item for item in rates if item]
+        else:
+            accounts = parts.accounts(subject)
+            own, rows = accounts, parts.balance(subject)
+            rates = [item.rate_hz for item in accounts if item.count > 1]
+            waits = [item for row in parts.routes(subject) if (item := latency_ms(row)) is not None]
+            latency = max(waits) / 1e3 if waits else None
+            if accounts:
+                size = min(item.bytes_min for item in accounts), max(item.bytes_max for item in accounts)
         silences = [
             max(item.longest_ns, item.first_ns - ledger.start_ns, ledger.end_ns - item.last_ns)
             for item in own

@@ -74,14 +74,13 @@ def loss_spreads(diagnosis: Diagnosis | None) -> dict[tuple[str, int, int], floa
     """
     spreads: dict[tuple[str, int, int], float] = {}
     parts = (diagnosis.parts or {FIRST_SPACECRAFT: diagnosis}) if diagnosis else {}
-    for number, case in ((number, part.case) for number, part in parts.items()):
-        for stream in case.streams if case is not None else ():
-            lost = sum(item.lost for item in case.losses_of(stream)) if case is not None else 0
-            if case is None or not lost:
-                continue
-            key = stream.link.label, stream.msg_id, number
-            variance = max(_LEAST, _variance(_model(case, stream), lost))
-            spreads[key] = sqrt(spreads.get(key, 0.0) ** 2 + variance)
+    cases = {number: part.case for number, part in parts.items() if part.case is not None}
+    for number, case in cases.items():
+        for stream in case.streams:
+            if lost := sum(item.lost for item in case.losses_of(stream)):
+                key = stream.link.label, stream.msg_id, number
+                variance = max(_LEAST, _variance(_model(case, stream), lost))
+                spreads[key] = sqrt(spreads.get(key, 0.0) ** 2 + variance)
     return spreads
 
 
@@ -94,11 +93,8 @@ def _model(case: Case, stream: Stream) -> list[int]:
         way = queues.ci_socket(profile), queues.application_pipe(profile)
         return arrivals.lost(way, stream.msg_id, _PHASES)
     if stream.link.only_from_cfs:
-        limit = case.commanded_limit(stream)
-        pipe = queues.telemetry_pipe(profile)
-        return published_into(case, stream).lost(
-            (pipe.with_limit(stream.msg_id, limit),), stream.msg_id, _PHASES
-        )
+        pipe = queues.telemetry_pipe(profile).with_limit(stream.msg_id, case.commanded_limit(stream))
+        return published_into(case, stream).lost((pipe,), stream.msg_id, _PHASES)
     return []
 
 
@@ -114,18 +110,28 @@ class ValueCounting(Counting):
     """Counts datagrams and values; see ``Counting``.
 
     Attributes:
-        values: values of the configured topics.
+        values: values of the fields of each configured topic.
     """
 
     def __init__(self, source: Source, bench: Workbench) -> None:
         super().__init__(source, bench)
-        self.values = ValueCount()
+        self.values: dict[str, TopicValues] = {}
 
     def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
         """Count the chosen rows of a batch; return those that count."""
-        own = super().add(rows, loop)
-        self.values.add(own)
-        return own
+        chosen = super().add(rows, loop)
+        for _, own in chosen.by_spacecraft():
+            routes = {route.topic: route for route in own.context.mission.routes}
+            for item in message_rows(own, read_whole(own), commands=False):
+                if item.topic not in routes or item.bound is not None or not item.columns.valid.any():
+                    continue
+                valid = np.flatnonzero(item.columns.valid)
+                topic = self.values.setdefault(item.topic, TopicValues(routes[item.topic].to_cfs))
+                part = own.take(item.owner[valid])
+                topic.note(part.datagram("number"), part.datagram("time_ns"))
+                for name, values in _columns(item.columns.fields):
+                    topic.fields.setdefault(name, FieldValues()).add(values[valid])
+        return chosen
 
 
 class Run(msgspec.Struct, frozen=True):
@@ -157,7 +163,7 @@ class Run(msgspec.Struct, frozen=True):
         findings = examine_or_count(source, bench, counting, scope=scope, progress=progress)
         spreads = loss_spreads(findings.diagnosis)
         context = bench.columns.context
-        return cls(source.info.name, counting.report, context, findings, counting.values.topics, spreads)
+        return cls(source.info.name, counting.report, context, findings, counting.values, spreads)
 
     @property
     def ledger(self) -> Ledger:
@@ -327,31 +333,6 @@ class TopicValues(msgspec.Struct):
         if sum(map(len, self._numbers)) < _MOST:
             self._numbers.append(numbers)
             self._times_ns.append(times_ns)
-
-
-class ValueCount:
-    """Collects the values of the configured topics while a capture is read.
-
-    Attributes:
-        topics: values by topic.
-    """
-
-    def __init__(self) -> None:
-        self.topics: dict[str, TopicValues] = {}
-
-    def add(self, rows: ColumnRows) -> None:
-        """Add some rows."""
-        for _, own in rows.by_spacecraft():
-            routes = {route.topic: route for route in own.context.mission.routes}
-            for item in message_rows(own, read_whole(own), commands=False):
-                if item.topic not in routes or item.bound is not None or not item.columns.valid.any():
-                    continue
-                valid = np.flatnonzero(item.columns.valid)
-                topic = self.topics.setdefault(item.topic, TopicValues(routes[item.topic].to_cfs))
-                part = own.take(item.owner[valid])
-                topic.note(part.datagram("number"), part.datagram("time_ns"))
-                for name, values in _columns(item.columns.fields):
-                    topic.fields.setdefault(name, FieldValues()).add(values[valid])
 
 
 def _columns(fields: Mapping[str, NDArray[Any] | Ragged]) -> Iterator[tuple[str, NDArray[Any]]]:
