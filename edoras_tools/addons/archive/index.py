@@ -322,12 +322,9 @@ def _write(index: Index, name: str, folder: Path) -> int:
         source = f"SELECT {data_columns.replace('t.', 'c.')}, {_DATE} AS date FROM captures c"
     ((count,),) = index.ask(f"SELECT count(*) FROM {name}")
     if count:
+        place = str(folder).replace("'", "''")
         index.run(
-            f"COPY ({source} ORDER BY {', '.join(keys)}, capture) TO '{_quoted(folder)}' "
+            f"COPY ({source} ORDER BY {', '.join(keys)}, capture) TO '{place}' "
             f"(FORMAT parquet, COMPRESSION zstd, PARTITION_BY ({', '.join(keys)}))"
         )
     return int(count)
-
-
-def _quoted(path: Path) -> str:
-    return str(path).replace("'", "''")

@@ -17,7 +17,7 @@ from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -262,13 +262,8 @@ def _delays(trends: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
 def _routes(trends: ArchiveTrends) -> str:
     rows = (
         (
-            row["route"],
-            row["link"].upper(),
-            f"{row['with_loss']:,} of {row['captures']:,}",
-            _percent(row["lost"] + row["unaccounted"], row["sent"]),
-            units.count(row["lost"]),
-            units.count(row["unaccounted"]),
-            units.count(row["sent"]),
+            *(row["route"], row["link"].upper(), f"{row['with_loss']:,} of {row['captures']:,}"),
+            *_missing(row, "lost", "unaccounted", "sent"),
         )
         for row in trends.routes
     )
@@ -279,13 +274,8 @@ def _worst(trends: ArchiveTrends) -> str:
     runs = sorted(trends.runs, key=lambda row: (-(row["lost"] + row["unaccounted"]), row["capture"]))
     rows = (
         (
-            short(row["capture"]),
-            units.utc(row["start_ns"], digits=0),
-            row["worst"] or "",
-            _percent(row["lost"] + row["unaccounted"], row["sent"]),
-            units.count(row["lost"]),
-            units.count(row["unaccounted"]),
-            units.count(row["datagrams"]),
+            *(short(row["capture"]), units.utc(row["start_ns"], digits=0), row["worst"] or ""),
+            *_missing(row, "lost", "unaccounted", "datagrams"),
         )
         for row in runs[:_MOST_WORST]
         if row["lost"] + row["unaccounted"]
@@ -294,15 +284,9 @@ def _worst(trends: ArchiveTrends) -> str:
 
 
 def _rules(trends: ArchiveTrends) -> str:
+    names, figures = ("rule", "severity", "example"), ("captures", "verdicts", "lost")
     rows = (
-        (
-            row["rule"],
-            row["severity"],
-            row["example"],
-            units.count(row["captures"]),
-            units.count(row["verdicts"]),
-            units.count(row["lost"]),
-        )
+        [*(row[name] for name in names), *(units.count(row[name]) for name in figures)]
         for row in trends.rules
     )
     return _table(("rule", "severity", "for example", "runs", "verdicts", "lost"), rows, "rules")
@@ -319,6 +303,12 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], style: str = "fi
     head = "".join(f"<th>{item}</th>" for item in heads)
     body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
     return f'<div class="scroll"><table class="{style}"><tr>{head}</tr>{body}</table></div>'
+
+
+def _missing(row: Mapping[str, Any], *figures: str) -> list[str]:
+    """Return the share of a row's messages that is missing, and some of its figures."""
+    share = _percent(row["lost"] + row["unaccounted"], row["sent"])
+    return [share, *(units.count(row[name]) for name in figures)]
 
 
 def _percent(missing: int, sent: int) -> str:

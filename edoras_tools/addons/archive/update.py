@@ -124,6 +124,9 @@ _GROUP_BYTES: Final = 16 << 20
 _GROUP_CAPTURES: Final = 64
 _GROUPS_EACH: Final = 8
 """Least number of groups for each worker, if there are enough captures, so that all end together."""
+_ERRORS: Final = """
+SELECT error FROM captures WHERE error IS NOT NULL AND capture IN (SELECT unnest(?)) ORDER BY capture
+"""
 _UNDER_WAY: Final = 3
 """Groups for each worker that were submitted and are not written yet."""
 
@@ -214,11 +217,8 @@ def bring_up_to_date(
     report.missing = len(missing)
     index.leave(missing, [url for url in names if url in rows and rows[url]["gone"]], forget=update.forget)
     if new:
-        hashes = (
-            {}
-            if update.again
-            else {url: row["sha256"] for url, row in rows.items() if row["settings"] == settings}
-        )
+        alike = {} if update.again else rows
+        hashes = {url: row["sha256"] for url, row in alike.items() if row["settings"] == settings}
         with on_interrupt(_interrupt, in_handler=True) as stop_event:
             try:
                 with workers(update.jobs, update.scheduler, most=len(new)) as client:
@@ -229,14 +229,7 @@ def bring_up_to_date(
                 if not stop_event.is_set():
                     raise
                 report.interrupted = True
-    report.bad = [
-        error
-        for (error,) in index.ask(
-            "SELECT error FROM captures WHERE error IS NOT NULL AND capture IN (SELECT unnest(?)) "
-            "ORDER BY capture",
-            [list(names)],
-        )
-    ]
+    report.bad = [error for (error,) in index.ask(_ERRORS, [list(names)])]
     return report
 
 
@@ -313,27 +306,25 @@ class _Run:
             CaptureError: the scheduler was lost, or the index cannot be written.
             ConfigError: a worker cannot do the work.
         """
+        of = self._report.unfinished
+        show = progress.step if progress else lambda *_: None
+        show("captures", 0, of)  # the first capture may take minutes
         try:
-            self._all(waiting, progress)
+            coming = as_completed([], loop=self._client.loop, raise_errors=False)
+            while waiting or self._tasks:
+                while waiting and len(self._tasks) < _UNDER_WAY * _count(self._client):
+                    future = self._client.submit(examine_group, task := waiting.popleft(), pure=False)
+                    self._tasks[future.key] = task
+                    coming.add(future)
+                # what else is complete by now is written in the same transaction
+                batch = [next(coming), *coming.next_batch(block=False)]
+                self._watch()
+                self._write(batch, waiting)
+                show("captures", of - self._report.unfinished, of)
         except (OSError, FutureCancelledError) as error:
             raise CaptureError(
                 "the scheduler was lost; what was read is in the index: run the same again to go on"
             ) from error
-
-    def _all(self, waiting: deque[Task], progress: Progress | None) -> None:
-        of = self._report.unfinished
-        coming = as_completed([], loop=self._client.loop, raise_errors=False)
-        show = progress.step if progress else lambda *_: None
-        show("captures", 0, of)  # the first capture may take minutes
-        while waiting or self._tasks:
-            while waiting and len(self._tasks) < _UNDER_WAY * _count(self._client):
-                future = self._client.submit(examine_group, task := waiting.popleft(), pure=False)
-                self._tasks[future.key] = task
-                coming.add(future)
-            batch = [next(coming), *_more(coming)]
-            self._watch()
-            self._write(batch, waiting)
-            show("captures", of - self._report.unfinished, of)
 
     def _watch(self) -> None:
         """Report workers that no longer exist."""
@@ -369,11 +360,6 @@ class _Run:
         self._report.read += len(urls)
         self._report.same += len(same)
         self._report.unfinished -= len(urls) + len(same)
-
-
-def _more(coming: Any) -> list[Future]:
-    """Return further results that are complete by now; they are written in the same transaction."""
-    return list(coming.next_batch(block=False))
 
 
 def _result(future: Future) -> Any:

@@ -171,8 +171,7 @@ def _examined(url: str, known_digest: str, group: _Group) -> IndexRows | ListedF
         cause = cause_of(error)
         if is_remote(url) and not digest and not isinstance(cause, FileNotFoundError | PermissionError):
             group.unfetched += 1
-        reason = f"{url}: cannot be read: {reason_of(cause)}"
-        rows, state = {}, _bad(NOT_READ, reason)
+        rows, state = {}, _bad(NOT_READ, f"{url}: cannot be read: {reason_of(cause)}")
     if state.get("state") == CHANGING:
         rows, before = {}, ListedFile(url, -1, "")  # not complete yet: the next update reads it
     identity = {"size": before.size, "version": before.version, "sha256": digest or None, "gone": False}
