@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Any
 
 from edoras_tools.addons.snapshot.sink import SnapshotPlan, record_snapshots
-from edoras_tools.addons.snapshot.triggers import Triggers, ask, listening
+from edoras_tools.addons.snapshot.triggers import ask, listening
 from edoras_tools.cli.endings import finish
 from edoras_tools.cli.output import print_json, watcher
 from edoras_tools.model import Finding
@@ -34,33 +36,18 @@ def fire(path: Path) -> str:
 
 def plan(request: SnapshotOptions) -> SnapshotPlan:
     """Return the options in the form that the sink takes."""
-    triggers, before = request.trigger or [], dict(request.before or ())
-    labels = {item.label: int(item) for item in Finding}
-    usual = SnapshotPlan()
-    findings = 0
-    for kind, rest in triggers:
-        if kind == "finding":
-            findings |= labels[rest] if rest else int(NOTABLE)
+    triggers, before, usual = request.trigger or [], dict(request.before or ()), SnapshotPlan()
+    labels = {"": NOTABLE, **{item.label: item for item in Finding}}
+    kinds = {name: [rest for kind, rest in triggers if kind == name] for name in ("finding", "where", "rule")}
     return SnapshotPlan(
         before.get("time", usual.before_ns),
         usual.after_ns if request.after is None else request.after,
         request.before_size or before.get("size", usual.before_bytes),
-        findings,
-        tuple(rest for kind, rest in triggers if kind == "where"),
-        frozenset(rest for kind, rest in triggers if kind == "rule" and rest),
-        ("rule", "") in triggers,
+        reduce(or_, (int(labels[rest]) for rest in kinds["finding"]), 0),
+        tuple(kinds["where"]),
+        frozenset(filter(None, kinds["rule"])),
+        "" in kinds["rule"],
     )
-
-
-def _triggers(request: SnapshotOptions, stack: ExitStack) -> Triggers:
-    """Open the triggers of this machine; a stack closes them.
-
-    Raises:
-        CaptureError: the socket cannot be made.
-    """
-    is_terminal = sys.stdin is not None and sys.stdin.isatty()
-    keys = stack.enter_context(Keys()) if is_terminal else None
-    return stack.enter_context(listening(keys, request.socket))
 
 
 def record(
@@ -80,20 +67,13 @@ def record(
     """
     with ExitStack() as stack:
         stack.callback(source.close)
-        triggers = _triggers(request, stack)
-        watch = stack.enter_context(
-            watcher(source, None, quiet=printing.quiet or printing.json, live=source.live)
-        )
-        report, sink = record_snapshots(
-            source,
-            bench,
-            target,
-            plan(request),
-            selection=selection,
-            limits=limits,
-            watcher=watch,
-            triggers=triggers,
-        )
+        is_terminal = sys.stdin is not None and sys.stdin.isatty()
+        keys = stack.enter_context(Keys()) if is_terminal else None
+        triggers = stack.enter_context(listening(keys, request.socket))
+        quiet = printing.quiet or printing.json
+        watch = stack.enter_context(watcher(source, None, quiet=quiet, live=source.live))
+        how: dict[str, Any] = {"selection": selection, "limits": limits, "watcher": watch}
+        report, sink = record_snapshots(source, bench, target, plan(request), triggers=triggers, **how)
     if printing.json:
         print_json(
             {

@@ -104,15 +104,8 @@ class Snapshot(msgspec.Struct):
 
     def as_json(self) -> dict[str, Any]:
         """Return the snapshot in the shape of ``record --snapshot --json``."""
-        return {
-            "path": str(self.path),
-            "reasons": self.reasons,
-            "trigger_ns": self.trigger_ns,
-            "until_ns": self.until_ns,
-            "datagrams": self.datagrams,
-            "before_ns": self.before_ns,
-            "cut": self.cut,
-        }
+        names = ("reasons", "trigger_ns", "until_ns", "datagrams", "before_ns", "cut")
+        return {"path": str(self.path), **{name: getattr(self, name) for name in names}}
 
 
 class _Piece(msgspec.Struct, frozen=True, eq=False):

@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Examination
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.pipelines.interrupt import Keys
 
 _SIGNAL: Final = getattr(signal, "SIGUSR1", None)
 _MOST_BYTES: Final = 256
@@ -36,13 +37,6 @@ _JUDGE_ROWS: Final = 200_000
 """Most datagrams that the doctor examines, from the newest on; of at least one batch."""
 
 
-class Keyboard(Protocol):
-    """A source of key presses; see ``pipelines.interrupt.Keys``."""
-
-    def pressed(self) -> str:
-        """Return the keys that were pressed since the last call."""
-
-
 class Triggers:
     """Triggers of this machine; none by default.
 
@@ -51,7 +45,7 @@ class Triggers:
         listener: a bound socket, on which every datagram fires.
     """
 
-    def __init__(self, keys: Keyboard | None = None, listener: socket.socket | None = None) -> None:
+    def __init__(self, keys: Keys | None = None, listener: socket.socket | None = None) -> None:
         self._keys, self._listener = keys, listener
         self._signals: list[str] = []
         self._senders: list[str] = []
@@ -86,7 +80,7 @@ class Triggers:
 
 
 @contextmanager
-def listening(keys: Keyboard | None = None, path: Path | None = None) -> Iterator[Triggers]:
+def listening(keys: Keys | None = None, path: Path | None = None) -> Iterator[Triggers]:
     """Open the triggers of this machine: SIGUSR1, and keys and a socket if they are given.
 
     Args:
@@ -207,11 +201,11 @@ class RuleTrigger:
                 break
             waiting.append((batch, columns))
         self._judged_ns, self._due_ns = newest_ns, now + _JUDGE_NS
-        if not self._apart:
+        if self._apart:
+            self._thread = threading.Thread(target=self._judge, args=(waiting[::-1], newest_ns), daemon=True)
+            self._thread.start()
+        else:
             self._judge(waiting[::-1], newest_ns)
-            return
-        self._thread = threading.Thread(target=self._judge, args=(waiting[::-1], newest_ns), daemon=True)
-        self._thread.start()
 
     def end(self) -> None:
         """Wait for the judgement that is running."""
