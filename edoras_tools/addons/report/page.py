@@ -20,7 +20,7 @@ from edoras_tools.render.pages import parts
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from edoras_tools.diagnosis.examination import Diagnosis
 
@@ -142,19 +142,15 @@ def _verdicts(result: Diagnosis) -> str:
 def _many(result: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
     """Return many verdicts of one rule as one table, with the worst in full above it."""
     every = [item for members in several for item in members]
-    rows = "".join(
-        f"<tr><td>{_when(result, item)}</td><td>{escape(item.reason)}</td>"
-        f"<td>{units.count(item.lost) if item.lost is not None else ''}</td></tr>"
+    rows = (
+        (_when(result, item), escape(item.reason), units.count(item.lost) if item.lost is not None else "")
         for item in every[:_MOST_VERDICTS]
     )
     worst = max(several, key=lambda members: sum(item.lost or 0 for item in members))
-    head = "<tr><th>when</th><th>what</th><th>lost</th></tr>"
     more = f", the first {_MOST_VERDICTS}" if len(every) > _MOST_VERDICTS else ""
-    return (
-        f"{_verdict(result, worst)}<details><summary>{len(every):,} verdicts of "
-        f"{escape(every[0].rule)}{more}</summary>"
-        f'<div class="scroll"><table class="alike">{head}{rows}</table></div></details>'
-    )
+    summary = f"{len(every):,} verdicts of {escape(every[0].rule)}{more}"
+    table = _table(("when", "what", "lost"), rows, ' class="alike"')
+    return f"{_verdict(result, worst)}<details><summary>{summary}</summary>{table}</details>"
 
 
 def _verdict(result: Diagnosis, members: Sequence[Verdict]) -> str:
@@ -165,7 +161,14 @@ def _verdict(result: Diagnosis, members: Sequence[Verdict]) -> str:
     if len(members) > 1:
         lost, of = sum(item.lost or 0 for item in members), sum(item.of or 0 for item in members)
         reason, text = f"{lost:,} of {of:,} lost; {reason}", f"in {len(members)} periods"
-        spans = _spans(result, members)
+        rows = (
+            (
+                *(_when(result, item), units.count(item.lost), units.count(item.of)),
+                *(f"{100 * (item.lost or 0) / item.of:.0f}%" if item.of else "", item.confidence),
+            )
+            for item in members
+        )
+        spans = _table(("when", "lost", "of", "", "confidence"), rows, ' class="spans"')
     evidence = "".join(f"<li>{escape(line)}</li>" for line in worst.evidence)
     return (
         f'<article class="verdict {worst.severity.label}"><p class="what">{escape(reason)}</p>'
@@ -182,16 +185,11 @@ def _remedy(text: str, promise: str = "") -> str:
     return f'<p class="remedy">{marked}{rest}</p>' if text else ""
 
 
-def _spans(result: Diagnosis, members: Sequence[Verdict]) -> str:
-    rows = "".join(
-        f"<tr><td>{_when(result, item)}</td><td>{units.count(item.lost)}</td>"
-        f"<td>{units.count(item.of)}</td>"
-        f"<td>{f'{100 * (item.lost or 0) / item.of:.0f}%' if item.of else ''}</td>"
-        f"<td>{item.confidence}</td></tr>"
-        for item in members
-    )
-    head = "<tr><th>when</th><th>lost</th><th>of</th><th></th><th>confidence</th></tr>"
-    return f'<div class="scroll"><table class="spans">{head}{rows}</table></div>'
+def _table(heads: Iterable[str], rows: Iterable[Iterable[str]], style: str = "") -> str:
+    """Return a table of HTML cells; empty without rows."""
+    head = "".join(f"<th>{name}</th>" for name in heads)
+    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
+    return f'<div class="scroll"><table{style}><tr>{head}</tr>{body}</table></div>' if body else ""
 
 
 def _when(result: Diagnosis, item: Verdict) -> str:
@@ -200,10 +198,9 @@ def _when(result: Diagnosis, item: Verdict) -> str:
 
 
 def _rates(drawn: Plots, whose: str) -> str:
-    rows = drawn.rates[:_MOST_CHARTS]
     cards = "".join(
         parts.chart_card(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn))
-        for row in rows
+        for row in drawn.rates[:_MOST_CHARTS]
     )
     return parts.section(f"Rates against limits{whose}", [cards], _key(cards))
 
@@ -241,16 +238,14 @@ def _time(drawn: Plots, whose: str) -> str:
 
 
 def _sizes(drawn: Plots, whose: str) -> str:
-    rows = "".join(
-        f"<tr><td>{escape(row['label'])}</td><td>{row['link'].upper()}</td>"
-        f'<td><meter min="0" max="{row["room"]}" high="{row["room"] * 0.999:.1f}" '
-        f'value="{row["bytes"]}">{row["bytes"]} of {row["room"]}</meter></td>'
-        f"<td>{row['bytes']:,}</td><td>{row['room']:,}</td></tr>"
-        for row in drawn.sizes
-    )
-    head = "<tr><th>route</th><th>link</th><th></th><th>largest</th><th>buffer</th></tr>"
-    table = f'<div class="scroll"><table>{head}{rows}</table></div>'
-    return parts.section(f"Sizes against buffers{whose}", [table] if rows else [])
+    def meter(used: int, room: int) -> str:
+        ends = f'min="0" max="{room}" high="{room * 0.999:.1f}"'
+        return f'<meter {ends} value="{used}">{used} of {room}</meter>'
+
+    sizes = ((escape(row["label"]), row["link"].upper(), row["bytes"], row["room"]) for row in drawn.sizes)
+    rows = ((name, link, meter(used, room), f"{used:,}", f"{room:,}") for name, link, used, room in sizes)
+    table = _table(("route", "link", "", "largest", "buffer"), rows)
+    return parts.section(f"Sizes against buffers{whose}", [table])
 
 
 def _balance(result: Diagnosis) -> str:
@@ -262,58 +257,32 @@ def _balance(result: Diagnosis) -> str:
         if name in {"in", "out", "lost"} or any(row[name] for row in lines)
     ]
     titles = ("MsgId", "topic", "hop", *(head for _, head in figures), "lost by")
-    head = "".join(f"<th>{name}</th>" for name in titles)
-    rows = "".join(
-        "<tr>"
-        + "".join(
-            f"<td>{escape(str(value))}</td>"
-            for value in (
-                row["msg_id"] or "",
-                row["topic"] or row["name"] or "",
-                row["hop"],
-                *(balance.figure_text(row[name]) for name, _ in figures),
-                balance.causes(row),
-            )
+    rows = (
+        (
+            *(row["msg_id"] or "", row["topic"] or row["name"] or "", row["hop"]),
+            *(balance.figure_text(row[name]) for name, _ in figures),
+            balance.causes(row),
         )
-        + "</tr>"
         for row in lines
     )
     both = "In and Twice are" if any(name == "duplicated" for name, _ in figures) else "In is"
     lead = f'<p class="dim">{both} the sum of the figures that follow, in every row.</p>'
-    table = f'<div class="scroll"><table class="balance"><tr>{head}</tr>{rows}</table></div>'
-    return parts.section("Balance", [table] if rows else [], lead)
+    table = _table(titles, (map(escape, row) for row in rows), ' class="balance"')
+    return parts.section("Balance", [table], lead)
 
 
 def _routes(result: Diagnosis) -> str:
-    def cell(value: Any) -> str:
-        return f"<td>{escape(str(value))}</td>"
-
-    head = "".join(
-        f"<th>{name}</th>"
-        for name in ("link", "MsgId", "topic", "sent", "seen", "lost", "gaps", "rate", "clean to", "bytes")
-    )
-    rows = "".join(
-        "<tr>"
-        + "".join(
-            cell(value)
-            for value in (
-                row["link"].upper(),
-                row["msg_id"],
-                row["topic"] or row["name"] or "",
-                units.count(row["sent"]),
-                units.count(row["seen"]),
-                units.count(row["lost"]),
-                units.count(row["gaps"]) if row["counted"] else "no count",
-                units.rate(row["rate_hz"] or None),
-                clean_to(row),
-                units.count(row["bytes_max"]),
-            )
+    heads = ("link", "MsgId", "topic", "sent", "seen", "lost", "gaps", "rate", "clean to", "bytes")
+    rows = (
+        (
+            *(row["link"].upper(), row["msg_id"], row["topic"] or row["name"] or ""),
+            *(units.count(row[name]) for name in ("sent", "seen", "lost")),
+            units.count(row["gaps"]) if row["counted"] else "no count",
+            *(units.rate(row["rate_hz"] or None), clean_to(row), units.count(row["bytes_max"])),
         )
-        + "</tr>"
         for row in result.routes
     )
-    table = f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
-    return parts.section("Accounts", [table] if rows else [])
+    return parts.section("Accounts", [_table(heads, (map(escape, row) for row in rows))])
 
 
 def _habits(result: Diagnosis) -> str:
