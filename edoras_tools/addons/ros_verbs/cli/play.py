@@ -82,27 +82,22 @@ def play(
     if not (quiet or json):
         say(f"playing {len(loaded.out):,} messages on {len(loaded.topics)} topics ({name}); Ctrl-C ends")
     keys = Keys() if request.paused or (sys.stdin is not None and sys.stdin.isatty()) else None
-    with send_status(
-        len(loaded.out) * request.passes or None, quiet=quiet or json, keys=bool(keys)
-    ) as watcher:
+    total = len(loaded.out) * request.passes or None
+    with send_status(total, quiet=quiet or json, keys=bool(keys)) as watcher:
         report = playing.play(loaded, node, request, bench.mission, name=name, keys=keys, watcher=watcher)
-    summary, names = (
-        report.summary(),
-        ("sent", "rate_achieved_hz", "duration_s", "lateness_us", "errors", "notes"),
-    )
+    summary = report.summary()
     if json:
         topics = [{"topic": item.topic, "type": item.type, **asdict(item.qos)} for item in loaded.topics]
-        figures = {key: summary[key] for key in (*names, "interrupted")}
+        names = "sent", "rate_achieved_hz", "duration_s", "lateness_us", "errors", "notes", "interrupted"
+        figures = {key: summary[key] for key in names}
         print_json({"graph": name, "total": report.total, **figures, "topics": topics})
     elif not quiet:
         late = " us, ".join(f"{key} {value}" for key, value in summary["lateness_us"].items())
         sys.stdout.write(
             f"published {report.sent:,} messages in {summary['duration_s']:.1f} s, late by {late} us\n"
         )
-    for note in (
-        *summary["notes"],
-        *(f"{count:,} not published: {why}" for why, count in report.errors.items()),
-    ):
+    errors = (f"{count:,} not published: {why}" for why, count in report.errors.items())
+    for note in (*summary["notes"], *errors):
         tell(note)
     if report.failure is not None:
         raise report.failure

@@ -131,7 +131,6 @@ class SourceOptions(NamedTuple):
 _READ = f"{READ_PACKED}; without one, the ROS 2 graph."
 Arguments = Annotated[list[str] | None, Argument(metavar="[FILE]... TOPIC", help=_READ)]
 Listing = Annotated[list[str] | None, Argument(metavar="[FILE]...", help=_READ)]
-Window = Annotated[int | None, Option("--window", "-w", parser=options.count, help="Messages.")]
 Verbose = Annotated[bool, Option("--verbose", "-v", help="Publishers and subscriptions, too.")]
 _EVERY_NS = 1_000_000_000
 
@@ -217,19 +216,20 @@ def _message(block: MessageBlock, index: int, texts: TextOptions, form: EchoForm
     return f"{before}{text}{end}"
 
 
-def _measure(
-    kind: Kind,
-    arguments: Sequence[str] | None,
-    source: SourceOptions,
-    window: int | None,
-    decoding: options.DecodingOptions,
-    *,
-    json: bool,
-) -> None:
+class MeasureOptions(NamedTuple):
+    """The measured messages, and the form of the figures."""
+
+    source: SourceOptions = SourceOptions()
+    window: Annotated[int | None, Option("--window", "-w", parser=options.count, help="Messages.")] = None
+    json: options.Json = False
+    decoding: options.DecodingOptions = options.DecodingOptions()
+
+
+def _measure(kind: Kind, arguments: Sequence[str] | None, how: MeasureOptions) -> None:
     """Measure topics; print the figures once a second and at the end, or once at the end as JSON."""
     from edoras_tools.addons.ros_verbs.messages import USUAL_WINDOWS, TopicFigures, rate_table, read_topics
 
-    words = Words.of(arguments)
+    words, (source, window, json, decoding) = Words.of(arguments), how
     if kind != "hz" or not words.topics:
         words.topic(kind)
     figures = {topic: TopicFigures(kind, topic, window or USUAL_WINDOWS[kind]) for topic in words.topics}
@@ -255,35 +255,21 @@ def _measure(
 
 
 @grouped
-def bw(
-    *,
-    arguments: Arguments = None,
-    source: SourceOptions,
-    window: Window = None,
-    json: options.Json = False,
-    decoding: options.DecodingOptions,
-) -> None:
+def bw(*, arguments: Arguments = None, how: MeasureOptions) -> None:
     """Show the bytes a second of a topic.
 
     Of a graph, a link, a capture or a recording, as ros2 topic bw does.
     """
-    _measure("bw", arguments, source, window, decoding, json=json)
+    _measure("bw", arguments, how)
 
 
 @grouped
-def delay(
-    *,
-    arguments: Arguments = None,
-    source: SourceOptions,
-    window: Window = None,
-    json: options.Json = False,
-    decoding: options.DecodingOptions,
-) -> None:
+def delay(*, arguments: Arguments = None, how: MeasureOptions) -> None:
     """Show how old messages are.
 
     By their headers. Of a graph, a link, a capture or a recording, as ros2 topic delay does.
     """
-    _measure("delay", arguments, source, window, decoding, json=json)
+    _measure("delay", arguments, how)
 
 
 def graph_hz(
@@ -297,7 +283,7 @@ def graph_hz(
 ) -> None:
     """Show the rates of topics of a graph or a recording, for ``edoras hz``."""
     source = SourceOptions(duration=duration, graph=graph)
-    _measure("hz", arguments, source, window, decoding, json=json)
+    _measure("hz", arguments, MeasureOptions(source, window, json, decoding))
 
 
 topic = command_group("topic", "List topics, or say more of one.")
@@ -379,13 +365,8 @@ def _topics(words: Words, source: SourceOptions, decoding: options.DecodingOptio
 
     rows = []
     for item, profiles, is_published in topics_in(*source.open(words, decoding), source.duration or 0):
-        offers = [
-            f"Endpoint type: PUBLISHER\n{policies_text(offer)}" for offer in recorded_policies(profiles)
-        ]
-        row = {
-            "topic": item.name,
-            "type": item.type,
-            "publishers": len(offers) or (1 if is_published else None),
-        }
-        rows.append({**row, "subscriptions": None, "details": {"publishers": offers, "subscriptions": ()}})
+        texts = [policies_text(offer) for offer in recorded_policies(profiles)]
+        details = {"publishers": [f"Endpoint type: PUBLISHER\n{text}" for text in texts], "subscriptions": ()}
+        counts = {"publishers": len(texts) or (1 if is_published else None), "subscriptions": None}
+        rows.append({"topic": item.name, "type": item.type, **counts, "details": details})
     return rows
