@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import threading
+from contextlib import closing
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -312,30 +313,34 @@ class RecordingPlayer:
     def _measure(self, progress: Progress | None) -> tuple[int, int]:
         """Read the recording once; return its start and end."""
         source = self._reopen()
-        source.follow(self._bench.columns.context.framings)
         first, last, last_ns = 1 << 63, -1, -1
-        try:
-            for batch in source.batches():
-                if progress is not None:
-                    progress.read(source)
-                if len(batch):
-                    last_ns = max(last_ns, int(batch.time_ns.max()))
-                if len(batch) and self._begin_ns is None:
-                    self._begin_ns = int(batch.time_ns[0])
-                    self._period = self._period.since(self._begin_ns)
-                times = self._selected(batch)[0].time_ns
-                if len(times):
-                    first, last = min(first, int(times.min())), max(last, int(times.max()))
-        except CaptureError as error:
-            self.failure = error
-        finally:
-            source.close()
+        for batch in self._batches(source):
+            if progress is not None:
+                progress.read(source)
+            if len(batch):
+                last_ns = max(last_ns, int(batch.time_ns.max()))
+            if len(batch) and self._begin_ns is None:
+                self._begin_ns = int(batch.time_ns[0])
+                self._period = self._period.since(self._begin_ns)
+            times = self._selected(batch)[0].time_ns
+            if len(times):
+                first, last = min(first, int(times.min())), max(last, int(times.max()))
         if last < 0 and self._period and self._begin_ns is not None and self.failure is None:
             raise outside(source.info.name, self._begin_ns, last_ns)
         if last < 0:
             unit = "message" if self._bench.mission.recorded else "datagram"
             raise self.failure or CaptureError(f"{source.info.name}: it contains no selected {unit}")
         return first, last
+
+    def _batches(self, source: Source) -> Generator[PacketBatch]:
+        """Yield the batches of a recording, as far as it can be read; the source is closed."""
+        source.follow(self._bench.columns.context.framings)
+        try:
+            yield from source.batches()
+        except CaptureError as error:
+            self.failure = error
+        finally:
+            source.close()
 
     def _selected(self, batch: PacketBatch, own_rows: LinkStates[OwnRows] | None = None) -> _Piece:
         decode = self._bench.columns.decode
@@ -350,14 +355,12 @@ class RecordingPlayer:
 
     def _read(self, start_ns: int, sink: ServedSink) -> Generator[_Piece]:
         """Yield the messages from a time on; before them, the last earlier message of each topic."""
-        source = self._reopen()
-        source.follow(self._bench.columns.context.framings)
-        latest: dict[int, _Piece] = {}
+        source, latest = self._reopen(), dict[int, _Piece]()
         context = self._bench.columns.context
         own_rows: LinkStates[OwnRows] = LinkStates(lambda link: link.rows(context))
         before, runs, part = True, RunCounter(source), 0
-        try:
-            for whole in source.batches():
+        with closing(self._batches(source)) as batches:
+            for whole in batches:
                 batch, columns = self._selected(whole, own_rows)
                 if source.files and (now := runs.add(batch, columns)) != part:
                     part = now
@@ -374,10 +377,6 @@ class RecordingPlayer:
                     before = False
                     _show(latest, sink)
                 yield batch.take(slice(first, None)), columns.take(slice(first, None))
-        except CaptureError as error:
-            self.failure = error
-        finally:
-            source.close()
 
     def _pass_over(self, begin_ns: int) -> None:
         """Continue at the begin of another run, after everything before it is played."""

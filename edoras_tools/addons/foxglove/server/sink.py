@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.addons.foxglove.server.link_state import LinkState, route_from_key, route_keys
-from edoras_tools.addons.foxglove.server.live_diagnosis import JUDGED_FIGURES, LiveDiagnosis
+from edoras_tools.addons.foxglove.server import link_state
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.examination import Examination
@@ -110,13 +109,13 @@ class Diagnostics:
 
     def _add(self, batch: PacketBatch, columns: Columns) -> None:
         findings = columns.findings | batch.capture_findings
-        keys, which = np.unique(route_keys(columns), return_inverse=True)
+        keys, which = np.unique(link_state.route_keys(columns), return_inverse=True)
         table = np.zeros((len(keys), _BITS + 1), np.int64)
         table[:, _BITS] = np.bincount(which)
         for bit in np.flatnonzero(np.bitwise_or.reduce(findings) >> np.arange(_BITS) & 1).tolist():
             table[:, bit] = np.bincount(which[findings >> bit & 1 != 0], minlength=len(keys))
         for value, counts in zip(keys.tolist(), table, strict=True):
-            owner = route_from_key(value)
+            owner = link_state.route_from_key(value)
             if owner not in self._counts and len(self._counts) >= _MOST:
                 owner = (FIRST_SPACECRAFT, int(OTHER), NO_MSG_ID)
             self._counts[owner] = self._counts.get(owner, 0) + counts
@@ -160,7 +159,7 @@ class Diagnostics:
     def _doctor_statuses(self, judgement: Mapping[str, Any]) -> list[dict[str, Any]]:
         """Return statuses for the doctor's total, and for each problem."""
         level = _LEVELS.get(judgement["worst"], OK)
-        figures = {name: judgement[name] for name in JUDGED_FIGURES}
+        figures = {name: judgement[name] for name in link_state.JUDGED_FIGURES}
         statuses = [self._entry(level, "doctor", judgement["headline"], figures)]
         for place, item in enumerate(judgement["problems"], 1):
             name = f"doctor: {', '.join(item['rules']) or 'loss'} {place}"
@@ -307,11 +306,11 @@ class LinkMonitor:
         own: dict[str, Any] = {"structs": context.structs, "add": self.place, "sequences": self.sequences}
         self._streams = Streams(context.mission, self._types, counters, transforms=True, **own)
         self._streams.endpoints = context.endpoints
-        self._link = LinkState(context.mission, self._types, counters)
+        self._link = link_state.LinkState(context.mission, self._types, counters)
         if not self._live:
             self._link.clock = lambda: 0.0
         self._diagnostics = Diagnostics(context.mission, self._types, self._name, self._levels, counters)
-        self._doctor = LiveDiagnosis(partial(Examination, context), counters)
+        self._doctor = link_state.LiveDiagnosis(partial(Examination, context), counters)
         self._doctor.waits = self._alone
 
 

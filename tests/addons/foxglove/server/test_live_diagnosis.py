@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import waiting
 
-from edoras_tools.addons.foxglove.server import live_diagnosis
-from edoras_tools.addons.foxglove.server.live_diagnosis import LiveDiagnosis
+from edoras_tools.addons.foxglove.server import link_state
+from edoras_tools.addons.foxglove.server.link_state import LiveDiagnosis
 from edoras_tools.decode import Context
 from edoras_tools.diagnosis.balance import WaySum
 from edoras_tools.diagnosis.examination import Examination
@@ -119,7 +119,7 @@ def test_who_writes_does_not_wait_for_it(diagnosis, capture, types):
 
 def test_what_is_too_much_to_wait_is_judged_from_there_on(diagnosis, capture, monkeypatch):
     rover = capture("a_rover", "rover_ground")
-    monkeypatch.setattr(live_diagnosis, "_MOST_WAITING", 1)
+    monkeypatch.setattr(link_state, "_MOST_WAITING", 1)
     item = diagnosis(rover, Slow)
     item.ask()
     assert Slow.judging.wait(waiting.PATIENCE_S)
@@ -132,14 +132,14 @@ def test_what_is_too_much_to_wait_is_judged_from_there_on(diagnosis, capture, mo
 
 
 def test_it_judges_only_while_somebody_asks(diagnosis, capture, monkeypatch):
-    monkeypatch.setattr(live_diagnosis, "_ASKED_S", 0.0)
-    monkeypatch.setattr(live_diagnosis, "_EVERY_S", 0.01)
-    monkeypatch.setattr(live_diagnosis, "_PAUSE", 0)
+    monkeypatch.setattr(link_state, "_ASKED_S", 0.0)
+    monkeypatch.setattr(link_state, "_EVERY_S", 0.01)
+    monkeypatch.setattr(link_state, "_PAUSE", 0)
     rover = capture("a_rover", "rover_ground")
     item = diagnosis(rover)
     item.ask()
     waiting.until(lambda: item._thread is None)
-    monkeypatch.setattr(live_diagnosis, "_ASKED_S", 60.0)
+    monkeypatch.setattr(link_state, "_ASKED_S", 60.0)
     for batch, columns in rover.pairs:
         item.add(batch, columns)
     waiting.until(item.ask)
@@ -150,10 +150,10 @@ def test_it_judges_only_while_somebody_asks(diagnosis, capture, monkeypatch):
 
 @pytest.mark.parametrize(("quiet_s", "judges"), [(3600.0, False), (0.0, True)])
 def test_it_pauses_less_where_nothing_comes_any_more(quiet_s, judges, diagnosis, capture, monkeypatch):
-    monkeypatch.setattr(live_diagnosis, "_EVERY_S", 0.01)
-    monkeypatch.setattr(live_diagnosis, "_PAUSE", 1e9)
-    monkeypatch.setattr(live_diagnosis, "_QUIET_PAUSE", 0)
-    monkeypatch.setattr(live_diagnosis, "_QUIET_S", quiet_s)
+    monkeypatch.setattr(link_state, "_EVERY_S", 0.01)
+    monkeypatch.setattr(link_state, "_PAUSE", 1e9)
+    monkeypatch.setattr(link_state, "_QUIET_PAUSE", 0)
+    monkeypatch.setattr(link_state, "_QUIET_S", quiet_s)
     rover = capture("a_rover", "rover_ground")
     batch, columns = rover.pairs[0]
     item, before = diagnosis(rover), 0
@@ -174,7 +174,7 @@ def test_a_loss_that_names_no_msg_id_lists_the_messages_of_its_time():
         Missing(link, NO_MSG_ID, None, 1, at, at + 5, None, None, None, "lost on the software bus")
         for link, at in (("", 0), ("", 12), ("to", 12), ("", 30))
     ]
-    found = live_diagnosis._problem(problem, SimpleNamespace(parts={}, missing=entries))
+    found = link_state._problem(problem, SimpleNamespace(parts={}, missing=entries))
     assert [(item["link"], item["time_ns"]) for item in found["messages"]] == [("", 12)]
 
 
@@ -182,7 +182,7 @@ def test_what_several_links_share_is_a_flow_without_ends():
     shared = Row(
         route=-1, link="", msg_id=None, instance="1", hop="application", came=9, out=5, lost={"?": 4}
     )
-    (flow,) = live_diagnosis._flows([WaySum((shared,))], {})
+    (flow,) = link_state._flows([WaySum((shared,))], {})
     assert (flow["link"], flow["ends"], flow["names"]) == ("", ("", ""), [])
     assert (flow["hops"][0]["in"], flow["hops"][0]["lost"]) == (9, 4)
 
@@ -193,5 +193,5 @@ def test_runs_of_one_cfs_are_one_route_and_spacecraft_are_two():
         where = {"route": 0, "link": "to", "msg_id": 0x827, "instance": run, "hop": "TO"}
         figures = {"came": came, "out": came - lost, "lost": {"limit": lost}}
         ways.append(WaySum((Row(**where, **figures, spacecraft=number),)))
-    rows = [(row["spacecraft"], row["in"], row["lost"], row["out"]) for row in live_diagnosis._routes(ways)]
+    rows = [(row["spacecraft"], row["in"], row["lost"], row["out"]) for row in link_state._routes(ways)]
     assert rows == [(1, 30, 7, 23), (2, 30, 5, 25)]

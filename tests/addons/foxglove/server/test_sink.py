@@ -18,7 +18,7 @@ from places import ROOT
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from edoras_tools.addons.foxglove.player import PlaybackOptions, RecordingPlayer, open_recording
-from edoras_tools.addons.foxglove.server import live_diagnosis
+from edoras_tools.addons.foxglove.server import link_state
 from edoras_tools.addons.foxglove.server.server import ServerOptions
 from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, LinkMonitor
 from edoras_tools.addons.foxglove.serving import attach, attach_player
@@ -344,7 +344,7 @@ def shown(path):
             sink.write(rows.batch, rows.columns)
             examination.add(rows.batch, rows.columns)
     sink.close(SourceStatistics())
-    return sink._monitor._link.summary(), live_diagnosis._page_values(examination.diagnose())
+    return sink._monitor._link.summary(), link_state._page_values(examination.diagnose())
 
 
 def test_the_page_shows_each_of_two_rovers_by_itself(rovers):
