@@ -12,7 +12,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.addons.plot.request import PlotRequest, Quantity
-from edoras_tools.addons.plot.values import Values, numbers
 from edoras_tools.decode.spacecraft import split_topic
 from edoras_tools.errors import ConfigError, InterruptError
 from edoras_tools.io.formats.table import TimeForm
@@ -21,7 +20,8 @@ from edoras_tools.pipelines.export.sources import TopicSource, open_topics
 from edoras_tools.pipelines.export.tables import TableForm
 from edoras_tools.pipelines.names import PATTERN_SIGNS, fits_topic
 from edoras_tools.pipelines.plot_lines import RateCounts, bar_seconds
-from edoras_tools.render.plot.figure import GREY, EventMark, Figure, Panel, PlotLine
+from edoras_tools.render.plot.figure import GREY, EventMark, Figure, Panel, PlotLine, extremes
+from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
@@ -30,11 +30,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.io.formats.columns import TableColumn
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.selection import Period
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress
     from edoras_tools.ros.cdr.columns import TopicBlock
+
 
 LARGE: Final = 16 << 20
 """Size of a capture in bytes from which on an examination takes too long to wait for."""
@@ -145,9 +147,8 @@ class _Recording(msgspec.Struct):
         for item, name_of in self.topics.items():
             for name in name_of.get(block.topic, ()):
                 indexes.setdefault(name, set()).add(item.index)
-        columns = (
-            {item.name: item for item in TableForm(time=TimeForm.NS).columns(block, 0)} if indexes else {}
-        )
+        every = TableForm(time=TimeForm.NS).columns(block, 0) if indexes else ()
+        columns = {item.name: item for item in every}
         for name, elements in indexes.items():
             for index in {None} if None in elements else elements:
                 for element, rows, values in numbers(columns[name], index):
@@ -342,16 +343,14 @@ class _Assembly(msgspec.Struct):
         lines: list[tuple[str, PlotLine]] = []
         for item in requests:
             for place, recording in enumerate(self.read):
-                lines += [
-                    (name, line)
-                    for name, line in self._lines(item, place, recording)
-                    if line.read or len(requests) == 1
-                ]
+                named = self._lines(item, place, recording)
+                lines += [(name, line) for name, line in named if line.read or len(requests) == 1]
         title = ", ".join(item.text for item in requests)
         if len(lines) > MOST_LINES:  # only rates and losses; there may be hundreds of topics
             lines = sorted(lines, key=lambda item: -item[1].read)[:MOST_LINES]
             title += f", the {MOST_LINES} largest"
-        return self._name_lines(title, lines, _unit({item.quantity for item in requests}))
+        has_field = any(item.quantity is Quantity.FIELD for item in requests)
+        return self._name_lines(title, lines, "" if has_field else _PER_SECOND)
 
     def _lines(self, item: PlotRequest, place: int, recording: _Recording) -> Iterator[tuple[str, PlotLine]]:
         for topic, names in recording.topics[item].items():
@@ -434,14 +433,74 @@ class _Assembly(msgspec.Struct):
         ]
         large = [self.names[place] for place, item in enumerate(self.read) if item.large and not item.losses]
         if large:
-            notes.append(
-                f"losses: not looked for in {listed(large)}, a large file; loss:/topic asks for them"
-            )
-        judged = [topic for item in self.read for topic, counts in item.losses.items() if not counts.total]
-        if judged:
+            where = f"{listed(large)}, a large file"
+            notes.append(f"losses: not looked for in {where}; loss:/topic asks for them")
+        if judged := [topic for item in self.read for topic, own in item.losses.items() if not own.total]:
             notes.append(f"no lost message is known of {listed(sorted(set(judged)), 4)}")
         return notes
 
 
-def _unit(quantities: set[Quantity]) -> str:
-    return "" if Quantity.FIELD in quantities else _PER_SECOND
+_MOST: Final = 1 << 20
+"""Most values of a line; a line with more is thinned."""
+_COLUMNS: Final = 1 << 15
+"""Parts of its time of which a thinned line keeps the least and the greatest value."""
+
+
+class Values(msgspec.Struct):
+    """The values of a field, in order of arrival."""
+
+    _seconds: list[NDArray[np.float64]] = msgspec.field(default_factory=list)
+    _values: list[NDArray[np.float64]] = msgspec.field(default_factory=list)
+    _count: int = 0
+    _read: int = 0
+    _not_finite: int = 0
+
+    def add(self, seconds: NDArray[np.float64], values: NDArray[Any]) -> None:
+        """Add values and their times."""
+        numbers = values.astype(np.float64)
+        finite = np.isfinite(numbers)
+        if not finite.all():
+            self._not_finite += int(len(numbers) - finite.sum())
+            seconds, numbers = seconds[finite], numbers[finite]
+        self._seconds.append(seconds)
+        self._values.append(numbers)
+        self._read += len(numbers)
+        self._count += len(numbers)
+        if self._count > _MOST:
+            self._join()
+            seconds, numbers = self._seconds[0], self._values[0]
+            rows = extremes(seconds, numbers, _COLUMNS, (seconds[0], seconds[-1]))
+            self._seconds, self._values, self._count = [seconds[rows]], [numbers[rows]], len(rows)
+
+    def _join(self) -> None:
+        seconds, values = np.concatenate(self._seconds), np.concatenate(self._values)
+        order = np.argsort(seconds, kind="stable")
+        self._seconds, self._values = [seconds[order]], [values[order]]
+
+    def line(self, recording: int) -> PlotLine:
+        """Return all values as a line."""
+        self._join()
+        return PlotLine("", recording, self._seconds[0], self._values[0], self._read, self._not_finite)
+
+
+def numbers(
+    column: TableColumn, index: int | None
+) -> Iterator[tuple[int | None, NDArray[np.intp], NDArray[Any]]]:
+    """Yield the numbers of a column: the element in its list, the rows that have it, their values.
+
+    Args:
+        index: the only element of lists to yield; None for all.
+    """
+    values = column.values
+    rows = np.arange(len(values)) if column.present is None else np.flatnonzero(column.present)
+    if isinstance(values, Ragged):
+        starts, lengths = values.offsets[:-1], np.diff(values.offsets)
+        elements = range(int(lengths.max(initial=0))) if index is None else (index,)
+        for place in elements:
+            holders = rows[lengths[rows] > place]
+            yield place, holders, values.values[starts[holders] + place]
+    elif values.ndim == 2:
+        for place in range(values.shape[1]) if index is None else (index,):
+            yield place, rows, values[rows, place]
+    else:
+        yield None, rows, values[rows]

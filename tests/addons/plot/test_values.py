@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from edoras_tools.addons.plot import values as lines
-from edoras_tools.addons.plot.values import Values, numbers
+from edoras_tools.addons.plot import series as lines
+from edoras_tools.addons.plot.series import Values, numbers
 from edoras_tools.io.formats.columns import TableColumn
 from edoras_tools.ros.cdr.columns import Ragged
 
