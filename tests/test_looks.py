@@ -15,8 +15,8 @@ from rich.console import Console
 from edoras_tools.addons.archive.page import ArchiveTrends, archive_page
 from edoras_tools.addons.archive.views import answer_table
 from edoras_tools.addons.plot.series import open_recordings, read_plot
+from edoras_tools.addons.report.charts import plots
 from edoras_tools.addons.report.page import page
-from edoras_tools.addons.report.plots import plots
 from edoras_tools.addons.runs.views import check_view, runs_view
 from edoras_tools.addons.trace.views import standalone
 from edoras_tools.io.formats.open import open_file

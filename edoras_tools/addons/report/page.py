@@ -8,8 +8,6 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.addons.report import charts
-from edoras_tools.addons.report.charts import sankey, strip
-from edoras_tools.addons.report.plots import Plots, plots
 from edoras_tools.diagnosis.ledger import Row, summed
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts
@@ -46,15 +44,15 @@ _ALIKE: Final = 4
 
 def page(result: Diagnosis, name: str, origin: parts.Made) -> str:
     """Return the HTML page."""
-    picture = sankey(result)
+    picture = charts.sankey(result)
     sections = [parts.section("Messages", [_card(picture)], _key(picture, "bands"))]
     drawn = [
-        (whose, plots(part.case, part.choice))
+        (whose, charts.plots(part.case, part.choice))
         for whose, part in _parts(result)
         if part.case is not None and part.datagrams and (part.routes or part is result)
     ]
     for whose, item in drawn:
-        picture = strip(item)
+        picture = charts.strip(item)
         sections.append(parts.section(f"Routes over time{whose}", [_card(picture)], _key(picture)))
     sections += [parts.section("Links", [links_picture(result)]), _verdicts(result)]
     for whose, item in drawn:
@@ -197,7 +195,7 @@ def _when(result: Diagnosis, item: Verdict) -> str:
     return f"{start:.1f} s" if end - start < 0.1 else f"{start:.1f} to {end:.1f} s"
 
 
-def _rates(drawn: Plots, whose: str) -> str:
+def _rates(drawn: charts.Plots, whose: str) -> str:
     cards = "".join(
         parts.chart_card(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn))
         for row in drawn.rates[:_MOST_CHARTS]
@@ -205,7 +203,7 @@ def _rates(drawn: Plots, whose: str) -> str:
     return parts.section(f"Rates against limits{whose}", [cards], _key(cards))
 
 
-def _latency(drawn: Plots, whose: str) -> str:
+def _latency(drawn: charts.Plots, whose: str) -> str:
     def note(row: dict[str, Any]) -> str:
         latency = row["latency"]
         figures = [units.milliseconds(latency[name]) for name in ("p50_ms", "p99_ms", "max_ms")]
@@ -220,7 +218,7 @@ def _latency(drawn: Plots, whose: str) -> str:
     )
 
 
-def _time(drawn: Plots, whose: str) -> str:
+def _time(drawn: charts.Plots, whose: str) -> str:
     inside = [
         parts.chart_card(
             f"Lost on the software bus, {row['label']}",
@@ -237,7 +235,7 @@ def _time(drawn: Plots, whose: str) -> str:
     return parts.section(f"Over time{whose}", inside)
 
 
-def _sizes(drawn: Plots, whose: str) -> str:
+def _sizes(drawn: charts.Plots, whose: str) -> str:
     def meter(used: int, room: int) -> str:
         ends = f'min="0" max="{room}" high="{room * 0.999:.1f}"'
         return f'<meter {ends} value="{used}">{used} of {room}</meter>'

@@ -7,7 +7,7 @@ import truth
 from merging import merge
 from places import CAPTURES, MISSIONS
 
-from edoras_tools.addons.report.plots import plots
+from edoras_tools.addons.report.charts import plots
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,8 @@ from xml.etree import ElementTree as ET
 import pytest
 from places import ROOT
 
-from edoras_tools.addons.report.charts import bands, sankey, strip
+from edoras_tools.addons.report.charts import bands, plots, sankey, strip
 from edoras_tools.addons.report.page import page
-from edoras_tools.addons.report.plots import plots
 from edoras_tools.diagnosis.balance import ways
 from edoras_tools.diagnosis.ledger import summed
 from edoras_tools.diagnosis.summary import summarize
