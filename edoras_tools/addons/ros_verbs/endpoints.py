@@ -78,17 +78,15 @@ class GraphEndpoint(NamedTuple):
             "Endpoint type": "PUBLISHER" if self.publishes else "SUBSCRIPTION",
             "GID": bytes.fromhex(self.gid).hex("."),
         }
-        return "\n".join(
-            [*(f"{name}: {value}" for name, value in lines.items()), policies_text(self.policies)]
-        )
+        texts = (f"{name}: {value}" for name, value in lines.items())
+        return "\n".join([*texts, policies_text(self.policies)])
 
     def as_json(self) -> dict[str, Any]:
         """Return the endpoint in the shape of ``observe --json``."""
-        policies = self.policies
-        names = ("Reliability", "Durability", "Liveliness")
         base = {"node": self.node or None, "gid": self.gid, "type": self.type}
-        deadline = None if policies["Deadline"] == FOREVER_NS else policies["Deadline"]
-        return {**base, **{name.lower(): policies[name].lower() for name in names}, "deadline_ns": deadline}
+        ranked = {name.lower(): self.policies[name].lower() for name in _OFFERS}
+        deadline_ns = self.policies["Deadline"]
+        return {**base, **ranked, "deadline_ns": None if deadline_ns == FOREVER_NS else deadline_ns}
 
 
 class GraphObserver(Protocol):

@@ -22,6 +22,7 @@ from edoras_tools.io.outputs import check_new
 
 if TYPE_CHECKING:
     from edoras_tools.addons.trace.tracing import TraceRequest, Tracing
+    from edoras_tools.pipelines.workbench import Settings
 
 _PICTURES = (".svg", ".html", ".mmd")
 _EVERY_NS = 1_000_000_000
@@ -82,15 +83,10 @@ def trace(
     if output is not None:
         _write(tracing, zero_ns, source.info.name, output)
     if printing.json:
-        print_json(
-            {
-                "source": source.info.name,
-                "zero_ns": zero_ns,
-                "trace": tracing.trace.as_json() if tracing.trace else None,
-                "timing": tracing.timing.as_json() if tracing.timing else None,
-                "output": None if output is None else str(output),
-            }
-        )
+        subjects = {"trace": tracing.trace, "timing": tracing.timing}
+        whole = {name: item.as_json() if item else None for name, item in subjects.items()}
+        where = {"output": None if output is None else str(output)}
+        print_json({"source": source.info.name, "zero_ns": zero_ns, **whole, **where})
     elif output is None:
         _print(tracing, zero_ns)
     for warning in findings.diagnosis.capture.warnings:
@@ -196,6 +192,9 @@ class RateOptions(NamedTuple):
     listen: Annotated[list[str] | None, Option(hidden=True)] = None
     duration: options.Duration = None
     graph: RosOptions = RosOptions()
+    window: Annotated[
+        int | None, Option("--window", "-w", parser=options.count, help="Messages; default 10,000.")
+    ] = None
 
 
 @grouped
@@ -207,9 +206,6 @@ def hz(
     ] = None,
     topic: Annotated[str | None, Option(hidden=True)] = None,
     live: RateOptions,
-    window: Annotated[
-        int | None, Option("--window", "-w", parser=options.count, help="Messages; default 10,000.")
-    ] = None,
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
@@ -221,23 +217,18 @@ def hz(
     words = list(arguments or ())
     options.check_duration(live.duration, [Path(item) for item in words if Path(item).exists()])
     if live.graph.ros:
-        doors.part("graph_hz")(words, live.graph, live.duration, window, decoding, json=printing.json)
+        doors.part("graph_hz")(words, live, decoding, json=printing.json)
         return
     if topic is None and words and not (words[-1] == "-" or Path(words[-1]).exists()):
         topic = words.pop()
     try:
-        _hop_rates(words, topic, live, window, printing, decoding)
+        _hop_rates(words, topic, live, printing, decoding.settings(constants=True))
     except NoDatagramsError:
-        doors.part("graph_hz")(arguments or (), live.graph, None, window, decoding, json=printing.json)
+        doors.part("graph_hz")(arguments or (), live._replace(duration=None), decoding, json=printing.json)
 
 
 def _hop_rates(
-    words: list[str],
-    topic: str | None,
-    live: RateOptions,
-    window: int | None,
-    printing: options.PrintOptions,
-    decoding: options.DecodingOptions,
+    words: list[str], topic: str | None, live: RateOptions, printing: options.PrintOptions, settings: Settings
 ) -> None:
     """Print the rates of a topic, or of all topics, at each hop.
 
@@ -248,14 +239,14 @@ def _hop_rates(
     from edoras_tools.addons.trace.tracing import TraceRequest, Tracing
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
 
-    interface, listen, duration, _ = live
+    interface, listen, duration, _, window = live
     is_live = bool(interface or listen)
     if not is_live and not words:
         raise ConfigError(f"name an input that exists: edoras hz FILE {topic or '/cmd_vel'}, or -i IFACE")
     inputs = InputOptions(FileOptions([Path(item) for item in words]), LiveOptions(interface, listen))
     quiet = printing.quiet or printing.json or is_live
     with file_progress(words, quiet=quiet) as bar:
-        source, bench = open_input(inputs, decoding.settings(constants=True), aligned=True, progress=bar)
+        source, bench = open_input(inputs, settings, aligned=True, progress=bar)
         request = TraceRequest(topic=topic, window=window or USUAL_WINDOW)
         tracing = Tracing(bench.columns.context, request)
         watcher = _Printer(tracing) if is_live and not printing.json else None

@@ -111,13 +111,9 @@ class Rounds(msgspec.Struct, frozen=True, dict=True):
     def as_json(self) -> dict[str, Any]:
         """Return the rounds in the shape of ``trace --json``, with time and wake-up of each message."""
         columns = zip(*(item.tolist() for item in (self.time_ns, self.wake, self.out)), strict=True)
+        names = ("queue", "pipe", "round_ns", "round_from", "limit", "limit_from")
         return {
-            "queue": self.queue,
-            "pipe": self.pipe,
-            "round_ns": self.round_ns,
-            "round_from": self.round_from,
-            "limit": self.limit,
-            "limit_from": self.limit_from,
+            **{name: getattr(self, name) for name in names},
             "rounds": [
                 {"out": out, "of": of, "count": many} for (out, of), many in self.sizes().most_common()
             ],
@@ -172,23 +168,17 @@ class Timing(msgspec.Struct, frozen=True):
 def rounds_into(case: Case, stream: Stream) -> Rounds:
     """Return the rounds of Command Ingest in which a stream into cFS is read."""
     profile, times = case.profile, case.rows.time_ns[stream.rows]
-    alike = [
-        hop
-        for hop in case.hops
-        if hop.out.link.last_hop and hop.into.link is stream.link and hop.into.receiver == stream.receiver
-    ]
     over_network = not stream.link.only_to_cfs
-    out = np.zeros(len(stream), bool)
-    left_ns = np.zeros(len(stream), np.int64)
+    out, left_ns, bursts = np.zeros(len(stream), bool), np.zeros(len(stream), np.int64), [times[:0]]
     for hop in case.hops:
+        came_ns = case.rows.time_ns[hop.out.rows[hop.out_rows]]
         if hop.into is stream:
             out[hop.in_rows] = True
-            if hop.out.link.last_hop:
-                left_ns[hop.in_rows] = case.rows.time_ns[hop.out.rows[hop.out_rows]]
-    bursts = np.sort(
-        np.concatenate([times[:0], *(case.rows.time_ns[hop.out.rows[hop.out_rows]] for hop in alike)])
-    )
-    wakes = _wakes(bursts, profile.ci_wake_ns) if not over_network else times[:0]
+        if hop.into is stream and hop.out.link.last_hop:
+            left_ns[hop.in_rows] = came_ns
+        if hop.out.link.last_hop and hop.into.link is stream.link and hop.into.receiver == stream.receiver:
+            bursts.append(came_ns)
+    wakes = times[:0] if over_network else _wakes(np.sort(np.concatenate(bursts)), profile.ci_wake_ns)
     pipe = queues.application_pipe(profile, over_network=over_network)
     wake = np.searchsorted(wakes, times)
     wake = np.where(left_ns > 0, np.searchsorted(wakes, left_ns, side="right") - 1, wake)
