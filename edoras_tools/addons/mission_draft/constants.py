@@ -105,13 +105,8 @@ def _joined(items: Sequence[LearnedConstant]) -> LearnedConstant:
     if len(items) > 1 and parts:
         most = max(parts, key=lambda part: part.rounds)
         best = next(item for item in alike if item.interval is most)
-        interval = Interval(
-            most.usual,
-            min(part.low for part in parts),
-            max(part.high for part in parts),
-            sum(part.rounds for part in parts),
-            sum(part.of for part in parts),
-        )
+        _, lows, highs, rounds, of = zip(*parts, strict=True)
+        interval = Interval(most.usual, min(lows), max(highs), sum(rounds), sum(of))
         last = best._replace(interval=interval)
     others = dict.fromkeys(item.value for item in items if item not in alike)
     note = f", in {len(alike)} chapters" if len(alike) > 1 else ""
@@ -242,12 +237,11 @@ class _Learner:
         for hop in self._hops:
             times = case.rows.time_ns[hop.out.rows[hop.out_rows]]
             missing = np.maximum(np.append(np.diff(hop.in_rows) - 1, 0), 0)
-            limited = any(loss.kind == "limit" for loss in case.losses_of(hop.into))
-            if limited or full_rounds(times, missing, period_ns):
-                limit = _round_limit(times, missing, period_ns // 4)
-                if limit is not None:
-                    yield _limit("app_msg_limit", limit, f" of 0x{hop.into.msg_id:04x}")
-                    return
+            is_limited = any(loss.kind == "limit" for loss in case.losses_of(hop.into))
+            is_limited = is_limited or bool(full_rounds(times, missing, period_ns))
+            if is_limited and (limit := _round_limit(times, missing, period_ns // 4)):
+                yield _limit("app_msg_limit", limit, f" of 0x{hop.into.msg_id:04x}")
+                return
 
     def _output(self, streams: list[Stream]) -> Iterator[LearnedConstant]:
         case, name = self._case, telemetry_output.NAME
@@ -265,9 +259,8 @@ class _Learner:
             depth = measured_depth(times, pace.value)
             if depth < len(times):
                 _, sizes = bursts(times, pace.value // 2)
-                text = (
-                    f"none of {plural(len(sizes), 'round')} had more, {int((sizes == depth).sum())} so many"
-                )
+                same = int((sizes == depth).sum())
+                text = f"none of {plural(len(sizes), 'round')} had more, {same} so many"
                 yield LearnedConstant("to_pipe_depth", depth, text)
         limits = {item.msg_id: item for stream in streams for item in self._limit(stream, pace.value)}
         yield from limits.values()
@@ -284,10 +277,11 @@ class _Learner:
         lost = Counter[str]()
         for loss in case.losses_of(stream):
             lost[loss.kind] += loss.lost * loss.hop.startswith(telemetry_output.PIPE)
-        if lost["limit"] > lost["overflow"]:
-            limit = _round_limit(self._times(stream), stream.missing, period_ns // 4)
-            if limit is not None:
-                yield _limit("to_limits", limit, msg_id=known_id)
+        times = self._times(stream)
+        if lost["limit"] > lost["overflow"] and (
+            limit := _round_limit(times, stream.missing, period_ns // 4)
+        ):
+            yield _limit("to_limits", limit, msg_id=known_id)
 
     def _network(self, streams: list[Stream]) -> Iterator[LearnedConstant]:
         case = self._case

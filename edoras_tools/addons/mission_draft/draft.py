@@ -284,16 +284,10 @@ def _read(source: Source, bench: Workbench, progress: Progress | None) -> list[C
     if loop.failure is not None and not any(item.streams for item in traffic.values()):
         raise loop.failure
     traffic = traffic or {FIRST_SPACECRAFT: _Traffic(bench.mission.msg_ids)}
-    flows, mission = loop.conversations.judge(), bench.mission
+    flows, name, several = loop.conversations.judge(), source.info.name, len(traffic) > 1
+    called = {number: f"{bench.mission.called(number)} of {name}" if several else name for number in traffic}
     return [
-        CapturedTraffic(
-            f"{mission.called(number)} of {source.info.name}" if len(traffic) > 1 else source.info.name,
-            number,
-            bench,
-            own,
-            flows,
-            loop.failure,
-        )
+        CapturedTraffic(called[number], number, bench, own, flows, loop.failure)
         for number, own in sorted(traffic.items())
     ]
 
@@ -384,14 +378,11 @@ class _Writer:
         by_msg_id: dict[int, _Stream] = {}
         for item in streams:
             if item.processor_id not in {cfs.processor_id, bridge.processor_id} or item.msg_id in by_msg_id:
-                self._notes.append(
-                    f"{item.name} of processor {item.processor_id} left out: a bridge has one peer"
-                )
+                whose = f"{item.name} of processor {item.processor_id}"
+                self._notes.append(f"{whose} left out: a bridge has one peer")
             else:
                 by_msg_id[item.msg_id] = item
-        ((cfs_at, _),), ((bridge_at, _),) = (
-            self._traffic.peers[item].most_common(1) for item in (cfs, bridge)
-        )
+        cfs_at, bridge_at = (self._traffic.peers[item].most_common(1)[0][0] for item in (cfs, bridge))
         yield "flight_conversion_node:"
         yield from self._node(
             {
@@ -433,18 +424,16 @@ class _Writer:
     def _topic(self, stream: _Stream) -> list[str]:
         """Return the lines of a topic; none if no type fits."""
         samples = list(stream.samples)
-        fits = types_that_fit(self._types, samples) or types_that_fit(
-            self._types, samples, self._types.types()
-        )
+        types = self._types
+        fits = types_that_fit(types, samples) or types_that_fit(types, samples, types.types())
         examined = plural(len(samples), "different message")
         if not fits:
             self._notes.append(f"{stream.name}: left out: no known type fits {examined}; give --set msg-path")
             return []
         self._topics += 1
         self._sure += len(fits) == 1
-        if len(fits) == 1:
-            sure = f"the only known type that fits {examined}"
-        else:
+        sure = f"the only known type that fits {examined}"
+        if len(fits) > 1:
             sure = f"? a guess, tested on {examined}; {listed(fits[1:], 4)} fit too"
         lines = [f"    {_key(stream)}: # {plural(stream.count, 'packet')}", f"      # {sure}"]
         if rate := self._rates.get((stream.link.label, stream.msg_id)):
