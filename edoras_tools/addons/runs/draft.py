@@ -61,12 +61,11 @@ class Draft:
             )
 
     def _lines(self) -> Iterator[str]:
-        names = [_one_line(run.name) for run in self.runs]
+        names = ["".join(char if char.isprintable() else "?" for char in run.name) for run in self.runs]
         source = names[0] if len(names) == 1 else f"{len(names)} runs"
         yield f"# What edoras check expects, drafted from {source}."
         yield "schema: 1"
-        subjects = self._subjects()
-        if subjects:
+        if subjects := self._subjects():
             yield "topics:"
         for subject in subjects:
             yield from self._topic(subject)
@@ -77,9 +76,7 @@ class Draft:
                 "verdicts are not observable in it, so the draft expects nothing of them"
             )
             return
-        findings = sorted(
-            {name for run in self.runs for name in NOTABLE_FINDINGS & run.ledger.findings.keys()}
-        )
+        findings = {name for run in self.runs for name in NOTABLE_FINDINGS & run.ledger.findings.keys()}
         verdicts = (item for diagnosis in diagnoses for item in diagnosis.verdicts)
         grave = {item.rule for item in verdicts if item.severity >= Severity.WARNING}
         if any(diagnosis.unnamed for diagnosis in diagnoses):
@@ -90,7 +87,7 @@ class Draft:
         whole = [run.whole() for run in self.runs]
         limits = dict(loss_limits(whole, max(run.spread() for run in self.runs)))
         yield from self._losses("capture", whole, limits, "")
-        yield from self._allowed("findings", findings)
+        yield from self._allowed("findings", sorted(findings))
         yield from self._allowed("verdicts", sorted(grave))
 
     def _subjects(self) -> list[Subject]:
@@ -119,17 +116,13 @@ class Draft:
             if key not in LOSS_KEYS:
                 yield f"    {key}: {limit.text(TOPIC_BOUNDS[key])}  # {limit.why}"
         yield from self._losses(subject.name, figures, limits, "    ")
-        every = field_limits(self.runs, subject.name)
         names = self._names.of_types(subject.packets.types(self.runs[0].context.mission))
         fields = [
-            (where, limit)
-            for name, where, limit in every
+            f"      - always: {json.dumps(where)}  # {limit.why}"
+            for name, where, limit in field_limits(self.runs, subject.name)
             if self._always(subject.name, name, figures) and _is_filter(where, names)
         ]
-        if fields:
-            yield "    fields:"
-        for where, limit in fields:
-            yield f"      - always: {json.dumps(where)}  # {limit.why}"
+        yield from ["    fields:", *fields] if fields else ()
 
     def _always(self, topic: str, field: str, figures: Sequence[Figures]) -> bool:
         """Return whether a field has a number in each message of a topic in every run."""
@@ -207,10 +200,6 @@ def subjects_of(run: Run) -> Iterator[Subject]:
 def key_text(name: str) -> str:
     """Return a name as a key of YAML."""
     return name if re.fullmatch(r"[\w/.-]+", name) else json.dumps(name)
-
-
-def _one_line(name: str) -> str:
-    return "".join(char if char.isprintable() else "?" for char in name)
 
 
 _FIELD: Final = re.compile(r"(\S+) (?:in (\S+?)\.\.(\S+)|== (\S+))")

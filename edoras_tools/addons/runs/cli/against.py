@@ -82,14 +82,9 @@ def bags(
         if not printing.json:
             print_diagnosis(judged.diagnosis, source.info.name, quiet=printing.quiet, verbose=verbose)
     if printing.json:
-        print_json(
-            {
-                "lost": lost,
-                "bags": [item.as_json() for item in comparisons],
-                "chains": [item.as_json() for item in ways],
-                "diagnosis": judged.summary() if judged else None,
-            }
-        )
+        compared, chained = ([item.as_json() for item in rows] for rows in (comparisons, ways))
+        whole = {"lost": lost, "bags": compared, "chains": chained}
+        print_json({**whole, "diagnosis": judged.summary() if judged else None})
     else:
         _print_bags(comparisons, ways, ", ".join(map(str, files or others[:1])))
     for warning in judged.warnings if judged else ():

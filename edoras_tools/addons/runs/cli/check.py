@@ -80,9 +80,8 @@ def check(
         check_new(task.junit, [*inputs.paths, path], force=task.force)
     expected, (json, quiet) = load_expectations(path), printing
     with file_progress(inputs.paths, quiet=quiet or json or live) as bar:
-        opened = partial(
-            open_input, inputs, decoding.settings(constants=True), aligned=True, messages=True, progress=bar
-        )
+        settings = decoding.settings(constants=True)
+        opened = partial(open_input, inputs, settings, aligned=True, messages=True, progress=bar)
         source, bench = opened()
         pace = Pace(monotonic_ns, 0, duration or 0)
         report = run(source, bench, expected, scope=scope, pace=pace, progress=bar)
@@ -130,14 +129,10 @@ def _draft(
         raise ConfigError("--init drafts from a recording: edoras check --init FILE...")
     path = recordings.text_output(task.output, inputs.paths, force=task.force)
     with file_progress(inputs.paths, quiet=printing.quiet) as bar:
-        runs = []
+        runs, settings = [], decoding.settings(constants=True)
         for item in run_paths(inputs.paths):
-            source, bench = open_input(
-                inputs._replace(files=FileOptions([item], None)),
-                decoding.settings(constants=True),
-                messages=True,
-                progress=bar,
-            )
+            one = inputs._replace(files=FileOptions([item], None))
+            source, bench = open_input(one, settings, messages=True, progress=bar)
             runs.append(Run.read(source, bench, scope=scope, progress=bar))
             _check_whole(runs[-1].findings)
             _end(source, runs[-1].findings, live=False)

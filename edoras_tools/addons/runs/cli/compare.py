@@ -59,12 +59,8 @@ class LimitOptions(NamedTuple):
         from edoras_tools.addons.runs.differences import DifferenceLimits
 
         rooms = dict(self.tolerance or ())
-        return DifferenceLimits(
-            rooms.pop("", 10.0) / 100,
-            rooms,
-            tuple(self.max_loss or ()),
-            tuple((route, time_ns / 1e6) for route, time_ns in self.max_delay or ()),
-        )
+        delays = [(route, time_ns / 1e6) for route, time_ns in self.max_delay or ()]
+        return DifferenceLimits(rooms.pop("", 10.0) / 100, rooms, self.max_loss or (), delays)
 
 
 @grouped
@@ -102,11 +98,9 @@ def compare(
         check_new(limits.junit, [*earlier, *later], force=limits.force)
     json, quiet = printing
     with file_progress([*earlier, *later], quiet=quiet or json) as bar:
+        settings, scope = decoding.settings(), part.scope()
         good, bad = (
-            [
-                RunSummary.of(run)
-                for run in read_runs(paths, decoding.settings(), scope=part.scope(), progress=bar)
-            ]
+            [RunSummary.of(run) for run in read_runs(paths, settings, scope=scope, progress=bar)]
             for paths in (earlier, later)
         )
     points = compare_runs(good, bad, limits.bounds())
