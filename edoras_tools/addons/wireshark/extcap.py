@@ -112,13 +112,17 @@ def capture(wish: CaptureRequest, fifo: Path) -> None:
         ConfigError: the mission or an endpoint has errors.
         CaptureError: the capture or the fifo cannot be opened.
     """
+    bound = [parse_endpoint(item, "--listen") for item in wish.listen]
+    ports = [*wish.ports, *(item.port for item in bound)]
     settings = Settings(configs=wish.configs)
-    decoding = replace(settings.options, ports=tuple((wish.link, port) for port in _ports(wish)))
+    decoding = replace(settings.options, ports=tuple((wish.link, port) for port in ports))
     bench = replace(settings, options=decoding).workbench()
     context = bench.columns.context
     ports = np.flatnonzero(context.ports[wish.link]).tolist()
     streams = np.flatnonzero(context.stream_links == wish.link).tolist()
-    source = _source(wish, ports, streams)
+    source: DeviceSource = (
+        UdpSource(bound) if bound else open_live(wish.interface, ports or [_NO_PORT], streams=streams)
+    )
     try:
         # Wireshark also needs the handshake, which belongs to no link.
         selection = Selection(links=(wish.link,)) if wish.link.transport.udp else Selection()
@@ -138,18 +142,6 @@ def capture(wish: CaptureRequest, fifo: Path) -> None:
         raise
     finally:
         source.close()
-
-
-def _ports(wish: CaptureRequest) -> list[int]:
-    """Return the named ports, including those that are bound."""
-    return [*wish.ports, *(parse_endpoint(item, "--listen").port for item in wish.listen)]
-
-
-def _source(wish: CaptureRequest, ports: Sequence[int], streams: Sequence[int]) -> DeviceSource:
-    if wish.listen:
-        return UdpSource([parse_endpoint(item, "--listen") for item in wish.listen])
-
-    return open_live(wish.interface, ports or [_NO_PORT], streams=streams)
 
 
 def _opened(fifo: Path) -> BinaryIO:

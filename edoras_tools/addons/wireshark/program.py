@@ -146,13 +146,11 @@ def uninstall() -> Iterator[tuple[Path, bool]]:
     try:
         for path, mark in ((script, TITLE), (launcher, _MODULE)):
             if path.exists():
-                own = mark in path.read_text(encoding="utf-8", errors="replace")
-                if own:
+                if own := mark in path.read_text(encoding="utf-8", errors="replace"):
                     path.unlink()
                 yield path, own
         if folder.exists():
-            own = _is_ours(folder)
-            if own:
+            if own := _is_ours(folder):
                 shutil.rmtree(folder)
             yield folder, own
     except OSError as error:
@@ -231,9 +229,7 @@ def open_packets(batches: Iterable[PacketBatch], row: int, settings: Settings) -
     folder = Path(tempfile.mkdtemp(prefix="edoras-"))
     try:
         script, capture = _write(folder / SCRIPT, text, force=False), folder / "packets.pcapng"
-        with closing(PcapngSink(capture)) as sink:
-            for batch in batches:
-                sink.write(batch)
+        _write_packets(batches, capture)
         arguments = ["-X", f"lua_script:{script}", "-r", str(capture), "-g", str(row + 1)]
         return subprocess.Popen(  # noqa: S603  the user asked for it
             ["/bin/sh", "-c", _THEN_REMOVE, str(folder), path, *arguments],
@@ -260,10 +256,14 @@ def _readable(file: Path | None, folder: Path) -> Iterator[Path | None]:
             yield file
             return
         target = folder / f"{file.stem}.pcapng"
-        with closing(PcapngSink(target)) as sink:
-            for batch in source.batches():
-                sink.write(batch)
+        _write_packets(source.batches(), target)
     yield target
+
+
+def _write_packets(batches: Iterable[PacketBatch], path: Path) -> None:
+    with closing(PcapngSink(path)) as sink:
+        for batch in batches:
+            sink.write(batch)
 
 
 def _ask(path: str, *arguments: str) -> str:

@@ -22,13 +22,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="edoras-extcap", description=__doc__, allow_abbrev=False)
     for name in ("interfaces", "dlts", "config"):
         parser.add_argument(f"--extcap-{name}", action="store_true")
-    parser.add_argument("--extcap-interface", default="")
     parser.add_argument("--capture", action="store_true")
     parser.add_argument("--fifo", type=Path)
     parser.add_argument("--interface", default="any")
-    parser.add_argument("--listen", default="")
-    parser.add_argument("--ports", default="")
-    parser.add_argument("--config", default="")
+    for name in ("extcap-interface", "listen", "ports", "config"):
+        parser.add_argument(f"--{name}", default="")
     request, _ = parser.parse_known_args(arguments)  # newer versions of Wireshark pass more options
     if request.capture:  # until datagrams are read, the process can end at once without losing anything
         for number in ENDING:
