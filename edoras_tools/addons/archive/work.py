@@ -288,15 +288,11 @@ def rows_of(
 
 
 def _capture(info: Mapping[str, Any], doctor: Mapping[str, Any]) -> dict[str, Any]:
-    has_datagrams = bool(info["datagrams"])
-    start_ns, end_ns = (info["start_ns"], info["end_ns"]) if has_datagrams else (None, None)
-    return {
-        **_those(TABLES["captures"], {**doctor, **info}),
-        "start_ns": start_ns,
-        "end_ns": end_ns,
-        "began": _moment(info["start_ns"]) if has_datagrams else None,
-        "seconds": (info["end_ns"] - info["start_ns"]) / 1e9 if has_datagrams else None,
-    }
+    row = _those(TABLES["captures"], {**doctor, **info})
+    if not info["datagrams"]:
+        return row | dict.fromkeys(("start_ns", "end_ns", "began", "seconds"))
+    start_ns, end_ns = info["start_ns"], info["end_ns"]
+    return row | {"began": _moment(start_ns), "seconds": (end_ns - start_ns) / 1e9}
 
 
 def _those(table: IndexTable, row: Mapping[str, Any]) -> dict[str, Any]:

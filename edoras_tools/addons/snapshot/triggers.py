@@ -151,12 +151,10 @@ def _bound(path: Path) -> socket.socket:
 
 
 def _answers(path: Path) -> bool:
-    with _unix() as peer:
-        try:
-            peer.connect(str(path))
-        except OSError:
-            return False
+    with _unix() as peer, suppress(OSError):
+        peer.connect(str(path))
         return True
+    return False
 
 
 class RuleTrigger:
