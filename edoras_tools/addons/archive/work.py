@@ -321,9 +321,8 @@ def _outcomes(findings: Findings) -> list[dict[str, Any]]:
         row_json = members[0].as_json(diagnosis.topics.get(members[0].route))
         figures = {name: sum(getattr(row, name) for row in members) for name in _GONE}
         lost = sum(row.all_lost for row in members)
-        outcomes.append(
-            {**{name: row_json.get(name) for name in _ROUTE}, "sent": sent(members), "lost": lost, **figures}
-        )
+        route = {name: row_json.get(name) for name in _ROUTE}
+        outcomes.append({**route, "sent": sent(members), "lost": lost, **figures})
     return outcomes
 
 

@@ -95,13 +95,7 @@ class FoxgloveGraph:
         if note := reach_note(self.server.endpoint, may, "" if token else "a token asks for a word first"):
             self._notes.append(note)
 
-    def subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        qos: Qos,
-        heard: Callable[[bytes], None],
-    ) -> None:
+    def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
         """See ``Graph``."""
         self._check(topic, type_name)
         self._receivers[topic].append(heard)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -44,12 +45,8 @@ def draft(
     paths = files.required()
     output = recordings.text_output(output, paths, force=force)
     with file_progress(paths, quiet=quiet) as bar:
-        captured, _ = read_traffic(
-            lambda settings: open_input(InputOptions(files), settings),
-            decoding.settings(),
-            bar,
-            again="-" not in map(str, paths),
-        )
+        opened, again = partial(open_input, InputOptions(files)), "-" not in map(str, paths)
+        captured, _ = read_traffic(opened, decoding.settings(), bar, again=again)
     drafts = each_draft(captured, CapturedTraffic.draft)
     _end(drafts, paths, output, force=force, quiet=quiet)
 
@@ -77,11 +74,8 @@ def learn(
         raise ConfigError("learn reads the captures several times, so it needs files, not stdin: name files")
     output = recordings.text_output(output, paths, force=force)
     with file_progress(paths, quiet=quiet) as bar:
-        drafts = learn_mission(
-            lambda settings: open_input(InputOptions(files), settings, aligned=True, progress=bar),
-            decoding.settings(),
-            bar,
-        )
+        opened = partial(open_input, InputOptions(files), aligned=True, progress=bar)
+        drafts = learn_mission(opened, decoding.settings(), bar)
     _end(drafts, paths, output, force=force, quiet=quiet)
 
 

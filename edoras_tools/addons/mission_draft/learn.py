@@ -104,9 +104,8 @@ def _learned(
     lines += [*keys, *_others(others)]
     name = "".join(item if item.isprintable() else "?" for item in captured.name)
     text = draft.text.partition("-c.\n")[2] if draft.topics else ""
-    return replace(
-        draft, constants=len(first[1]), text=_HEADER.format(name=name) + text + "\n".join(["", *lines, ""])
-    )
+    text = _HEADER.format(name=name) + text + "\n".join(["", *lines, ""])
+    return replace(draft, constants=len(first[1]), text=text)
 
 
 class _Study(Examination):

@@ -133,9 +133,8 @@ def _parse_one(text: str) -> PlotRequest:
     indices = _INDEX.findall(pattern)
     if len(indices) > 1:
         raise ConfigError(f"{text}: more than one index; lists inside lists are joined, so give one")
-    return PlotRequest(
-        text, Quantity.FIELD, topic, _INDEX.sub("", pattern), int(indices[0]) if indices else None
-    )
+    index = int(indices[0]) if indices else None
+    return PlotRequest(text, Quantity.FIELD, topic, _INDEX.sub("", pattern), index)
 
 
 def _columns(source: TopicSource, topic: str, pattern: str) -> dict[str, TableColumn]:

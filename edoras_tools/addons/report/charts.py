@@ -325,9 +325,8 @@ def _label(case: Case, stream: Stream) -> str:
 def _whose(case: Case, stream: Stream) -> str:
     """Return the owner of a stream: the cFS that makes it and the stream's first time, else an endpoint."""
     if stream.instance != NOBODY:
-        return (
-            f"{case.label(stream.instance)}, from {_at(case, int(case.rows.time_ns[stream.rows[0]])):.1f} s"
-        )
+        begin = _at(case, int(case.rows.time_ns[stream.rows[0]]))
+        return f"{case.label(stream.instance)}, from {begin:.1f} s"
     end = stream.receiver if stream.sender < 0 else stream.sender
     return str(case.endpoints[end])
 

@@ -42,9 +42,8 @@ def report(
     path = output or Path(f"{files[0].name if str(files[0]) != '-' else 'report'}.html")
     check_new(path, files, force=force)
     with file_progress(files, quiet=quiet or json) as bar:
-        source, bench = open_input(
-            InputOptions(inputs), decoding.settings(constants=True), aligned=True, progress=bar
-        )
+        settings = decoding.settings(constants=True)
+        source, bench = open_input(InputOptions(inputs), settings, aligned=True, progress=bar)
         findings = examine(source, bench, scope=scope, progress=bar)
     if findings.failure is None:
         no_datagrams(source)

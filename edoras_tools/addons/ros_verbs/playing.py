@@ -242,9 +242,8 @@ def play(
         publish = [graph.advertise(*item) for item in loaded.topics]
         table = Pacing(speed=request.speed).timetable(loaded.out.time_ns)
         out, passes = in_order(loaded.out, table), request.passes
-        report = SendReport(
-            Responses(mission), len(out) * passes or None, table.rate_hz, notes=[*loaded.notes]
-        )
+        total = len(out) * passes or None
+        report = SendReport(Responses(mission), total, table.rate_hz, notes=[*loaded.notes])
         _await_subscriptions(graph, loaded.topics, request.delay_ns)
         schedule = SendSchedule(name, out, table, passes=passes, paused=request.paused, linger_ns=_LINGER_NS)
         wire = GraphWire(publish, [keys.fileno()] if keys else ())

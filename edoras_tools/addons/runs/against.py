@@ -163,12 +163,10 @@ def against_capture(
         compared = compare_messages(sent, heard, dict(zip(keys, topics_there, strict=True)), ways)
         left_out = int((~typed).sum()) + int((routed & ~message).sum())
         missed = missed_by(bag, bench.types)
-        compared = replace(
-            compared, routes=[item.without(missed.get(item.topic or "", 0)) for item in compared.routes]
-        )
-        item = BagComparison(path, compared, left_out)
+        differences = [item.without(missed.get(item.topic or "", 0)) for item in compared.routes]
+        item = BagComparison(path, replace(compared, routes=differences), left_out)
         _has_something_in_common(item, source.info.name)
-        comparisons.append(item._replace(comparison=compared.limited(choice)) if choice else item)
+        comparisons.append(item._replace(comparison=item.comparison.limited(choice)) if choice else item)
     return comparisons
 
 

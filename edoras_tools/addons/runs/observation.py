@@ -55,7 +55,6 @@ class CountedMessages(msgspec.Struct):
     """The end of counting messages; has the attributes of ``doctor.Findings`` that apply.
 
     Attributes:
-        source: the recording.
         zero_ns: time of its first message, ns since 1970.
         failure: error that ended it early, if any.
         warnings: warnings, one line each.
@@ -63,7 +62,6 @@ class CountedMessages(msgspec.Struct):
         diagnosis: always None.
     """
 
-    source: Source
     zero_ns: int = 0
     failure: EdorasError | None = None
     warnings: list[str] = msgspec.field(default_factory=list)
@@ -99,7 +97,7 @@ def examine_or_count(
             counting.add(rows, loop)
     ledger = counting.report.ledger
     warnings = [*bench.columns.context.notes, *ledger.notes, *ledger.unread]
-    return CountedMessages(source, loop.begin_ns or 0, loop.failure, warnings)
+    return CountedMessages(loop.begin_ns or 0, loop.failure, warnings)
 
 
 class Subject(msgspec.Struct, frozen=True):

@@ -355,9 +355,8 @@ class FoxgloveClient:
         if place >= len(self._subscription):
             self.tell(protocol.error_status(f"there is no channel {place} to subscribe to"))
         elif self.wants(place) or number in self._subscription:
-            self.tell(
-                protocol.error_status(f"channel {place} or subscription {number} is subscribed already")
-            )
+            text = f"channel {place} or subscription {number} is subscribed already"
+            self.tell(protocol.error_status(text))
         else:
             self._subscription[place] = number
 

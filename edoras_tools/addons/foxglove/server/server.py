@@ -183,9 +183,8 @@ class FoxgloveServer:
     @property
     def app_url(self) -> str:
         """The URL that opens Foxglove with this server, without the token, because its site would see it."""
-        return "https://app.foxglove.dev/?" + urlencode(
-            {"ds": "foxglove-websocket", "ds.url": self.url}, safe="/:"
-        )
+        query = urlencode({"ds": "foxglove-websocket", "ds.url": self.url}, safe="/:")
+        return f"https://app.foxglove.dev/?{query}"
 
     @property
     def clients(self) -> tuple[FoxgloveClient, ...]:
@@ -372,20 +371,16 @@ class FoxgloveServer:
         with self._lock:
             if origin is not None and not options.origins.admits(origin):
                 client.refuse(403, "Pages of this origin may not connect; --allow-origin allows them.")
-                address = _readable(origin, "!")[:100]
-                warning = (
-                    f"a web page of {address} was refused as a client; --allow-origin {address} allows it"
-                )
+                name = _readable(origin, "!")[:100]
+                warning = f"a web page of {name} was refused as a client; --allow-origin {name} allows it"
             elif options.token and not _same(token, options.token):
                 client.refuse(401, "A token is required: connect to this address with ?token=... at its end.")
                 wrong = "wrong" if token else "missing"
                 warning = f"{refusal}: its token is {wrong}; give ?token=... in the address"
             elif path and not options.origins.admits_host(host):
                 client.refuse(403, "Open this page by the server's address; --allow-origin allows this name.")
-                name = _readable(host, "!")[:100]
-                warning = (
-                    f"a page of http://{name} was refused; --allow-origin http://{name} allows that name"
-                )
+                name = f"http://{_readable(host, '!')[:100]}"
+                warning = f"a page of {name} was refused; --allow-origin {name} allows that name"
             elif path:
                 client.serve(page.answer(path, self._shared))
                 connection.until = time.monotonic() + PATIENCE_S
@@ -393,12 +388,9 @@ class FoxgloveServer:
                 client.refuse(503, f"{MOST_CLIENTS} clients are connected, which is the maximum.")
                 warning = f"{refusal}: {MOST_CLIENTS} clients are connected, which is the maximum"
             else:
-                info = protocol.server_info(
-                    self._name,
-                    self._session,
-                    publish=options.publisher is not None,
-                    range_ns=None if player is None or not client.plays else player.range_ns,
-                )
+                publish = options.publisher is not None
+                range_ns = player.range_ns if player is not None and client.plays else None
+                info = protocol.server_info(self._name, self._session, publish=publish, range_ns=range_ns)
                 answers = [info, protocol.advertise(self._channels), *(state if client.plays else ())]
                 client.accept(len(self._channels), answers)
                 self._open = (*self._open, connection)

@@ -250,9 +250,8 @@ class LinkMonitor:
         """
         self.offer()
         self._streams.all_wanted = any(map(wants, self._places.values()))
-        streams = self._streams.messages(
-            batch, columns, datagrams=wants(0), transforms=wants(self._places[TRANSFORMS.name])
-        )
+        moves = wants(self._places[TRANSFORMS.name])
+        streams = self._streams.messages(batch, columns, datagrams=wants(0), transforms=moves)
         own: dict[int, list[Messages]] = {}
         for item in streams:
             if isinstance(item.channel_id, int):

@@ -54,13 +54,9 @@ def _answer(request: argparse.Namespace) -> list[str]:
         raise ConfigError(
             "this program is for Wireshark; to capture on the command line: edoras sniff -i IFACE"
         )
-    wish = extcap.CaptureRequest(
-        link,
-        request.interface,
-        _words(request.listen),
-        [Path(request.config)] if request.config else [],
-        [_port(word) for word in _words(request.ports)],
-    )
+    configs = [Path(request.config)] if request.config else []
+    listen, ports = _words(request.listen), [_port(word) for word in _words(request.ports)]
+    wish = extcap.CaptureRequest(link, request.interface, listen, configs, ports)
     extcap.capture(wish, request.fifo)
     return []
 
