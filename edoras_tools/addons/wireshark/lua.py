@@ -168,14 +168,8 @@ def _step(step: PrimitiveRun | Text | Repeat) -> dict[str, Any]:
             "alignment": step.alignment,
             "size": step.size,
             "leaves": [
-                {
-                    "name": leaf.name,
-                    "code": leaf.code,
-                    "size": leaf.size,
-                    "count": leaf.count,
-                    "offset": leaf.offset,
-                    "hidden": leaf.name.endswith(PLACEHOLDER) or None,
-                }
+                {name: getattr(leaf, name) for name in ("name", "code", "size", "count", "offset")}
+                | {"hidden": leaf.name.endswith(PLACEHOLDER) or None}
                 for leaf in step.leaves
             ],
         }

@@ -242,15 +242,14 @@ def channel(place: int, topic: Topic, definition: str) -> dict[str, Any]:
         definition: complete ``ros2msg`` text of its type, if the topic has no own schema.
     """
     encoding, schema = topic.schema or ("ros2msg", definition.encode())
+    text = b64encode(schema) if encoding in _BINARY_SCHEMAS else schema
     return {
         "id": place,
         "topic": topic.name,
         "encoding": topic.encoding,
         "schemaName": topic.type,
         "schemaEncoding": encoding,
-        "schema": b64encode(schema).decode()
-        if encoding in _BINARY_SCHEMAS
-        else schema.decode("utf-8", "replace"),
+        "schema": text.decode("utf-8", "replace"),
         **({"metadata": dict(topic.metadata)} if topic.metadata else {}),
     }
 
