@@ -108,10 +108,7 @@ class Draft:
         figures = [Figures.of(subject, parts) for parts in self._parts]
         yield f"  {key_text(subject.name)}:"
         yield "    count: at least 1"
-        spreads = (
-            max(run.spread(subject, captured=captured) for run in self.runs) for captured in (False, True)
-        )
-        limits = dict(topic_limits(figures, *spreads))
+        limits = _topic_limits(self.runs, subject, figures)
         for key, limit in limits.items():
             if key not in LOSS_KEYS:
                 yield f"    {key}: {limit.text(TOPIC_BOUNDS[key])}  # {limit.why}"
@@ -150,6 +147,12 @@ class Draft:
         if names:
             have = "this run has" if len(self.runs) == 1 else "these runs have"
             self.notes.append(f"{key} that the draft allows because {have} them: {', '.join(names)}")
+
+
+def _topic_limits(runs: Sequence[Run], subject: Subject, figures: Sequence[Figures]) -> dict[str, RunLimit]:
+    """Return the limits of one topic by their key, for its figures in each run."""
+    every, captured = (max(run.spread(subject, captured=only) for run in runs) for only in (False, True))
+    return dict(topic_limits(figures, every, captured))
 
 
 def _is_filter(where: str, names: Names) -> bool:
@@ -249,8 +252,7 @@ class ExpectationUpdate:
             if subject.name != item.about:
                 continue
             figures = Figures.of(subject, self._parts)
-            spreads = (self._run.spread(subject, captured=captured) for captured in (False, True))
-            limits = dict(topic_limits([figures], *spreads))
+            limits = _topic_limits([self._run], subject, [figures])
             limits["count"] = RunLimit(figures.count, figures.count, f"{figures.count:,} in 1 run")
             if figures.count:
                 self._bound(topic.bounds.get(item.expectation), item.expectation, limits)

@@ -61,6 +61,7 @@ _PIECES: Final = 64
 _TLS_HANDSHAKE: Final = 0x16
 """First byte of a TLS connection (RFC 8446 5.1)."""
 _GOING_AWAY: Final = 1001
+_DATA: Final = frozenset({Opcode.TEXT, Opcode.BINARY, Opcode.CONT})
 _SILENT: Final = logging.getLogger("edoras_tools.websocket")
 _SILENT.disabled = True  # Python prints reports of loggers without a handler: every failed handshake
 
@@ -304,11 +305,7 @@ class FoxgloveClient:
                 yield opening._replace(path="") if socket else opening
             else:
                 self._websocket.send_response(self._response)  # the error is in handshake_exc
-        elif (
-            isinstance(item, Frame)
-            and item.opcode in {Opcode.TEXT, Opcode.BINARY, Opcode.CONT}
-            and self.connected
-        ):
+        elif isinstance(item, Frame) and item.opcode in _DATA and self.connected:
             if item.opcode is not Opcode.CONT:
                 self._text, self._fragments = item.opcode is Opcode.TEXT, bytearray()
             self._fragments += item.data

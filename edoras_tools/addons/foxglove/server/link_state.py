@@ -58,6 +58,10 @@ _SUMS: Final = ("count", "gaps", "bytes")
 _BITS: Final = 32
 
 
+_Key = tuple[int, int, int]
+"""Spacecraft, link and MsgId."""
+
+
 class _LastPacket(NamedTuple):
     """The last packet of a route: its time, ns; its message as CDR, empty if there is none; its route."""
 
@@ -93,9 +97,9 @@ class LinkState:
         self.clock: Callable[[], float] = time.monotonic
         self.wall: Callable[[], int] = time.time_ns
         self._lock = threading.Lock()
-        self._routes: dict[tuple[int, int, int], dict[str, Any]] = {}
-        self._last: dict[tuple[int, int, int], _LastPacket] = {}
-        self._came: Counter[tuple[int, int, int]] = Counter()
+        self._routes: dict[_Key, dict[str, Any]] = {}
+        self._last: dict[_Key, _LastPacket] = {}
+        self._came: Counter[_Key] = Counter()
         self._events: dict[tuple[Any, ...], dict[str, Any]] = {}
         self._time_ns, self._heard = 0, -1.0
 
@@ -193,7 +197,7 @@ class LinkState:
     @staticmethod
     def _last_packets(
         batch: PacketBatch, columns: Columns
-    ) -> tuple[dict[tuple[int, int, int], _LastPacket], dict[tuple[int, int, int], int]]:
+    ) -> tuple[dict[_Key, _LastPacket], dict[_Key, int]]:
         """Return the last packet of each route in a batch, and the number of packets of each."""
         keys = route_keys(columns)
         own, behind, counts = np.unique(keys[::-1], return_index=True, return_counts=True)

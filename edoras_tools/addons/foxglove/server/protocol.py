@@ -165,21 +165,12 @@ def read_request(message: bytes, *, text: bool) -> Request:
 def _read_text(fields: dict[str, Any]) -> Request:
     match fields["op"]:
         case "subscribe":
-            return Subscribe(
-                [(_number(item["id"]), _number(item["channelId"])) for item in fields["subscriptions"]]
-            )
+            items = fields["subscriptions"]
+            return Subscribe([(_number(item["id"]), _number(item["channelId"])) for item in items])
         case "unsubscribe":
             return Unsubscribe([_number(item) for item in fields["subscriptionIds"]])
         case "advertise":
-            return Advertise(
-                [
-                    Channel(
-                        _number(item["id"]),
-                        *(_text(item[key]) for key in ("topic", "schemaName", "encoding")),
-                    )
-                    for item in fields["channels"]
-                ]
-            )
+            return Advertise([_channel(item) for item in fields["channels"]])
         case "unadvertise":
             return Unadvertise([_number(item) for item in fields["channelIds"]])
         case other:
@@ -199,6 +190,11 @@ def _read_binary(message: bytes) -> Request:
         request = PlaybackRequest(command == 0, speed, time_ns if seeks else None)
         return Control(request, request_id.decode())
     raise WireError(f"this server does not support operation {operation.hex() or 'none'}")
+
+
+def _channel(item: dict[str, Any]) -> Channel:
+    texts = (_text(item[key]) for key in ("topic", "schemaName", "encoding"))
+    return Channel(_number(item["id"]), *texts)
 
 
 def _number(value: object) -> int:
