@@ -19,7 +19,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, in_16_bits, numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, in_16_bits, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -97,7 +97,7 @@ class Queue(msgspec.Struct, frozen=True):
         """Return the rate in Hz of ``count`` messages a round."""
         return count * SECOND / self.round_ns
 
-    def wakes(self, first_ns: int, last_ns: int) -> NDArray[np.int64]:
+    def wakes(self, first_ns: int, last_ns: int) -> Integers:
         """Return the times of the wake-ups, ns: from ``first_ns`` to the first one not before ``last_ns``."""
         first, last = (-((self.phase_ns - item) // self.round_ns) for item in (first_ns, last_ns))
         return np.arange(first, last + 1, dtype=np.int64) * self.round_ns + self.phase_ns
@@ -140,18 +140,18 @@ class Passage(NamedTuple):
         superseded_ns: time at which a newer one replaced it, i64; -1 if none did.
     """
 
-    time_ns: NDArray[np.int64]
-    outcome: NDArray[np.uint8]
-    left_ns: NDArray[np.int64]
-    superseded_ns: NDArray[np.int64]
+    time_ns: Integers
+    outcome: Octets
+    left_ns: Integers
+    superseded_ns: Integers
 
     @property
-    def delivered(self) -> NDArray[np.int64]:
+    def delivered(self) -> Integers:
         """Indices of the messages that were read, in the order in which they left for the next queue."""
         rows = np.flatnonzero(self.outcome == QueueEnd.DELIVERED)
         return rows[np.argsort(self.left_ns[rows], kind="stable")]
 
-    def depth(self, at_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    def depth(self, at_ns: Integers) -> Integers:
         """Return the number of waiting messages at some times, after the arrivals and wake-ups then."""
         entered = self.time_ns[self.outcome <= QueueEnd.SUPERSEDED]
         exit_ns = np.where(self.outcome == QueueEnd.SUPERSEDED, self.superseded_ns, self.left_ns)
@@ -160,10 +160,7 @@ class Passage(NamedTuple):
 
 
 def pass_queue(
-    queue: Queue,
-    time_ns: NDArray[np.int64],
-    msg_id: NDArray[np.integer],
-    wakes_ns: NDArray[np.int64] | None = None,
+    queue: Queue, time_ns: Integers, msg_id: NDArray[np.integer], wakes_ns: Integers | None = None
 ) -> Passage:
     """Return the outcomes of messages at a queue that is empty at first.
 
@@ -252,12 +249,12 @@ class _Messages(NamedTuple):
     """
 
     queue: Queue
-    time_ns: NDArray[np.int64]
-    kind: NDArray[np.int64]
-    limit: NDArray[np.int64]
-    superseded_ns: NDArray[np.int64]
+    time_ns: Integers
+    kind: Integers
+    limit: Integers
+    superseded_ns: Integers
 
-    def enter(self, rows: NDArray[np.int64], batch: NDArray[np.int64] | None = None) -> NDArray[np.uint8]:
+    def enter(self, rows: Integers, batch: Integers | None = None) -> Octets:
         """Return the outcome of messages that arrive, in order, between two wake-ups.
 
         The result is the same as that of ``admission`` for one after another. Nothing leaves in between, so
@@ -284,13 +281,7 @@ class _Messages(NamedTuple):
             self._supersede(rows, group, entered | (over & (limit > 0)), outcome)
         return outcome
 
-    def _supersede(
-        self,
-        rows: NDArray[np.int64],
-        group: NDArray[np.int64],
-        enters: NDArray[np.bool_],
-        outcome: NDArray[np.uint8],
-    ) -> None:
+    def _supersede(self, rows: Integers, group: Integers, enters: Mask, outcome: Octets) -> None:
         """Keep the newest messages of each MsgId; each older one is superseded by its replacement."""
         order = np.flatnonzero(enters)
         order = order[np.argsort(group[order], kind="stable")]
@@ -302,7 +293,7 @@ class _Messages(NamedTuple):
         self.superseded_ns[rows[order[older]]] = self.time_ns[rows[order[later[older]]]]
 
 
-def _rank(group: NDArray[np.int64], among: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+def _rank(group: Integers, among: Mask | None = None) -> Integers:
     """Return the number of earlier elements in the same group for each one; only those ``among`` count."""
     order = np.argsort(in_16_bits(group), kind="stable")
     ones = np.ones(len(group), np.int64) if among is None else among[order].astype(np.int64)

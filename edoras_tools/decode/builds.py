@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, distinct_rows
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, distinct_rows
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
 from edoras_tools.wire.msg_id import VERSION_1
@@ -85,9 +85,7 @@ class Fitting:
         length: bytes of each packet, i64 (n,).
     """
 
-    def __init__(
-        self, structs: Structs, commands: CommandTable, head: NDArray[np.uint8], length: Integers
-    ) -> None:
+    def __init__(self, structs: Structs, commands: CommandTable, head: Octets, length: Integers) -> None:
         self._structs = structs
         self._commands = commands
         self._head = head
@@ -176,7 +174,7 @@ class Builds:
         self.usual = cfe.HEADERS.index(usual)
         self.several = False
 
-    def settle(self, usual: cfe.Headers, places: Places, headers: NDArray[np.uint8]) -> None:
+    def settle(self, usual: cfe.Headers, places: Places, headers: Octets) -> None:
         """Set the detected headers.
 
         Args:
@@ -229,9 +227,7 @@ class Builds:
             ]
         return cfe.HEADERS[headers >> 1 if headers else self.usual]
 
-    def _each(
-        self, head: NDArray[np.uint8], length: Integers, allowed: NDArray[np.uint8]
-    ) -> NDArray[np.uint8]:
+    def _each(self, head: Octets, length: Integers, allowed: Octets) -> Octets:
         """Return the first headers of each packet's conversation that explain it, or else that allow it."""
         out, fitting = np.full(len(allowed), self.usual, np.uint8), Fitting(*self._known, head, length)
         for fits in (fitting.allowed, fitting.by):

@@ -17,7 +17,7 @@ from edoras_tools.decode.variants import Variants
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, UNKNOWABLE, Columns, Finding, PacketBatch
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
 from edoras_tools.wire.arrays.window import any_nonzero, gather, xor_bytes
 from edoras_tools.wire.cdr import ROUNDED
 from edoras_tools.wire.envelope import (
@@ -98,7 +98,7 @@ class Begun(NamedTuple):
         part: batch of these datagrams; None: to be taken from the whole batch.
     """
 
-    link: NDArray[np.uint8]
+    link: Octets
     start: NDArray[np.int32]
     out: dict[str, NDArray[Any]]
     part: PacketBatch | None = None
@@ -293,7 +293,7 @@ class _Pass:
         self._structs()
 
     def _secondary(
-        self, packet: Mask, head: NDArray[np.uint8], total: NDArray[np.int32], command: Mask, build: Any
+        self, packet: Mask, head: Octets, total: NDArray[np.int32], command: Mask, build: Any
     ) -> None:
         """Read the cFE command and telemetry headers, with one build, or the own build of each packet."""
         length = self.out["packet_length"]
@@ -392,7 +392,7 @@ class _Pass:
         rows: Places,
         offset: Integers,
         have: NDArray[np.int32],
-        head: NDArray[np.uint8],
+        head: Octets,
         envelope: EnvelopeFormat,
     ) -> None:
         """Read envelopes of one format, and judge the CDR in them.

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.ros import TypeStore
-    from edoras_tools.wire.arrays.order import Mask
+    from edoras_tools.wire.arrays.order import Mask, Octets
     from edoras_tools.wire.layout import Layout
     from edoras_tools.wire.msg_id import MsgIds
 
@@ -378,11 +378,11 @@ class Context:
     def _settle_streams(self) -> None:
         """Find the link of the TCP streams of each port; ports named by options come first."""
         usual = [(link, port) for link in self.links for port in link.transport.ports]
-        self.stream_links: NDArray[np.uint8] = np.zeros(65536, np.uint8)
+        self.stream_links: Octets = np.zeros(65536, np.uint8)
         for link, port in reversed([*self.options.ports, *usual]):
             if link != OTHER and table.protocol(link).framing is not None:
                 self.stream_links[port] = link
-        self.framed_links: NDArray[np.uint8] = np.zeros(65536, np.uint8)
+        self.framed_links: Octets = np.zeros(65536, np.uint8)
         self.framings = table.framings(self.options.ports)
         for framed in self.mission.frames:
             if framed.format.stream:
@@ -397,7 +397,7 @@ class Context:
     def _settle_ports(self) -> None:
         """Find the sets of links that claim a port, and the link that the port alone decides for each set."""
         sets: dict[tuple[LinkProtocol, ...], int] = {(): 0}
-        self.claim: NDArray[np.uint8] = np.zeros(65536, np.uint8)
+        self.claim: Octets = np.zeros(65536, np.uint8)
         for port in np.flatnonzero(np.any(list(self.ports.values()), axis=0)).tolist():
             links = tuple(link for link in self.links if self.ports[link][port])
             self.claim[port] = sets.setdefault(links, len(sets))

@@ -12,7 +12,7 @@ import numpy as np
 
 from edoras_tools.links import table
 from edoras_tools.model import OTHER, Datagram, Finding, Link, PacketBatch
-from edoras_tools.wire.arrays.order import Mask, Places, by_value
+from edoras_tools.wire.arrays.order import Mask, Octets, Places, by_value
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class _Rows:
         return np.where(absent, -1, values.astype(np.int64)) if some else values
 
 
-def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
+def link_columns(batch: PacketBatch, context: Context) -> Octets:
     """Return the link of every datagram of a batch, u8 (n,); fragments without a payload have none."""
     claim = context.claim.take(batch.destination_port)
     link = context.decided.take(claim)
@@ -133,7 +133,7 @@ def beginning(batch: PacketBatch, rows: Places, magic: bytes) -> Places:
     return rows
 
 
-def _stream_links(batch: PacketBatch, context: Context, link: NDArray[np.uint8]) -> None:
+def _stream_links(batch: PacketBatch, context: Context, link: Octets) -> None:
     """Set the link of TCP messages: by the port of either end, then by content if the link needs that."""
     assert batch.streams is not None
     streams = np.flatnonzero(batch.streams)

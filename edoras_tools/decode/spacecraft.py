@@ -21,7 +21,7 @@ import numpy as np
 
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import fingerprint
-from edoras_tools.wire.arrays.order import Mask, Places, Prints, distinct_rows
+from edoras_tools.wire.arrays.order import Mask, Octets, Places, Prints, distinct_rows
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.msg_id import MSG_ID_BYTES, MsgIds
 
@@ -83,7 +83,7 @@ class Spacecraft:
         self._recent: list[tuple[int, Prints, Prints]] = []
         """Last time, packet prints and addresses of recent batches of a stream."""
 
-    def ends(self, batch: PacketBatch, link: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Prints]:
+    def ends(self, batch: PacketBatch, link: Octets) -> tuple[Octets, Prints]:
         """Return the end of each datagram that cFS is, u8, 0 for neither, and its address."""
         side = self._side.take(link)
         peers = np.flatnonzero(side == _PEER)
@@ -97,9 +97,7 @@ class Spacecraft:
         address = np.where(side == _RECEIVER, batch.destination_address, batch.source_address)
         return side, batch.fixed(address)
 
-    def column(
-        self, batch: PacketBatch, link: NDArray[np.uint8], start: NDArray[np.int32]
-    ) -> NDArray[np.uint8]:
+    def column(self, batch: PacketBatch, link: Octets, start: NDArray[np.int32]) -> Octets:
         """Return the spacecraft of each datagram, u8.
 
         Args:
@@ -210,7 +208,7 @@ class Spacecraft:
                 return int(addresses[alike.argmax()])
         return None
 
-    def _looked_up(self, address: Prints, unknown: int) -> NDArray[np.uint8]:
+    def _looked_up(self, address: Prints, unknown: int) -> Octets:
         addresses = np.array(sorted(self.numbers), np.uint64)
         numbers = np.array([self.numbers[item] for item in addresses.tolist()], np.uint8)
         place = np.minimum(np.searchsorted(addresses, address), len(addresses) - 1)

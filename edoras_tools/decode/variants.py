@@ -33,15 +33,13 @@ from edoras_tools.links.table import accepted
 from edoras_tools.model import NO_ROUTE, PacketBatch
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import by_value, distinct, distinct_rows, quantiles
+from edoras_tools.wire.arrays.order import Octets, by_value, distinct, distinct_rows, quantiles
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-
-    from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
@@ -85,7 +83,7 @@ _TIME_NOTE: Final = (
 class _Kept(NamedTuple):
     """The parts of packets that are kept: first bytes, length, capture time in ns, row of the batch."""
 
-    head: NDArray[np.uint8]
+    head: Octets
     length: Integers
     time_ns: Integers
     row: Places
@@ -125,7 +123,7 @@ class Variants:
         self._note = ""
         self._all_seen = self.settled = not (self._seek_headers or seek or context.options.time is None)
 
-    def look(self, batch: PacketBatch, link: NDArray[np.uint8]) -> None:
+    def look(self, batch: PacketBatch, link: Octets) -> None:
         """Examine a batch that is about to be decoded; ``link`` has the link of each row."""
         rows = np.flatnonzero(self._packets[link])
         if not self._all_seen:
@@ -140,7 +138,7 @@ class Variants:
             self._look_at_conversations(batch, rows, link)
         self.settled = self._all_seen and not self._seek_headers
 
-    def _sound(self, batch: PacketBatch, rows: Places, link: NDArray[np.uint8]) -> _Kept:
+    def _sound(self, batch: PacketBatch, rows: Places, link: Octets) -> _Kept:
         """Return the kept parts of those of some packets whose length field is right."""
         start = self._context.header_bytes[link[rows]]
         length = batch.length[rows].astype(np.int64) - start
@@ -211,7 +209,7 @@ class Variants:
             explained[_EXTENDED][timed] = _goes_on(sample.take(timed))
         return explained
 
-    def _look_at_conversations(self, batch: PacketBatch, rows: Places, link: NDArray[np.uint8]) -> None:
+    def _look_at_conversations(self, batch: PacketBatch, rows: Places, link: Octets) -> None:
         """Count, for some packets of each conversation, the first headers that explain them."""
         place = conversations(batch)
         place = place if len(rows) == len(place) else place[rows]

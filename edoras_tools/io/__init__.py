@@ -19,10 +19,11 @@ if TYPE_CHECKING:
     from edoras_tools.links.framing import Framing
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
-    Room = Callable[[int], NDArray[np.uint8]]
+    Room = Callable[[int], Octets]
     """Returns memory of a given size in bytes, u8."""
-    Choice = Callable[[NDArray[np.uint8], NDArray[np.int32]], NDArray[np.bool_]]
+    Choice = Callable[[Octets, NDArray[np.int32]], Mask]
     """Returns which datagrams are needed, from the link and the MsgId of each."""
 
 __all__ = ["Sink", "Source", "SourceDefaults", "SourceOver"]
@@ -98,7 +99,7 @@ class SourceDefaults(Protocol):
         """
         del choice
 
-    def published(self, number: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    def published(self, number: Integers) -> Integers | None:
         """Return recorded publish times of datagrams of the last batch, ns, after ``choose``; else None."""
         return None
 
@@ -107,7 +108,7 @@ class SourceDefaults(Protocol):
         """The names of the files that are read as one source; empty for a single file."""
         return ()
 
-    def origin(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
+    def origin(self, number: Integers) -> Integers:
         """Return the index in ``files`` of the origin of datagrams of the last batch; 0 for a single file."""
         return number * 0
 

@@ -37,7 +37,7 @@ from edoras_tools.io.processors import spare_processors
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from numpy.typing import NDArray
+    from edoras_tools.wire.arrays.order import Octets
 
 SLOT_BYTES: Final = 32 << 20
 """Space for the arrays of one value; the rest stays in its pickle. Only pages in use need memory."""
@@ -66,12 +66,12 @@ class Memory:
     def __init__(self, rooms: int, slots: int) -> None:
         self._rooms_end = rooms * ROOM_BYTES
         size = self._rooms_end + slots * SLOT_BYTES
-        self._bytes: NDArray[np.uint8] = np.frombuffer(mmap.mmap(-1, size), np.uint8)
+        self._bytes: Octets = np.frombuffer(mmap.mmap(-1, size), np.uint8)
         self._last_use = [0] * rooms
         """Number of the last value in each room, from 1; only one side lends memory."""
         self._room = 0
 
-    def lend(self, size: int, await_use: Callable[[int], None]) -> NDArray[np.uint8]:
+    def lend(self, size: int, await_use: Callable[[int], None]) -> Octets:
         """Return memory to read into: u8, ``size`` bytes; the next room, or new memory if that is too small.
 
         Args:
@@ -143,7 +143,7 @@ class Desk:
             self._receive()
         return self._request_count - self._answer_count >= self._tasks - 1
 
-    def lend(self, size: int) -> NDArray[np.uint8]:
+    def lend(self, size: int) -> Octets:
         """Return memory to read into, u8, ``size`` bytes; arrays of answers in it are not copied."""
         self._lends = True
         return self._memory.lend(size, self._await_use)
@@ -222,7 +222,7 @@ class Workers:
                 self._links.append(link)
         self._count = 0
 
-    def lend(self, size: int) -> NDArray[np.uint8]:
+    def lend(self, size: int) -> Octets:
         """Return memory to read into: u8, ``size`` bytes; tasks that use it need not copy it.
 
         It belongs to the caller until this has been called as many times as there are rooms; the call waits

@@ -25,7 +25,7 @@ from edoras_tools.wire.arrays.window import PADDING
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers, Mask
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
 NOT_YET: Final = 0
 """The length of a message whose header is not complete yet."""
@@ -43,7 +43,7 @@ class MessageContents(msgspec.Struct, frozen=True, eq=False):
         part: whether the message is only a part of one, bool (n,): its content comes with a later message.
     """
 
-    data: NDArray[np.uint8]
+    data: Octets
     offset: Integers
     length: Integers
     part: Mask
@@ -58,9 +58,7 @@ class StreamState(Protocol):
 
     foreign: bool
 
-    def contents(
-        self, data: NDArray[np.uint8], offset: Integers, length: Integers, forward: Mask
-    ) -> MessageContents:
+    def contents(self, data: Octets, offset: Integers, length: Integers, forward: Mask) -> MessageContents:
         """Return the contents of the next messages; they come in the order in which they were complete.
 
         Args:
@@ -86,7 +84,7 @@ class Framing:
     sender: ClassVar[slice] = slice(0)
     checked: bool = False
 
-    def lengths(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Integers:
+    def lengths(self, data: Octets, at: Integers, end: Integers | int) -> Integers:
         """Return the bytes of the message that starts at each position.
 
         Args:
@@ -116,7 +114,7 @@ class Framing:
             at += size
         return messages, data[at:], size == NOT_A_MESSAGE
 
-    def likely(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Mask:
+    def likely(self, data: Octets, at: Integers, end: Integers | int) -> Mask:
         """Return where a message probably starts, bool (n,): used to find the first one after missing bytes.
 
         The stricter it is, the better; ``lengths`` may accept positions that it does not.

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.reading import Reading
     from edoras_tools.links.sending import LinkSending
     from edoras_tools.links.site import Site
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 BY_PORT: Final = 1
 BY_CONTENT: Final = 2
@@ -364,7 +364,7 @@ class LinkProtocol(Link):
         raise NotImplementedError(self.label)
 
     def judge_units(
-        self, data: NDArray[np.uint8], offset: Integers, length: NDArray[np.int32]
+        self, data: Octets, offset: Integers, length: NDArray[np.int32]
     ) -> Iterator[tuple[Finding, Mask]]:
         """Yield each finding about units in packets, and the units that have it; for ``in_packets``."""
         raise NotImplementedError(self.label)

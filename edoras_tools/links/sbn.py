@@ -18,7 +18,7 @@ from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, prefixed
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds, sbn
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, groups
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value, groups
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class SoftwareBusNetworkFraming(Framing):
     largest = sbn.HEADER.size + sbn.LARGEST_PAYLOAD
     sender = slice(sbn.HEADER.by_name["processor_id"].start, sbn.HEADER.by_name["spacecraft_id"].end)
 
-    def lengths(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Integers:
+    def lengths(self, data: Octets, at: Integers, end: Integers | int) -> Integers:
         """Return the bytes of header and payload; the size is signed, and receivers reject a negative one."""
         size = sbn.HEADER.column("msg_size", gather(data, at, self.head)).astype(np.int64)
         return prefixed(size >= 0, size + self.head, end - at, self.head, self.largest)
@@ -64,7 +64,7 @@ class SoftwareBusNetworkFraming(Framing):
             return NOT_YET
         return NOT_A_MESSAGE if data[at] & 0x80 else (data[at] << 8 | data[at + 1]) + self.head
 
-    def likely(self, data: NDArray[np.uint8], at: Integers, end: Integers | int) -> Mask:
+    def likely(self, data: Octets, at: Integers, end: Integers | int) -> Mask:
         """Require a known type, and a size that agrees with the content."""
         head = gather(data, at, _WINDOW)
         size = sbn.HEADER.column("msg_size", head).astype(np.int64)
@@ -269,7 +269,7 @@ class _Columns:
             self.located.flag(Finding.TRUNCATED, short, rows)
 
 
-def _legacy(head: NDArray[np.uint8], length: NDArray[np.int32]) -> Mask:
+def _legacy(head: Octets, length: NDArray[np.int32]) -> Mask:
     """Return which headers are the older ones of 7 bytes: the size fits, and so does the content."""
     at = sbn.LEGACY_HEADER.size
     fits: Mask = (length >= at) & (sbn.HEADER.column("msg_size", head) == length - at)

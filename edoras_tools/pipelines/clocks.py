@@ -34,12 +34,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from edoras_tools.model import HostCounters, PacketBatch
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress
     from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.wire.arrays.order import Integers
 
 _LEAST: Final = 3
 _MOST: Final = 1_000_000
@@ -54,7 +53,7 @@ class Aligned(SourceOver):
         left_out: i64 (n,), numbers of frames that are left out, increasing.
     """
 
-    def __init__(self, source: Source, lines: Sequence[ClockLine], left_out: NDArray[np.int64]) -> None:
+    def __init__(self, source: Source, lines: Sequence[ClockLine], left_out: Integers) -> None:
         super().__init__(source)
         self._lines = lines
         self._left_out = left_out
@@ -74,7 +73,7 @@ class Aligned(SourceOver):
             moved = replace(batch, time_ns=self._set_back(batch.time_ns))
             yield moved.take(~np.isin(batch.number, self._left_out)) if len(self._left_out) else moved
 
-    def _set_back(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _set_back(self, time_ns: Integers) -> Integers:
         for line in self._lines:
             time_ns = line.set_back(time_ns)
         return time_ns

@@ -23,11 +23,10 @@ from edoras_tools.words import did_you_mean, listed
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.decode.context import Context
     from edoras_tools.links.site import Endpoints
     from edoras_tools.mission import Mission
+    from edoras_tools.wire.arrays.order import Mask
 
 PATTERN_SIGNS: Final = frozenset("*?[")
 """Characters that make a name a shell pattern."""
@@ -58,7 +57,7 @@ class SampleTopics(msgspec.Struct, frozen=True):
         """Return whether an announced topic is one of them."""
         return fits_topic(_recorded_as(topic, self.used), self.pattern)
 
-    def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def mask(self, batch: PacketBatch, columns: Columns) -> Mask:
         """Return which rows of a batch have such a sample: bool (rows,)."""
         rows_on = np.zeros(len(batch), bool)
         for link in (item for item in table.links() if item.samples):
@@ -110,7 +109,7 @@ class PacketKinds(msgspec.Struct, frozen=True):
             tuple(own for item in kinds for own in item.samples),
         )
 
-    def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def mask(self, batch: PacketBatch, columns: Columns) -> Mask:
         """Return which rows of a batch are in the set: bool (rows,)."""
         mask = np.isin(columns.route, list(self.routes))
         mask |= np.isin(columns.msg_id, [key.msg_id for key in self.keys if key.function_code is None])

@@ -13,6 +13,8 @@ from edoras_tools.render.plot.figure import PlotLine
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers
+
 _FINEST: Final = 0.1
 """Seconds of one interval in which messages are counted."""
 _BARS: Final = 100
@@ -29,7 +31,7 @@ class RateCounts(msgspec.Struct):
     """
 
     spread: int = 0
-    _parts: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
+    _parts: list[Integers] = msgspec.field(default_factory=list)
     _numbers: list[NDArray[np.float64]] = msgspec.field(default_factory=list)
 
     def add(self, seconds: NDArray[np.float64], numbers: NDArray[Any] | None = None) -> None:
@@ -43,9 +45,7 @@ class RateCounts(msgspec.Struct):
         self._parts.append(parts)
         self._numbers.append(np.bincount(places, numbers, len(parts)).astype(np.float64))
 
-    def add_spans(
-        self, begin: NDArray[np.float64], end: NDArray[np.float64], numbers: NDArray[np.int64]
-    ) -> None:
+    def add_spans(self, begin: NDArray[np.float64], end: NDArray[np.float64], numbers: Integers) -> None:
         """Add messages with a span of time instead of a time.
 
         Spans beyond a day use coarser intervals: a clock that was set during a run gives spans of decades.

@@ -33,14 +33,13 @@ if TYPE_CHECKING:
     import threading
     from collections.abc import Callable, Iterator
 
-    from numpy.typing import NDArray
-
     from edoras_tools.decode.context import Context
     from edoras_tools.diagnosis.evidence.copies import Repeats
     from edoras_tools.io import Source
     from edoras_tools.links.doors import OwnRows
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.sequence import SequenceCounts
+    from edoras_tools.wire.arrays.order import Mask
 
 
 _ENDING_NS: Final = SECOND // 4
@@ -199,7 +198,7 @@ class ReadLoop:
         if self.begin_ns is not None and not (inside or self.interrupted or self.source.live):
             raise outside(self.source.info.name, self.begin_ns, self.last_ns)
 
-    def _follow(self, batch: PacketBatch, columns: Columns, in_time: NDArray[np.bool_] | None) -> None:
+    def _follow(self, batch: PacketBatch, columns: Columns, in_time: Mask | None) -> None:
         """Follow the runs of a batch, and the conversations in the requested time."""
         if self._runs:
             self.part = self._runs.add(batch, columns)

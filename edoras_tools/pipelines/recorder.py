@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.net.buffer import DatagramBuffer
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.wire.arrays.order import Integers
 
 PAGE_BYTES: Final = 2 << 20
 PAGE_ROWS: Final = 16384
@@ -371,11 +372,7 @@ class RelayRecorder:
         return self._page.datagrams.rows > 0
 
     def take(
-        self,
-        buffer: DatagramBuffer,
-        slots: int | NDArray[np.int64],
-        times: NDArray[np.int64],
-        ends: NDArray[np.void],
+        self, buffer: DatagramBuffer, slots: int | Integers, times: Integers, ends: NDArray[np.void]
     ) -> None:
         """Copy datagrams from a buffer.
 

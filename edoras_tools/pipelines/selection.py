@@ -20,13 +20,12 @@ from edoras_tools.units import SECOND
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.filter import Where
     from edoras_tools.io import Choice
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.wire.arrays.order import Integers, Mask
 
 _BEFORE_NS: Final = 3600 * SECOND
 """Longest time that a clock time without a date may be before the capture, or an end before the start; an
@@ -125,8 +124,8 @@ class Period(msgspec.Struct, frozen=True):
     @overload
     def holds(self, since_ns: int) -> bool: ...
     @overload
-    def holds(self, since_ns: NDArray[np.int64]) -> NDArray[np.bool_]: ...
-    def holds(self, since_ns: int | NDArray[np.int64]) -> bool | NDArray[np.bool_]:
+    def holds(self, since_ns: Integers) -> Mask: ...
+    def holds(self, since_ns: int | Integers) -> bool | Mask:
         """Return which times, in ns after the first datagram, are in a period that ``since`` returned."""
         assert self.start is self.end is None, "since() knows when the clock shows these times"
         after = (since_ns >= self.start_ns) | (not self.start_ns)
@@ -218,7 +217,7 @@ class Selection(msgspec.Struct, frozen=True):
         """Return the named packets of a spacecraft; only the result of :meth:`over` has them."""
         return self._packets_by_craft(spacecraft) if self._packets_by_craft else ()
 
-    def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def mask(self, batch: PacketBatch, columns: Columns) -> Mask:
         """Return which rows are selected, without applying the filter: bool (rows,)."""
         mask = np.ones(len(columns), bool)
         if self.links:
@@ -274,7 +273,7 @@ class Selection(msgspec.Struct, frozen=True):
             return all(packets.has_sample_topic(samples) for packets in self._packets)
         return all(msg_id in packets.msg_ids(mission) for packets in self.packets_of(spacecraft))
 
-    def rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
+    def rows(self, batch: PacketBatch, columns: Columns) -> Integers:
         """Return the indices of the selected rows; for a result of :meth:`over`, or an empty selection."""
         assert self._packets_by_craft or not self, "over() finds what names stand for, and the filter"
         rows = np.flatnonzero(self.mask(batch, columns))

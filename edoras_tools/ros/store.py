@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.ros.cdr.columns import MessageColumns
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
 USUAL_DISTRO: Final = "jazzy"
 """The distribution if none is named: that of EDORAS's own images."""
@@ -153,9 +154,7 @@ class TypeStore:
 
         return extent(*self.plan(type_name), cdr)
 
-    def valid(
-        self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
-    ) -> NDArray[np.bool_]:
+    def valid(self, type_name: str, data: Octets, offset: Integers, length: NDArray[np.int32]) -> Mask:
         """Return which of many messages ``decode`` accepts.
 
         Args:
@@ -166,7 +165,7 @@ class TypeStore:
         return self.trailing(type_name, data, offset, length) >= 0
 
     def trailing(
-        self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
+        self, type_name: str, data: Octets, offset: Integers, length: NDArray[np.int32]
     ) -> NDArray[np.int32]:
         """Return the bytes after the last field of each of many messages; -1 for messages that are not valid.
 
@@ -181,7 +180,7 @@ class TypeStore:
         return self.plan(type_name)[1].most_trailing
 
     def columns(
-        self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
+        self, type_name: str, data: Octets, offset: Integers, length: NDArray[np.int32]
     ) -> MessageColumns:
         """Return the fields of many messages as columns, one a field; arguments as ``valid``."""
         from edoras_tools.ros.cdr import columns

@@ -22,7 +22,7 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, Link, PacketBatch, 
 from edoras_tools.older import StrEnum
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe, sbn
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
 from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at, xor_bytes
 from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1, VERSION_2
 
@@ -81,16 +81,16 @@ class Outgoing(msgspec.Struct, frozen=True):
     """
 
     link: Link
-    data: NDArray[np.uint8]
-    offset: NDArray[np.int64]
+    data: Octets
+    offset: Integers
     length: NDArray[np.int32]
-    time_ns: NDArray[np.int64]
-    packet_offset: NDArray[np.int64]
+    time_ns: Integers
+    packet_offset: Integers
     packet_length: NDArray[np.int32]
-    header_length: NDArray[np.uint8]
-    headers: NDArray[np.uint8]
+    header_length: Octets
+    headers: Octets
     msg_id: NDArray[np.int32]
-    cdr_offset: NDArray[np.int64]
+    cdr_offset: Integers
     route: NDArray[np.int16]
 
     def __len__(self) -> int:
@@ -109,7 +109,7 @@ class Outgoing(msgspec.Struct, frozen=True):
         return replace(self, data=self.data.copy())
 
     @classmethod
-    def bare(cls, link: Link, messages: Sequence[bytes], time_ns: NDArray[np.int64]) -> Outgoing:
+    def bare(cls, link: Link, messages: Sequence[bytes], time_ns: Integers) -> Outgoing:
         """Lay out messages without packets."""
         length = np.array([len(item) for item in messages], np.int32)
         none, nothing = np.full(len(messages), -1, np.int64), np.zeros(len(messages), np.uint8)
@@ -202,7 +202,7 @@ class Outgoing(msgspec.Struct, frozen=True):
         )
 
     @property
-    def command(self) -> NDArray[np.bool_]:
+    def command(self) -> Mask:
         """Which datagrams are commands, bool; also True without a MsgId."""
         return VERSION_1.is_command(cfe.known_ids(self.msg_id, self.headers))
 
@@ -271,7 +271,7 @@ class Packet(msgspec.Struct, frozen=True):
 _COLUMNS: Final = tuple(name for name in Outgoing.__struct_fields__ if name not in {"link", "data"})
 
 
-def _moved(place: NDArray[np.int64], shift: NDArray[np.int64]) -> NDArray[np.int64]:
+def _moved(place: Integers, shift: Integers) -> Integers:
     return np.where(place < 0, -1, place + shift)
 
 
@@ -308,7 +308,7 @@ class Changes(msgspec.Struct, frozen=True):
     msg_ids: Mapping[int, int] = msgspec.field(default_factory=dict)
     sequence: SequenceRule = SequenceRule.KEEP
     checksum: ChecksumRule = ChecksumRule.KEEP
-    restamp: NDArray[np.bool_] | None = None
+    restamp: Mask | None = None
     sender: Peer | None = None
     headers: cfe.Headers | None = None
 
@@ -366,7 +366,7 @@ class Changes(msgspec.Struct, frozen=True):
         put_rows(out.data, whole + slot.start, np.repeat(identity, len(whole)))
 
 
-def _put_msg_ids(out: Outgoing, rows: NDArray[np.intp], msg_id: NDArray[np.int32]) -> None:
+def _put_msg_ids(out: Outgoing, rows: Places, msg_id: NDArray[np.int32]) -> None:
     """Write MsgIds into packets, in the version of their headers."""
     out.msg_id[rows] = msg_id
     for number, members in by_value(out.headers[rows]):
@@ -378,7 +378,7 @@ def _put_msg_ids(out: Outgoing, rows: NDArray[np.intp], msg_id: NDArray[np.int32
             out.data[at[whole] + MSG_ID_BYTES - 1] = np.broadcast_to(subsystem, len(at))[whole]
 
 
-def _put_other_header(out: Outgoing, rows: NDArray[np.intp]) -> None:
+def _put_other_header(out: Outgoing, rows: Places) -> None:
     """Replace command headers by telemetry headers or the reverse, after extended headers."""
     headers = cfe.WITH_EXTENDED
     for command in (False, True):
@@ -392,15 +392,13 @@ def _put_other_header(out: Outgoing, rows: NDArray[np.intp]) -> None:
         )
 
 
-def _grow(
-    data: NDArray[np.uint8], at: NDArray[np.int64], layout: Layout, name: str, by: NDArray[np.int32]
-) -> None:
+def _grow(data: Octets, at: Integers, layout: Layout, name: str, by: NDArray[np.int32]) -> None:
     """Add to a 16-bit size in headers of a layout."""
     at = at + layout.by_name[name].start
     put_rows(data, at, (read_at(data, at, ">u2").astype(np.int32) + by).astype(">u2"))
 
 
-def _stamp(out: Outgoing, rows: NDArray[np.intp], time_ns: NDArray[np.int64]) -> None:
+def _stamp(out: Outgoing, rows: Places, time_ns: Integers) -> None:
     little = (out.data[out.cdr_offset[rows] + 1] & 1) != 0
     for order, selection in (("<", little), (">", ~little)):
         picked = rows[selection]
@@ -418,7 +416,7 @@ def _number(out: Outgoing, rule: SequenceRule, sent: int) -> None:
     put_rows(out.data, out.packet_offset[rows] + 2, word)
 
 
-def _check(out: Outgoing, rule: ChecksumRule, rows: NDArray[np.intp] | None = None) -> None:
+def _check(out: Outgoing, rule: ChecksumRule, rows: Places | None = None) -> None:
     if rows is None:
         whole = out.packet_length >= out.header_length
         rows = np.flatnonzero((out.msg_id != NO_MSG_ID) & out.command & whole)

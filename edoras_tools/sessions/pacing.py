@@ -22,6 +22,8 @@ from edoras_tools.units import SECOND
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers
+
 _STEPS: Final = 64
 """Steps of the lateness scale for each doubling: one step is 1.1 %."""
 _FOLD: Final = 1 << 16
@@ -36,8 +38,8 @@ class Timetable(NamedTuple):
         period_ns: time from the start of one pass to the start of the next.
     """
 
-    order: NDArray[np.int64]
-    due_ns: NDArray[np.int64]
+    order: Integers
+    due_ns: Integers
     period_ns: int
 
     @property
@@ -78,7 +80,7 @@ class Pacing(msgspec.Struct, frozen=True):
         if sum(ways) > 1:
             raise ConfigError("a speed, a rate and --speed max exclude each other; name one")
 
-    def timetable(self, time_ns: NDArray[np.int64], stream: NDArray[Any] | None = None) -> Timetable:
+    def timetable(self, time_ns: Integers, stream: NDArray[Any] | None = None) -> Timetable:
         """Plan one pass.
 
         Args:
@@ -111,7 +113,7 @@ class Pacing(msgspec.Struct, frozen=True):
             due = due[order]
         return self._capped(order, due, max(ends))
 
-    def _capped(self, order: NDArray[np.int64], due: NDArray[np.int64], period_ns: int) -> Timetable:
+    def _capped(self, order: Integers, due: Integers, period_ns: int) -> Timetable:
         if self.cap_hz and len(due):
             least = _evenly(len(due), self.cap_hz)
             due = np.maximum.accumulate(due - least) + least
@@ -119,7 +121,7 @@ class Pacing(msgspec.Struct, frozen=True):
         return Timetable(order, due, period_ns)
 
 
-def _evenly(count: int, rate_hz: float) -> NDArray[np.int64]:
+def _evenly(count: int, rate_hz: float) -> Integers:
     """Return ``count`` deadlines, each rounded from its exact value, so that rounding does not add up."""
     return np.rint(np.arange(count) * (SECOND / rate_hz)).astype(np.int64)
 
@@ -142,7 +144,7 @@ class Lateness:
         if len(self._waiting) >= _FOLD:
             self._fold()
 
-    def add_all(self, late_ns: NDArray[np.int64]) -> None:
+    def add_all(self, late_ns: Integers) -> None:
         """Add the latenesses of many messages."""
         self._waiting += late_ns.tolist()
         if len(self._waiting) >= _FOLD:

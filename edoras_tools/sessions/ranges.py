@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
+    from edoras_tools.wire.arrays.order import Integers, Mask
 
 MOST_RANGES: Final = 1 << 12
 
@@ -71,7 +71,7 @@ class KnownRanges:
         self._ends[first:last] = [end]
         return True
 
-    def fresh(self, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def fresh(self, numbers: Integers) -> Mask:
         """Add numbers; return which of them were not in the set, each at its first place, bool (n,)."""
         distinct, first = np.unique(numbers, return_index=True)
         starts, ends = np.array(self._starts, np.int64), np.array(self._ends, np.int64)

@@ -46,7 +46,7 @@ from msgspec.structs import replace
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import fingerprint
-from edoras_tools.wire.arrays.order import by_value, changes, distinct_rows, order_by
+from edoras_tools.wire.arrays.order import Integers, Mask, by_value, changes, distinct_rows, order_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -186,7 +186,7 @@ class SequenceRows(msgspec.Struct, frozen=True, eq=False):
     stream: NDArray[np.int32]
     missing: NDArray[np.int32]
     refilled: NDArray[np.int32]
-    refilled_row: NDArray[np.int64]
+    refilled_row: Integers
     duplicates: NDArray[np.int32]
     reordered: NDArray[np.int32]
     restarts: NDArray[np.int32]
@@ -206,14 +206,14 @@ class _Runs(msgspec.Struct, frozen=True, eq=False):
         boots: capture time minus packet time; ``_NO_BOOT`` without a packet time.
     """
 
-    begins: NDArray[np.int64]
-    ends: NDArray[np.int64]
-    steps: NDArray[np.int64]
+    begins: Integers
+    ends: Integers
+    steps: Integers
     count: NDArray[np.uint16]
-    rows: NDArray[np.int64]
+    rows: Integers
     prints: NDArray[np.uint32]
-    places: NDArray[np.int64]
-    boots: NDArray[np.int64]
+    places: Integers
+    boots: Integers
 
 
 class SequenceStream(msgspec.Struct, eq=False):
@@ -529,9 +529,9 @@ class SequenceCounts:
         self._index: dict[int, int] = {}
         self._rows = 0
         self._newest: tuple[PacketBatch, SequenceRows] | None = None
-        self._ordered: tuple[PacketBatch, NDArray[np.int64], NDArray[np.bool_]] | None = None
+        self._ordered: tuple[PacketBatch, Integers, Mask] | None = None
 
-    def order(self, batch: PacketBatch, columns: Columns) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def order(self, batch: PacketBatch, columns: Columns) -> tuple[Integers, Mask]:
         """Return all rows of a batch grouped by link, sender and MsgId, in their order within a group.
 
         Returns:
@@ -658,16 +658,16 @@ class SequenceCounts:
 class _Groups(msgspec.Struct, frozen=True, eq=False):
     """Rows of a batch grouped by stream, in their order; the start of each stream; its key."""
 
-    rows: NDArray[np.int64]
-    begins: NDArray[np.int64]
+    rows: Integers
+    begins: Integers
     keys: NDArray[np.uint64]
 
-    def owner(self, at: NDArray[np.int64]) -> NDArray[np.int64]:
+    def owner(self, at: Integers) -> Integers:
         """Return the stream that each place in ``rows`` belongs to."""
         return np.searchsorted(self.begins, at, side="right") - 1
 
 
-def _ordered(batch: PacketBatch, columns: Columns, rows: NDArray[np.int64]) -> _Groups:
+def _ordered(batch: PacketBatch, columns: Columns, rows: Integers) -> _Groups:
     """Group the rows by stream (rule 1); most are grouped already."""
     fresh = changes(
         rows,
@@ -703,15 +703,13 @@ def _ordered(batch: PacketBatch, columns: Columns, rows: NDArray[np.int64]) -> _
 
 
 def _endpoints(
-    batch: PacketBatch, address: NDArray[np.uint32], port: NDArray[np.uint16], rows: NDArray[np.int64]
+    batch: PacketBatch, address: NDArray[np.uint32], port: NDArray[np.uint16], rows: Integers
 ) -> NDArray[np.uint64]:
     """Return a number for the endpoint of each row, the same in every batch."""
     return np.asarray(batch.fixed(address)[rows] << np.uint64(16) | port[rows], np.uint64)
 
 
-def _prints(
-    batch: PacketBatch, columns: Columns, groups: _Groups, odd: NDArray[np.int64]
-) -> NDArray[np.uint32]:
+def _prints(batch: PacketBatch, columns: Columns, groups: _Groups, odd: Integers) -> NDArray[np.uint32]:
     """Return the fingerprints of those rows that may be compared with another; 0 for the others.
 
     They are the first and the newest ones of each stream, and all of a stream with an ``odd`` row, whose
@@ -733,7 +731,7 @@ def _prints(
     return prints
 
 
-def _jumps(count: NDArray[np.uint16], begins: NDArray[np.int64]) -> NDArray[np.int64]:
+def _jumps(count: NDArray[np.uint16], begins: Integers) -> Integers:
     """Return the places where a stream begins, or its count does not increase by one."""
     jump = np.ones(len(count), np.bool_)
     jump[1:] = (count[1:] - count[:-1]) & np.uint16(MODULUS - 1) != 1
@@ -741,7 +739,7 @@ def _jumps(count: NDArray[np.uint16], begins: NDArray[np.int64]) -> NDArray[np.i
     return np.flatnonzero(jump)
 
 
-def _newest(boots: NDArray[np.int64]) -> int:
+def _newest(boots: Integers) -> int:
     """Return the last boot that is known, else ``_NO_BOOT``."""
     if (last := int(boots[-1])) != _NO_BOOT or len(boots) == 1:  # nearly always: a tenth of the time
         return last
@@ -749,7 +747,7 @@ def _newest(boots: NDArray[np.int64]) -> int:
     return int(dated[-1]) if len(dated) else _NO_BOOT
 
 
-def _same_boot(boots: NDArray[np.int64], at: int) -> int:
+def _same_boot(boots: Integers, at: int) -> int:
     """Return the end of the packets from ``at`` on that are of one boot, or all without a time."""
     boots = boots[at:]
     dated = boots != _NO_BOOT

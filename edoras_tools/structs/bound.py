@@ -11,7 +11,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.structs.messages import HEADER_FIELDS, parts
 from edoras_tools.structs.shapes import SHIPPED, Key, Member, Struct, StructLayout
 from edoras_tools.structs.transcode import HEAD, MOST_VALUES, Counter, StructPlan
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -32,9 +32,9 @@ class Encoded(NamedTuple):
         width: bytes of a message if all have the same size and no bytes are between them, else 0.
     """
 
-    data: NDArray[np.uint8]
-    start: NDArray[np.int64]
-    size: NDArray[np.int64]
+    data: Octets
+    start: Integers
+    size: Integers
     width: int
 
 
@@ -97,10 +97,10 @@ class Bound:
         """Whether this struct holds the arguments of one of the built-in commands."""
         return self.shipped and self.key.function_code is not None and self.key.port is None
 
-    def fits(self, length: NDArray[np.integer[Any]] | int) -> NDArray[np.bool_]:
+    def fits(self, length: NDArray[np.integer[Any]] | int) -> Mask:
         """Return which payload lengths fit this struct, with or without the padding at its end."""
         length = np.asarray(length)
-        fits: NDArray[np.bool_] = length >= self._least
+        fits: Mask = length >= self._least
         most = self.size + self.struct.tail
         fits &= (length - self._least) % self._step == 0 if self._step else length <= most
         if self._most is not None:
@@ -124,11 +124,7 @@ class Bound:
         return self._plans[length]
 
     def encode(
-        self,
-        data: NDArray[np.uint8],
-        offset: NDArray[np.int64],
-        length: NDArray[np.integer[Any]],
-        heads: NDArray[np.void],
+        self, data: Octets, offset: Integers, length: NDArray[np.integer[Any]], heads: NDArray[np.void]
     ) -> Encoded:
         """Encode the payloads of many packets as messages.
 
@@ -257,11 +253,7 @@ class Held:
     """
 
     def __init__(
-        self,
-        bound: Bound,
-        payloads: StructPayloads,
-        columns: Callable[[str], NDArray[Any]],
-        data: NDArray[np.uint8],
+        self, bound: Bound, payloads: StructPayloads, columns: Callable[[str], NDArray[Any]], data: Octets
     ) -> None:
         self.bound = bound
         self.rows = payloads.row
@@ -276,7 +268,7 @@ class Held:
         """Return the messages of all packets."""
         return self.bound.encode(self._data, self._offset, self._length, self._heads())
 
-    def fill(self, rows: NDArray[np.uint8]) -> None:
+    def fill(self, rows: Octets) -> None:
         """Write the messages into ``rows``, u8 (n, size), which holds zeros; only if ``size`` is not 0."""
         length = int(self._length[0])
         self.bound.plan(length).fill(rows, _window(self._data, self._offset, length, self._heads()))
@@ -289,14 +281,12 @@ class Held:
         return heads
 
 
-def headed(payloads: NDArray[np.uint8], heads: NDArray[np.void]) -> NDArray[np.uint8]:
+def headed(payloads: Octets, heads: NDArray[np.void]) -> Octets:
     """Return each packet's head and payload, u8 (n, size), side by side."""
     return np.concatenate([heads.view(np.uint8).reshape(len(heads), HEAD.itemsize), payloads], axis=1)
 
 
-def _window(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], length: int, heads: NDArray[np.void]
-) -> NDArray[np.uint8]:
+def _window(data: Octets, offset: Integers, length: int, heads: NDArray[np.void]) -> Octets:
     """Return each packet's head and payload side by side, u8 (n, bytes of ``HEAD`` + ``length``)."""
     front = HEAD.itemsize
     if len(offset) and offset.min() >= front:  # the bytes in front are copied too, and overwritten

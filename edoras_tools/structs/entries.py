@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from edoras_tools.structs.bound import Bound
     from edoras_tools.structs.payloads import StructPayloads
     from edoras_tools.structs.shapes import LayoutEntry
+    from edoras_tools.wire.arrays.order import Integers, Octets
 
 
 class LayoutEntryTable(Protocol):
@@ -37,9 +38,7 @@ class LayoutEntryTable(Protocol):
     def entry(self, key: int) -> LayoutEntry:
         """Return the entry of a key."""
 
-    def payloads(
-        self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
-    ) -> StructPayloads:
+    def payloads(self, data: Octets, offset: Integers, length: NDArray[np.int32]) -> StructPayloads:
         """Return the payloads of all entries in the datagrams, in order; rows number the datagrams.
 
         Args:
@@ -54,9 +53,7 @@ class LayoutEntryTable(Protocol):
     def read(self, reading: Reading, kind: int, at: int, end: int) -> bool:
         """Read the entry that one packet of a datagram holds; see ``links.reading.Reading.described``."""
 
-    def logs(
-        self, payloads: StructPayloads, data: NDArray[np.uint8]
-    ) -> Iterator[tuple[int, int, dict[str, Any]]]:
+    def logs(self, payloads: StructPayloads, data: Octets) -> Iterator[tuple[int, int, dict[str, Any]]]:
         """Yield row, place and fields of ``rcl_interfaces/msg/Log``, except the time, for each event."""
 
     def engine_values(self) -> dict[str, Any]:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.structs import Structs
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 
 class StructPayloads(NamedTuple):
@@ -29,10 +30,10 @@ class StructPayloads(NamedTuple):
         length: i32, bytes.
     """
 
-    row: NDArray[np.intp]
+    row: Places
     key: NDArray[np.int32]
     code: NDArray[np.int32]
-    offset: NDArray[np.int64]
+    offset: Integers
     length: NDArray[np.int32]
 
     def take(self, some: Any) -> StructPayloads:
@@ -58,7 +59,7 @@ def payloads(
     structs: Structs,
     columns: Callable[[str], NDArray[Any]],
     datagrams: Callable[[str], NDArray[Any]],
-    data: NDArray[np.uint8],
+    data: Octets,
 ) -> StructPayloads:
     """Return all payloads of a batch that structs are bound to.
 
@@ -97,5 +98,5 @@ def payloads(
 
 
 @cache
-def _last_hops() -> NDArray[np.bool_]:
+def _last_hops() -> Mask:
     return accepted(lambda link: link.last_hop)

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, Key, StructLayout, commanded, packets
-from edoras_tools.wire.arrays.order import changes, order_by
+from edoras_tools.wire.arrays.order import Mask, Octets, changes, order_by
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Structs:
         self._layouts = layouts
         self._whole = self
         entries = sum(len(layout.entries or ()) for layout in layouts or ())
-        self.has: NDArray[np.bool_] = np.zeros(ENTRY_KEY + entries + _NONE, np.bool_)
+        self.has: Mask = np.zeros(ENTRY_KEY + entries + _NONE, np.bool_)
         own = [*packets(msg_ids), *commanded(msg_ids), UDP_KEY]
         self.has[own if layouts is None else list(self._bindings.keys)] = True
 
@@ -199,7 +199,7 @@ class Structs:
 
     def split(
         self, payloads: StructPayloads, without: Container[Key] = ()
-    ) -> Iterator[tuple[Bound, StructPayloads, NDArray[np.bool_]]]:
+    ) -> Iterator[tuple[Bound, StructPayloads, Mask]]:
         """Yield every struct that packets with these payloads should hold.
 
         Args:
@@ -231,7 +231,7 @@ class Structs:
                 yield item, part, item.fits(part.length)
 
     def payloads_of(
-        self, payloads: StructPayloads, columns: Callable[[str], NDArray[Any]], data: NDArray[np.uint8]
+        self, payloads: StructPayloads, columns: Callable[[str], NDArray[Any]], data: Octets
     ) -> Iterator[Held]:
         """Yield the structs that many packets hold, each with the packets that hold it.
 

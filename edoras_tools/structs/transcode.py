@@ -23,6 +23,8 @@ from edoras_tools.wire.arrays.window import copy_rows, put_rows
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Octets
+
 
 _CDR_LE: Final = bytes((0, 1, 0, 0))
 _SIZES: Final = {"b": 1, "B": 1, "?": 1, "h": 2, "H": 2, "i": 4, "I": 4, "f": 4, "q": 8, "Q": 8, "d": 8}
@@ -150,7 +152,7 @@ class StructPlan:
         # After the first block comes a text, or a block whose offset depends on one.
         self.size = len(_CDR_LE) + self._block.size if len(self._segments) == 1 else 0
 
-    def fill(self, rows: NDArray[np.uint8], window: NDArray[np.uint8]) -> None:
+    def fill(self, rows: Octets, window: Octets) -> None:
         """Write messages; only if all have one ``size``.
 
         Args:
@@ -160,9 +162,7 @@ class StructPlan:
         rows[:, 1] = _CDR_LE[1]
         _fill(rows[:, len(_CDR_LE) :], self._block, window)
 
-    def encode(
-        self, window: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+    def encode(self, window: Octets) -> tuple[Octets, Integers, Integers]:
         """Return the messages of many packets, encapsulation included.
 
         Args:
@@ -178,7 +178,7 @@ class StructPlan:
             return rows.reshape(-1), np.arange(count) * self.size, np.full(count, self.size)
         cursor = np.zeros(count, np.int64)
         places = []
-        texts: dict[int, tuple[NDArray[np.uint8], NDArray[np.int64]]] = {}
+        texts: dict[int, tuple[Octets, Integers]] = {}
         for index, item in enumerate(self._segments):
             alignment = item.alignment if isinstance(item, Block) else 4
             cursor += -cursor % alignment
@@ -316,7 +316,7 @@ class StructPlan:
         return sum(size for places in behind for _, size in places)
 
 
-def _fill(out: NDArray[np.uint8], block: Block, window: NDArray[np.uint8]) -> None:
+def _fill(out: Octets, block: Block, window: Octets) -> None:
     """Write a block of each packet into the rows of ``out``, u8 (n, size), which are zero."""
     for item in block.copies:
         source = window[:, item.source : item.source + item.size]
@@ -331,7 +331,7 @@ def _fill(out: NDArray[np.uint8], block: Block, window: NDArray[np.uint8]) -> No
         out[:, place : place + len(constant)] = np.frombuffer(constant, np.uint8)
 
 
-def _read(bits: Bits, window: NDArray[np.uint8]) -> NDArray[np.unsignedinteger[Any]]:
+def _read(bits: Bits, window: Octets) -> NDArray[np.unsignedinteger[Any]]:
     """Return the values of a bit-field, signs extended, in words large enough for source and target."""
     octets = window[:, bits.source : bits.source + bits.size]
     if bits.order == ">":
@@ -353,7 +353,7 @@ def _read(bits: Bits, window: NDArray[np.uint8]) -> NDArray[np.unsignedinteger[A
     return value
 
 
-def _texts(field: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+def _texts(field: Octets) -> tuple[Octets, Integers]:
     """Return all characters, a row the size of the array, and the length of each text up to its first NUL.
 
     Bytes that are not UTF-8 become ``?``.

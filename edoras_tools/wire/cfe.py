@@ -23,6 +23,8 @@ from edoras_tools.wire.msg_id import VERSION_1, VERSION_2, MsgIds
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Octets
+
 HIGHEST_MSG_ID: Final = 0x1FFF
 """cFE refuses a larger MsgId (CFE_PLATFORM_SB_HIGHEST_VALID_MSGID)."""
 CHECKSUM_SEED: Final = 0xFF
@@ -281,7 +283,7 @@ SHORT_EVENT_MSG_ID: Final = 0x0809
 SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: Final = 0x0803
 
 
-def known_ids(msg_id: NDArray[np.int32], headers: NDArray[np.uint8]) -> NDArray[np.int32]:
+def known_ids(msg_id: NDArray[np.int32], headers: Octets) -> NDArray[np.int32]:
     """Return the MsgIds of many packets, converted to version 1 (see :mod:`edoras_tools.wire.msg_id`).
 
     Args:

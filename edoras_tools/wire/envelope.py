@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+
 
 class EnvelopeFormat(msgspec.Struct, frozen=True):
     """The words of an envelope, and their byte order.
@@ -213,9 +215,7 @@ def detect(data: bytes | memoryview, offset: int = 0) -> EnvelopeFormat | None:
     return None
 
 
-def capacity_column(
-    envelope: EnvelopeFormat, head: NDArray[np.uint8], length: NDArray[np.uint64]
-) -> NDArray[np.uint64]:
+def capacity_column(envelope: EnvelopeFormat, head: Octets, length: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Return the capacities of many envelopes; their lengths if the format has no capacity.
 
     Args:
@@ -227,9 +227,7 @@ def capacity_column(
     return envelope.layout.column("buffer_capacity", head).astype(np.uint64)
 
 
-def holds(
-    head: NDArray[np.uint8], have: NDArray[np.integer[Any]], envelope: EnvelopeFormat
-) -> NDArray[np.bool_]:
+def holds(head: Octets, have: NDArray[np.integer[Any]], envelope: EnvelopeFormat) -> Mask:
     """Return whether an envelope of this format fits each of many payloads; the test of :func:`detect`.
 
     Args:
@@ -249,9 +247,7 @@ def holds(
     return np.asarray(encapsulated)
 
 
-def intact_rows(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], envelope: EnvelopeFormat
-) -> NDArray[np.bool_]:
+def intact_rows(data: Octets, offset: Integers, length: NDArray[np.int32], envelope: EnvelopeFormat) -> Mask:
     """Return whether the CRC after each of many CDRs is right; see ``EnvelopeFormat.intact``.
 
     Args:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Octets
+
 _WORDS: Final = (1, 2, 3, 4, 8)
 _FLOATS: Final = {4: "f", 8: "d"}
 FieldKind = Literal["uint", "int", "float", "text", "bytes"]
@@ -182,7 +184,7 @@ class Layout:
         word: int = value & slot.mask
         return word if self.byte_order == "big" else int.from_bytes(word.to_bytes(size, "little"), "big")
 
-    def column(self, name: str, window: NDArray[np.uint8], at: int = 0) -> NDArray[Any]:
+    def column(self, name: str, window: Octets, at: int = 0) -> NDArray[Any]:
         """Read one numeric field of many headers.
 
         Args:
@@ -214,7 +216,7 @@ class Layout:
             return (value << spare).view(f"i{size}") >> spare
         return value
 
-    def columns(self, window: NDArray[np.uint8], at: int = 0) -> dict[str, NDArray[Any]]:
+    def columns(self, window: Octets, at: int = 0) -> dict[str, NDArray[Any]]:
         """Read every numeric field of many headers: see :meth:`column`."""
         return {
             slot.field.name: self.column(slot.field.name, window, at)

@@ -20,6 +20,8 @@ from edoras_tools.wire import ccsds
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Octets
+
 MSG_ID_BYTES: Final = ccsds.PRIMARY.size + 2
 """First bytes of a packet that hold its MsgId in every version."""
 
@@ -54,7 +56,7 @@ class MsgIds:
         """Return the MsgId of the packet that starts at byte ``at``; its first word must exist."""
         return packet[at] << 8 | packet[at + 1]
 
-    def column(self, head: NDArray[np.uint8], length: NDArray[Any]) -> NDArray[np.int32]:
+    def column(self, head: Octets, length: NDArray[Any]) -> NDArray[np.int32]:
         """Return the MsgIds of many packets.
 
         Args:
@@ -88,7 +90,7 @@ class _Version2(MsgIds):
         subsystem = packet[at + _SUBSYSTEM_AT] if len(packet) - at > _SUBSYSTEM_AT else 0
         return subsystem << 8 | low
 
-    def column(self, head: NDArray[np.uint8], length: NDArray[Any]) -> NDArray[np.int32]:
+    def column(self, head: Octets, length: NDArray[Any]) -> NDArray[np.int32]:
         word = _first_words(head)
         low = word & _APID | VERSION_1.is_command(word) * np.int32(_COMMAND_2)
         subsystem = head[:, _SUBSYSTEM_AT].astype(np.int32) << 8
@@ -109,7 +111,7 @@ class _Version2(MsgIds):
         return msg_id & 0xE700 | command | secondary | (msg_id & 0x0800) >> 4 | msg_id & _APID
 
 
-def _first_words(head: NDArray[np.uint8]) -> NDArray[np.int32]:
+def _first_words(head: Octets) -> NDArray[np.int32]:
     return head[:, :2].view(">u2")[:, 0].astype(np.int32)
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.links.protocol import LinkProtocol
-    from edoras_tools.wire.arrays.order import Integers, Mask
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
     from edoras_tools.wire.layout import Layout, Slot
     from edoras_tools.wire.msg_id import MsgIds
 
@@ -226,7 +226,7 @@ def _gathered(layout: Layout, slot: Slot, places: Callable[[ColumnRows], Places]
     return Series(len(rows), values, None if len(owner) == len(rows) else owner)
 
 
-def slot_values(layout: Layout, slot: Slot, window: NDArray[np.uint8]) -> NDArray[Any] | list[Any]:
+def slot_values(layout: Layout, slot: Slot, window: Octets) -> NDArray[Any] | list[Any]:
     """Return one field of many headers: numbers, or a list of str or bytes.
 
     Args:

@@ -65,9 +65,8 @@ from edoras_tools.wire.arrays.window import PADDING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.io.frames.frame_batch import FrameBatch
+    from edoras_tools.wire.arrays.order import Octets
 
 _SOL_PACKET: Final = 263
 _PACKET_ADD_MEMBERSHIP: Final = 1
@@ -306,7 +305,7 @@ class Ring(Device):
         if self._asked is None:
             self.linger_s = self._enough_s
 
-    def _copy(self, pieces: Sequence[_Piece]) -> tuple[NDArray[np.uint8], list[tpacket.PacketRun]]:
+    def _copy(self, pieces: Sequence[_Piece]) -> tuple[Octets, list[tpacket.PacketRun]]:
         """Copy pieces out of the ring, each padded to a multiple of ``ALIGNMENT``."""
         sizes = [-(-(piece.end - piece.first) // tpacket.ALIGNMENT) * tpacket.ALIGNMENT for piece in pieces]
         data = np.empty(sum(sizes) + PADDING, dtype=np.uint8)

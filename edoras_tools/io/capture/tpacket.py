@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+
 BLOCK_HEADER: Final = 48
 """Bytes of a block's descriptor."""
 ALIGNMENT: Final = 8
@@ -81,7 +83,7 @@ class PacketRun(NamedTuple):
     packets: int
 
 
-def packet_heads(data: NDArray[np.uint8], runs: Sequence[PacketRun]) -> NDArray[np.int64]:
+def packet_heads(data: Octets, runs: Sequence[PacketRun]) -> Integers:
     """Return the offsets of the headers of all packets of some runs, in order.
 
     Args:
@@ -93,9 +95,9 @@ def packet_heads(data: NDArray[np.uint8], runs: Sequence[PacketRun]) -> NDArray[
     firsts = np.array([run.first for run in runs])
     beyond = np.append(firsts[1:], end)  # all runs form one chain, whose parts are walked side by side
 
-    def successor(at: NDArray[np.int64]) -> NDArray[np.int64]:
+    def successor(at: Integers) -> Integers:
         following = words[at // 4]
-        after: NDArray[np.int64] = at + following
+        after: Integers = at + following
         if not following.all():  # the last packet of a closed block has no next
             last = np.flatnonzero(following == 0)
             after[last] = beyond[np.searchsorted(firsts, at[last], "right") - 1]
@@ -113,13 +115,13 @@ def packet_heads(data: NDArray[np.uint8], runs: Sequence[PacketRun]) -> NDArray[
     return walk_records(head, end, seeds, successor, step)[0][:count]
 
 
-def behind(data: NDArray[np.uint8], head: int) -> int:
+def behind(data: Octets, head: int) -> int:
     """Return the distance from this packet's header to the next one; 0 for the last of a closed block."""
     return int(data.view(np.uint32)[head // 4])
 
 
 def frames(
-    data: NDArray[np.uint8], heads: NDArray[np.int64], link_type: int, number: int, *, described: bool = False
+    data: Octets, heads: Integers, link_type: int, number: int, *, described: bool = False
 ) -> FrameBatch:
     """Read packets into frames.
 
@@ -168,11 +170,11 @@ def frames(
 
 
 def _insert_tags(
-    data: NDArray[np.uint8],
+    data: Octets,
     words: NDArray[np.uint32],
     halves: NDArray[np.uint16],
-    heads: NDArray[np.int64],
-    offset: NDArray[np.int64],
+    heads: Integers,
+    offset: Integers,
     status: NDArray[np.uint32],
 ) -> None:
     """Put the VLAN tags back to their place on the wire, after the addresses (IEEE 802.1Q clause 9)."""
@@ -185,9 +187,7 @@ def _insert_tags(
     data[start + np.arange(_ADDRESSES, _ADDRESSES + _TAG)] = tag.view(np.uint8)
 
 
-def _insert_cooked(
-    data: NDArray[np.uint8], heads: NDArray[np.int64], offset: NDArray[np.int64], *, tagged: NDArray[np.bool_]
-) -> None:
+def _insert_cooked(data: Octets, heads: Integers, offset: Integers, *, tagged: Mask) -> None:
     """Write LINKTYPE_LINUX_SLL2 headers before the packets, from the address that the kernel stored.
 
     Args:

@@ -10,10 +10,8 @@ from edoras_tools.io import Sink
 from edoras_tools.io.outputs import OutputFile, output_name
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from edoras_tools.model import Columns, PacketBatch, SourceStatistics
+    from edoras_tools.wire.arrays.order import Octets
 
 
 class CaptureFileSink(Sink):
@@ -111,14 +109,14 @@ class CaptureFileSink(Sink):
             except OSError as error:
                 raise self._error("cannot be written", error) from error
 
-    def _lay_out(self, batch: PacketBatch) -> NDArray[np.uint8]:
+    def _lay_out(self, batch: PacketBatch) -> Octets:
         """Return the bytes of a batch of at least one frame: u8."""
         raise NotImplementedError
 
     def _finish(self, statistics: SourceStatistics | None) -> None:
         """Write what the format needs after the last frame."""
 
-    def _put(self, data: bytes | NDArray[np.uint8]) -> None:
+    def _put(self, data: bytes | Octets) -> None:
         piece = data if isinstance(data, bytes) else data.data
         try:
             if self.output:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Mask
+
 
 class TableColumn(msgspec.Struct, frozen=True):
     """A column of a table.
@@ -32,13 +34,13 @@ class TableColumn(msgspec.Struct, frozen=True):
 
     name: str
     values: NDArray[Any] | Ragged
-    present: NDArray[np.bool_] | None = None
+    present: Mask | None = None
     unit: str = ""
 
     def __len__(self) -> int:
         return len(self.values)
 
-    def spread(self) -> tuple[NDArray[Any], NDArray[np.int64] | None]:
+    def spread(self) -> tuple[NDArray[Any], Integers | None]:
         """Return all values in one array, and the start of each row's list in it.
 
         Returns:

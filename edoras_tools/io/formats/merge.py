@@ -18,10 +18,9 @@ from edoras_tools.wire.arrays.window import PADDING
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.links.framing import Framing
     from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.wire.arrays.order import Integers
 
 SEAM_NS: Final = 2 * SECOND
 """Longest time between the end of a file and the beginning of one that continues it."""
@@ -101,7 +100,7 @@ class MergedSource(SourceDefaults):
         counters = [item for source in self._sources if (item := source.host())]
         return counters[0] if len(counters) == 1 else []
 
-    def origin(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
+    def origin(self, number: Integers) -> Integers:
         """Return the index of the source that each datagram of the last batch is from."""
         return self._origin[(number - self._first).clip(0, len(self._origin) - 1)]
 
@@ -114,7 +113,7 @@ class MergedSource(SourceDefaults):
         errors: list[str] = []
         heads = [_Head(source, errors) for source in self._sources]
         number, until, touched = 1, 1, [*range(len(heads))]
-        waiting: list[tuple[PacketBatch, NDArray[np.int64]]] = []
+        waiting: list[tuple[PacketBatch, Integers]] = []
         ends: list[tuple[int, int]] = []
         begins: list[tuple[int, int]] = []
         reading: set[int] = set()
@@ -168,7 +167,7 @@ class _Head:
         self._errors = errors
         self._rest: PacketBatch | None = None
         self._latest = np.iinfo(np.int64).min
-        self.keys: NDArray[np.int64] = np.empty(0, dtype=np.int64)
+        self.keys: Integers = np.empty(0, dtype=np.int64)
 
     @property
     def end(self) -> int:
@@ -188,7 +187,7 @@ class _Head:
             self.keys = np.maximum.accumulate(np.maximum(self._rest.time_ns, self._latest))
         return True
 
-    def take(self, until: int, *, whole: bool) -> tuple[PacketBatch, NDArray[np.int64]]:
+    def take(self, until: int, *, whole: bool) -> tuple[PacketBatch, Integers]:
         """Return the waiting datagrams before a time, and their keys; ``whole`` includes those of that time.
 
         At least one must qualify.
@@ -203,9 +202,7 @@ class _Head:
         return part, keys[:count]
 
 
-def _in_order(
-    parts: list[tuple[PacketBatch, NDArray[np.int64]]], places: list[int]
-) -> tuple[PacketBatch, NDArray[np.int64]]:
+def _in_order(parts: list[tuple[PacketBatch, Integers]], places: list[int]) -> tuple[PacketBatch, Integers]:
     """Interleave batches by key; of equal keys the first batch comes first. Return each row's place, too."""
     origin = np.repeat(places, [len(keys) for _, keys in parts])
     if len(parts) == 1:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import io
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
+    from edoras_tools.wire.arrays.order import Octets
 
 FIRST = 256 << 10
 """Bytes of the first window: small, so that the first datagrams come at once."""
@@ -228,9 +228,9 @@ class Window:
         self.stream = stream
         self.base = 0
         self.end = len(head)
-        self.data: NDArray[np.uint8] = np.frombuffer(head + bytes(PADDING), dtype=np.uint8)
+        self.data: Octets = np.frombuffer(head + bytes(PADDING), dtype=np.uint8)
         self._size = FIRST
-        self.room: Callable[[int], NDArray[np.uint8]] = lambda size: np.empty(size, np.uint8)
+        self.room: Callable[[int], Octets] = lambda size: np.empty(size, np.uint8)
 
     def advance(self, start: int) -> bool:
         """Move forward: keep the bytes from ``start`` on, and read more after them into another buffer.

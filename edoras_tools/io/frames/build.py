@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW, FrameBatch, MadeFrames
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Octets, Places, by_value
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, word_sums
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Endpoint, PacketBatch
 
 
-def order_behind(count: int, row: NDArray[np.int64]) -> NDArray[np.intp]:
+def order_behind(count: int, row: Integers) -> Places:
     """Return an order, i64, that puts each further row after one of the first ``count`` rows.
 
     Args:
@@ -36,11 +36,7 @@ def order_behind(count: int, row: NDArray[np.int64]) -> NDArray[np.intp]:
 
 
 def packets_behind(
-    batch: PacketBatch,
-    buffer: NDArray[np.uint8],
-    row: NDArray[np.int64],
-    start: NDArray[np.int64],
-    length: NDArray[np.int64],
+    batch: PacketBatch, buffer: Octets, row: Integers, start: Integers, length: Integers
 ) -> PacketBatch:
     """Return a batch with packets inserted after the rows in which they end; their original length is -1.
 
@@ -142,10 +138,10 @@ class FramePage:
 
     def add(
         self,
-        data: NDArray[np.uint8],
-        start: NDArray[np.int64],
+        data: Octets,
+        start: Integers,
         length: NDArray[np.integer[Any]],
-        time_ns: NDArray[np.int64],
+        time_ns: Integers,
         ends: NDArray[np.void],
     ) -> None:
         """Copy payloads.
@@ -169,7 +165,7 @@ class FramePage:
         self._ends[rows] = ends.view(_ENDS_COPIED)
         self.rows, self.used = rows.stop, used
 
-    def part(self, rows: NDArray[np.int64]) -> FramePage:
+    def part(self, rows: Integers) -> FramePage:
         """Return a page of some rows, in this order."""
         if not len(rows):
             return FramePage(max(self.rows, _LEAST_ROWS), max(self.used, _LEAST_BYTES))
@@ -178,7 +174,7 @@ class FramePage:
         page.add(self._data, start, self._length[rows], self.time_ns[rows], ends)
         return page
 
-    def frames(self, number: int, rows: NDArray[np.int64] | None = None) -> FrameBatch:
+    def frames(self, number: int, rows: Integers | None = None) -> FrameBatch:
         """Write the headers; return frames over the page's own bytes.
 
         Args:
@@ -242,11 +238,7 @@ def frames_of(datagrams: Iterable[tuple[int, Endpoint, Endpoint, bytes]], number
 
 
 def _write_headers(
-    data: NDArray[np.uint8],
-    version: int,
-    offset: NDArray[np.int64],
-    length: NDArray[np.int32],
-    ends: NDArray[np.void],
+    data: Octets, version: int, offset: Integers, length: NDArray[np.int32], ends: NDArray[np.void]
 ) -> None:
     """Write the headers before some payloads (RFC 791, RFC 8200, RFC 768).
 
@@ -295,17 +287,17 @@ def _grown(array: NDArray[Any], used: int, size: int) -> NDArray[Any]:
     return larger
 
 
-def put_words(header: NDArray[np.uint8], at: int, values: NDArray[Any]) -> None:
+def put_words(header: Octets, at: int, values: NDArray[Any]) -> None:
     """Write a column of 16-bit fields, big-endian."""
     header[:, at : at + 2] = values.astype(">u2").view(np.uint8).reshape(-1, 2)
 
 
-def words_of(header: NDArray[np.uint8]) -> NDArray[np.int64]:
+def words_of(header: Octets) -> Integers:
     """Read rows of bytes as rows of big-endian 16-bit words."""
     return np.ascontiguousarray(header).view(">u2").astype(np.int64)
 
 
-def internet_checksum(total: NDArray[np.int64]) -> NDArray[np.int64]:
+def internet_checksum(total: Integers) -> Integers:
     """Fold sums into the Internet checksum (RFC 1071)."""
     total = (total & 0xFFFF) + (total >> 16)
     total = (total & 0xFFFF) + (total >> 16)

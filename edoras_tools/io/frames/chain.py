@@ -19,7 +19,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
+    from edoras_tools.wire.arrays.order import Integers
 
 _LANES = 16
 """Fewest parts for which one step of all of them costs less than single steps."""
@@ -30,10 +30,10 @@ _BLOCK = 16
 def walk_records(
     start: int,
     end: int,
-    seeds: NDArray[np.int64],
-    successor: Callable[[NDArray[np.int64]], NDArray[np.int64]],
+    seeds: Integers,
+    successor: Callable[[Integers], Integers],
     step: Callable[[int], int],
-) -> tuple[NDArray[np.int64], int]:
+) -> tuple[Integers, int]:
     """Follow a chain of records from ``start`` as far as the records are complete.
 
     Args:
@@ -58,7 +58,7 @@ def walk_records(
     # The last part also ends with a break, because nothing follows it.
     breaks = np.append(np.flatnonzero(~joined), len(starts) - 1)
     begins = starts.tolist()
-    pieces: list[NDArray[np.int64]] = []
+    pieces: list[Integers] = []
     lane = 0
     while True:
         last = int(breaks[np.searchsorted(breaks, lane)])
@@ -76,11 +76,8 @@ def walk_records(
 
 
 def _march(
-    starts: NDArray[np.int64],
-    limits: NDArray[np.int64],
-    end: int,
-    successor: Callable[[NDArray[np.int64]], NDArray[np.int64]],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    starts: Integers, limits: Integers, end: int, successor: Callable[[Integers], Integers]
+) -> tuple[Integers, Integers, Integers]:
     """Walk every part from its start up to its limit, all at the same time.
 
     Returns:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.model import PacketBatch
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
     from edoras_tools.wire.layout import Layout
 
 
@@ -23,11 +24,7 @@ _PROTOCOLS: Final = FORMS[0].protocol, FORMS[1].protocol
 
 
 def find_errors(
-    data: NDArray[np.uint8],
-    network: NDArray[np.int64],
-    version: NDArray[np.uint8],
-    end: NDArray[np.int64],
-    rows: NDArray[np.int64],
+    data: Octets, network: Integers, version: Octets, end: Integers, rows: Integers
 ) -> IpPayloads | None:
     """Return the ICMP errors that quote UDP, among some frames; None if there are none.
 
@@ -61,12 +58,12 @@ def find_errors(
     return replace(payloads, rows=rows[payloads.rows])
 
 
-def error_rows(batch: PacketBatch) -> NDArray[np.bool_]:
+def error_rows(batch: PacketBatch) -> Mask:
     """Return which rows of a batch are ICMP errors: only they have no ports."""
     return np.asarray((batch.source_port == 0) & (batch.destination_port == 0))
 
 
-def quoted_ports(batch: PacketBatch, rows: NDArray[np.intp]) -> NDArray[np.uint16]:
+def quoted_ports(batch: PacketBatch, rows: Places) -> NDArray[np.uint16]:
     """Return the source and destination port that errors quote, u16 (n, 2).
 
     Args:

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Octets
+
 LINKTYPE_RAW = 101
 """The packet starts with its IP header."""
 
@@ -33,11 +35,11 @@ class FrameBatch(msgspec.Struct, frozen=True, eq=False):
             i32; a negative value marks a row that was not captured.
     """
 
-    data: NDArray[np.uint8]
-    number: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
+    data: Octets
+    number: Integers
+    time_ns: Integers
     link_type: NDArray[np.uint16]
-    offset: NDArray[np.int64]
+    offset: Integers
     length: NDArray[np.int32]
     original_length: NDArray[np.int32]
 
@@ -84,7 +86,7 @@ def packed_frames(frames: FrameBatch) -> FrameBatch:
     return replace(frames, data=data, offset=offset)
 
 
-def frames_at(frames: FrameBatch, rows: NDArray[np.int64] | None) -> FrameBatch:
+def frames_at(frames: FrameBatch, rows: Integers | None) -> FrameBatch:
     """Return some frames, over the same buffer; None for all."""
     if rows is None:
         return frames

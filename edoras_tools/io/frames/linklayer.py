@@ -60,6 +60,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.frames.tcp import StreamReassembler
     from edoras_tools.links.framing import Framing
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
 _PROTOCOL_FIELD = {1: (14, 12), 113: (16, 14), 276: (20, 0)}
 """Bytes of the link header, and position of its EtherType: Ethernet, Linux cooked v1 and v2."""
@@ -100,12 +101,12 @@ class _Located(NamedTuple):
         header: record with the fields of ``IPV4_HEADER``, whatever the bytes are; None if not read.
     """
 
-    network: NDArray[np.int64]
-    version: NDArray[np.uint8]
+    network: Integers
+    version: Octets
     header: NDArray[np.void] | None = None
 
 
-def network_headers(batch: PacketBatch) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint8]]:
+def network_headers(batch: PacketBatch) -> tuple[Integers, NDArray[np.uint16], Octets]:
     """Return the start of each row's network header, its IPv4 identification, and its time to live.
 
     The identification is 0 for IPv6, which has none.
@@ -238,12 +239,7 @@ class Demux:
         return self._messages(self._waiting, len(self._waiting), final=True)
 
     def _with_errors(
-        self,
-        batch: PacketBatch,
-        frames: FrameBatch,
-        network: NDArray[np.int64],
-        version: NDArray[np.uint8],
-        rows: NDArray[np.int64],
+        self, batch: PacketBatch, frames: FrameBatch, network: Integers, version: Octets, rows: Integers
     ) -> PacketBatch:
         """Add a row for each ICMP error among some frames, with ports 0, in the order of the frames."""
         from edoras_tools.io.frames.fragments import find_errors
@@ -264,20 +260,15 @@ class Demux:
         return by_time([batch, own])
 
     def _stream_rows(
-        self,
-        data: NDArray[np.uint8],
-        network: NDArray[np.int64],
-        version: NDArray[np.uint8],
-        end: NDArray[np.int64],
-        rows: NDArray[np.int64],
-    ) -> NDArray[np.int64]:
+        self, data: Octets, network: Integers, version: Octets, end: Integers, rows: Integers
+    ) -> Integers:
         """Return which of some frames are TCP segments from or to a link's port."""
         payloads = transport_payloads(data, network[rows], version[rows], end[rows], (TCP, TCP), _TCP_BYTES)
         members = np.arange(len(rows)) if payloads.rows is None else payloads.rows
         ports = read_at(data, payloads.position, _PORTS)
         link_ports = np.zeros(1 << 16, bool)
         link_ports[list(self.framings)] = True
-        of_link: NDArray[np.bool_] = link_ports[ports["source_port"]]
+        of_link: Mask = link_ports[ports["source_port"]]
         of_link |= link_ports[ports["destination_port"]]
         return np.asarray(rows[members[of_link]])
 
@@ -309,7 +300,7 @@ class Demux:
         self._waiting = packed_frames(frames_at(frames, waiting)) if len(waiting) else None
         return batch
 
-    def _locate(self, data: NDArray[np.uint8], frames: FrameBatch) -> _Located:
+    def _locate(self, data: Octets, frames: FrameBatch) -> _Located:
         """Find the start of each network header, and the IP version."""
         types = frames.link_type
         if len(types) and (types == types[0]).all():
@@ -323,9 +314,7 @@ class Demux:
             network[rows], version[rows], _ = self._locate_one(int(link_type), data, offset, end)
         return _Located(network, version)
 
-    def _locate_one(
-        self, link_type: int, data: NDArray[np.uint8], offset: NDArray[np.int64], end: NDArray[np.int64]
-    ) -> _Located:
+    def _locate_one(self, link_type: int, data: Octets, offset: Integers, end: Integers) -> _Located:
         if link_type in _PROTOCOL_FIELD:
             size, at = _PROTOCOL_FIELD[link_type]
             if at + 2 < size:
@@ -345,7 +334,7 @@ class Demux:
             version[(family == value) | (family == value << 24)] = number
         return _Located(offset + 4, version)
 
-    def _datagrams(self, data: NDArray[np.uint8], frames: FrameBatch, transport: IpPayloads) -> PacketBatch:
+    def _datagrams(self, data: Octets, frames: FrameBatch, transport: IpPayloads) -> PacketBatch:
         """Read UDP headers; ``frames`` and ``transport`` have the same rows."""
         frame_end = frames.offset + frames.length
         start = np.minimum(transport.position, frame_end)
@@ -444,10 +433,10 @@ def by_time(batches: list[PacketBatch]) -> PacketBatch:
 
 
 def _untag(
-    data: NDArray[np.uint8],
-    position: NDArray[np.int64],
+    data: Octets,
+    position: Integers,
     protocol: NDArray[np.uint16],
-    end: NDArray[np.int64],
+    end: Integers,
     header: NDArray[np.void] | None = None,
 ) -> _Located:
     """Skip VLAN tags (IEEE 802.1Q, nested too) and return the IP version from the EtherType.

@@ -17,6 +17,8 @@ from edoras_tools.wire.arrays.window import read_at, word_sums
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+
 
 UDP = 17
 TCP = 6
@@ -81,18 +83,18 @@ class IpPayloads(msgspec.Struct, frozen=True, eq=False):
         udp: record with the fields of ``UDP_HEADER``; None if not read yet.
     """
 
-    rows: NDArray[np.int64] | None
-    version: NDArray[np.uint8]
+    rows: Integers | None
+    version: Octets
     source: NDArray[np.uint32]
     destination: NDArray[np.uint32]
-    position: NDArray[np.int64]
-    end: NDArray[np.int64]
+    position: Integers
+    end: Integers
     fragment: NDArray[np.uint16]
     identification: NDArray[np.uint32]
     addresses: tuple[bytes, ...] = ()
     udp: NDArray[np.void] | None = None
 
-    def take(self, mask: NDArray[np.bool_]) -> IpPayloads:
+    def take(self, mask: Mask) -> IpPayloads:
         """Return the packets that a mask selects."""
         columns: dict[str, Any] = {}
         for name in self.__struct_fields__:
@@ -102,9 +104,9 @@ class IpPayloads(msgspec.Struct, frozen=True, eq=False):
 
 
 def ipv4(
-    data: NDArray[np.uint8],
-    network: NDArray[np.int64],
-    end: NDArray[np.int64],
+    data: Octets,
+    network: Integers,
+    end: Integers,
     header: NDArray[np.void] | None = None,
     protocol: int = UDP,
 ) -> IpPayloads:
@@ -121,7 +123,7 @@ def ipv4(
         header = read_at(data, network, IPV4_HEADER)
     # Version 4 and 5 to 15 words: 0 to 10.
     words = header["version_length"] - np.uint8(0x45)
-    length: NDArray[np.int64] = (words.astype(np.int64) << 2) + 20
+    length: Integers = (words.astype(np.int64) << 2) + 20
     total = header["total_length"].astype(np.int64)
     if not total.all():
         # A length of 0 is a packet captured before the interface segmented it (segmentation offload).
@@ -149,9 +151,7 @@ def ipv4(
     )
 
 
-def ipv6(
-    data: NDArray[np.uint8], network: NDArray[np.int64], end: NDArray[np.int64], protocol: int = UDP
-) -> IpPayloads:
+def ipv6(data: Octets, network: Integers, end: Integers, protocol: int = UDP) -> IpPayloads:
     """Read IPv6 headers and their extension headers.
 
     Args:
@@ -214,7 +214,7 @@ def _number(
     return index[: len(source)], index[len(source) :], table
 
 
-def merge_rows(parts: list[tuple[NDArray[np.int64], IpPayloads]]) -> IpPayloads:
+def merge_rows(parts: list[tuple[Integers, IpPayloads]]) -> IpPayloads:
     """Merge the results for several selections of rows, in the order of the rows.
 
     Args:
@@ -232,12 +232,7 @@ def merge_rows(parts: list[tuple[NDArray[np.int64], IpPayloads]]) -> IpPayloads:
 
 
 def transport_payloads(
-    data: NDArray[np.uint8],
-    network: NDArray[np.int64],
-    version: NDArray[np.uint8],
-    end: NDArray[np.int64],
-    protocols: tuple[int, int],
-    least: int,
+    data: Octets, network: Integers, version: Octets, end: Integers, protocols: tuple[int, int], least: int
 ) -> IpPayloads:
     """Find the unfragmented payloads of one transport protocol, in packets with an IP header.
 
@@ -269,7 +264,7 @@ CHECKSUMS: Final = "", "UDP checksum wrong", "IPv4 checksum wrong", "UDP and IPv
 """Texts of the codes that :func:`wrong_checksums` returns."""
 
 
-def wrong_checksums(batch: PacketBatch, network: NDArray[np.int64]) -> NDArray[np.uint8]:
+def wrong_checksums(batch: PacketBatch, network: Integers) -> Octets:
     """Return a code of each datagram's wrong checksums: 1 UDP, 2 IPv4, 3 both; a receiver drops these.
 
     The code is 0, too, where a checksum cannot be judged: for fragments, datagrams that were cut, have no

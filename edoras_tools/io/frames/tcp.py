@@ -35,7 +35,7 @@ from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.tcp_segments import SegmentBytes, Segments, rebuilt
 from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, StreamState
 from edoras_tools.model import Finding, PacketBatch
-from edoras_tools.wire.arrays.order import by_key, numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_key, numbered
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ class _Direction(msgspec.Struct, eq=False):
     synced: bool = False
     gap: bool = False
     synchronized: bool = False
-    sender: NDArray[np.uint8] | None = None
+    sender: Octets | None = None
 
 
 class _Pieces(msgspec.Struct, eq=False):
@@ -119,11 +119,11 @@ class _Pieces(msgspec.Struct, eq=False):
         untrimmed: whether the piece is all the data of its segment, bool.
     """
 
-    segment: NDArray[np.int64]
-    offset: NDArray[np.int64]
-    begin: NDArray[np.int64]
-    length: NDArray[np.int64]
-    untrimmed: NDArray[np.bool_]
+    segment: Integers
+    offset: Integers
+    begin: Integers
+    length: Integers
+    untrimmed: Mask
 
     def part(self, rows: slice) -> _Pieces:
         return _Pieces(*(getattr(self, name)[rows] for name in self.__struct_fields__))
@@ -147,14 +147,14 @@ class _Rows(msgspec.Struct, eq=False):
         bytes: number of bytes in ``appended``.
     """
 
-    segment: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
-    offset: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
-    length: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
-    sequence: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
-    whole: list[NDArray[np.bool_]] = msgspec.field(default_factory=list)
+    segment: list[Integers] = msgspec.field(default_factory=list)
+    offset: list[Integers] = msgspec.field(default_factory=list)
+    length: list[Integers] = msgspec.field(default_factory=list)
+    sequence: list[Integers] = msgspec.field(default_factory=list)
+    whole: list[Mask] = msgspec.field(default_factory=list)
     findings: list[NDArray[np.uint32]] = msgspec.field(default_factory=list)
-    direction: list[NDArray[np.int64]] = msgspec.field(default_factory=list)
-    appended: list[NDArray[np.uint8]] = msgspec.field(default_factory=list)
+    direction: list[Integers] = msgspec.field(default_factory=list)
+    appended: list[Octets] = msgspec.field(default_factory=list)
     bytes: int = 0
 
 
@@ -169,7 +169,7 @@ class StreamReassembler:
         self._framings = framings
         self._directions: dict[tuple[Any, ...], _Direction] = {}
 
-    def messages(self, segments: Segments, *, final: bool = False) -> tuple[PacketBatch, NDArray[np.int64]]:
+    def messages(self, segments: Segments, *, final: bool = False) -> tuple[PacketBatch, Integers]:
         """Return the messages that some segments complete, except those of other programs' connections.
 
         Args:
@@ -194,7 +194,7 @@ class StreamReassembler:
             del self._directions[next(iter(self._directions))]
         return _batch(segments, rows, used), np.unique(np.concatenate(waiting))
 
-    def _groups(self, segments: Segments) -> Iterator[tuple[tuple[Any, ...], NDArray[np.int64]]]:
+    def _groups(self, segments: Segments) -> Iterator[tuple[tuple[Any, ...], Integers]]:
         """Yield each direction that has segments: its key, and the indices of its segments."""
         ip = segments.ip
         addresses = ip.source.astype(np.uint64) << np.uint64(32) | ip.destination
@@ -237,9 +237,7 @@ class _Follow:
     def __init__(self, segments: Segments, rows: _Rows, way: _Direction, direction: int) -> None:
         self.segments, self.rows, self.way, self.direction = segments, rows, way, direction
 
-    def all(
-        self, members: NDArray[np.int64], reached: NDArray[np.int64] | None, *, final: bool
-    ) -> NDArray[np.int64]:
+    def all(self, members: Integers, reached: Integers | None, *, final: bool) -> Integers:
         """Follow the direction; return the segments that wait.
 
         Args:
@@ -273,16 +271,14 @@ class _Follow:
                 waiting.append(self._part(piece, reached if last else None, final=final or not last))
         return np.concatenate(waiting)
 
-    def _opened(self, members: NDArray[np.int64], place: int, begin: int) -> int:
+    def _opened(self, members: Integers, place: int, begin: int) -> int:
         """Return the index of a connection's first segment; it may be captured after later ones."""
         before = members[max(place - _BEFORE, 0) : place]
         ahead = _from(begin, self.segments.sequence[before])
         late = (ahead >= 0) & (ahead < _FAR) & (self.segments.length[before] > 0)
         return place - len(before) + int(np.argmax(late)) if late.any() else place
 
-    def _part(
-        self, members: NDArray[np.int64], reached: NDArray[np.int64] | None, *, final: bool
-    ) -> NDArray[np.int64]:
+    def _part(self, members: Integers, reached: Integers | None, *, final: bool) -> Integers:
         """Follow one connection; see ``all``."""
         way, segments = self.way, self.segments
         if not len(members):
@@ -324,7 +320,7 @@ class _Follow:
             self.rows.findings[-1][:] = _PART | _RESENT
         return waiting
 
-    def _pieces(self, members: NDArray[np.int64], base: int) -> tuple[_Pieces, NDArray[np.int64]]:
+    def _pieces(self, members: Integers, base: int) -> tuple[_Pieces, Integers]:
         """Put segments in the order of the stream; return new bytes, and the segments with resent bytes."""
         segments = self.segments
         start, length = _from(base, segments.sequence[members]), segments.length[members]
@@ -360,9 +356,7 @@ class _Follow:
         copies = members[np.array(sorted(again), np.int64)]
         return pieces, copies[segments.fresh[copies]]
 
-    def _lost(
-        self, pieces: _Pieces, breaks: NDArray[np.intp], reached: NDArray[np.int64] | None, base: int
-    ) -> NDArray[np.bool_]:
+    def _lost(self, pieces: _Pieces, breaks: Places, reached: Integers | None, base: int) -> Mask:
         """Return, for each piece after missing bytes, whether these bytes are given up."""
         time_ns = self.segments.frames.time_ns
         passed = time_ns.max() - time_ns[pieces.segment[breaks]]
@@ -371,7 +365,7 @@ class _Follow:
             lost |= (passed > _LATE_NS) & (_from(base, reached).max() >= pieces.begin[breaks])
         return np.asarray(lost)
 
-    def _alone(self, pieces: _Pieces, breaks: NDArray[np.intp], lost: NDArray[np.bool_]) -> NDArray[np.intp]:
+    def _alone(self, pieces: _Pieces, breaks: Places, lost: Mask) -> Places:
         """Return the ends of runs of pieces that are one message each, with lost bytes between them.
 
         Returns:
@@ -403,7 +397,7 @@ class _Follow:
         self._mark_gap()
         self.way.synced, self.way.synchronized, self.way.gap = False, True, True
 
-    def _run(self, pieces: _Pieces, base: int, *, keep: bool) -> NDArray[np.int64]:
+    def _run(self, pieces: _Pieces, base: int, *, keep: bool) -> Integers:
         """Cut bytes without a gap; return the segments that wait for the rest of a message.
 
         Args:
@@ -428,7 +422,7 @@ class _Follow:
         way.next = (base + int(pieces.begin[0]) + consumed) % _WRAP
         return np.asarray(pieces.segment[cut.local + length > consumed])
 
-    def _add_spans(self, cut: _Cut, spans: NDArray[np.int64], base: int, messages: NDArray[np.bool_]) -> None:
+    def _add_spans(self, cut: _Cut, spans: Integers, base: int, messages: Mask) -> None:
         """Add rows of bytes that were put in order; ``spans`` has the start and length of each row."""
         pieces, rows = cut.pieces, self.rows
         start, length = spans[:, 0], spans[:, 1]
@@ -460,13 +454,7 @@ class _Follow:
             self.rows.findings[-1][place] |= _GAP
             self.way.gap = False
 
-    def _add(
-        self,
-        segment: NDArray[np.int64],
-        offset: NDArray[np.int64],
-        length: NDArray[np.int64],
-        sequence: NDArray[np.int64],
-    ) -> None:
+    def _add(self, segment: Integers, offset: Integers, length: Integers, sequence: Integers) -> None:
         rows, count = self.rows, len(segment)
         rows.segment.append(segment)
         rows.offset.append(offset)
@@ -493,7 +481,7 @@ class _Cut:
         self.buffer = np.zeros(self.total + PADDING, np.uint8)
         copy_rows(self.buffer, self.local, segments.frames.data, pieces.offset, pieces.length)
 
-    def spans(self, *, keep: bool) -> tuple[NDArray[np.int64], NDArray[np.bool_], int]:
+    def spans(self, *, keep: bool) -> tuple[Integers, Mask, int]:
         """Cut the bytes.
 
         Returns:
@@ -501,12 +489,12 @@ class _Cut:
             bytes of all parts. The rest of the bytes is the start of a message.
         """
         way, framing = self.way, self.way.framing
-        bounds: list[NDArray[np.int64]] = [np.empty((0, 2), np.int64)]
-        kinds: list[NDArray[np.bool_]] = [np.empty(0, bool)]
+        bounds: list[Integers] = [np.empty((0, 2), np.int64)]
+        kinds: list[Mask] = [np.empty(0, bool)]
         view = memoryview(self.buffer)  # type: ignore[arg-type]
         position = 0
 
-        def put(starts: NDArray[np.int64], end: int, *, message: bool) -> None:
+        def put(starts: Integers, end: int, *, message: bool) -> None:
             bounds.append(np.stack((starts, np.diff(starts, append=end)), axis=1))
             kinds.append(np.full(len(starts), message))
 
@@ -566,14 +554,14 @@ class _Cut:
             position, size = position + size, min(2 * size, _WINDOW)
         return None
 
-    def _likely(self, places: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def _likely(self, places: Integers) -> Mask:
         """Return at which places a message of the known sender, or a likely message, starts; bool (n,)."""
         way = self.way
         if way.sender is None or way.framing.sender == slice(0):
             return way.framing.likely(self.buffer, places, self.total)
         return np.asarray((self._senders(places) == way.sender).all(axis=1))
 
-    def _sure(self, places: NDArray[np.int64], behind: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def _sure(self, places: Integers, behind: Integers) -> Mask:
         """Return at which of some likely messages a message surely starts; bool (n,).
 
         Other messages of the same sender must follow, as far as there are bytes. If there are none, the
@@ -596,14 +584,14 @@ class _Cut:
         senders = np.isin(places, edges) & np.isin(behind, edges) | (fixed and self.way.sender is not None)
         return np.asarray(sure & (senders | (framing.lengths(self.buffer, behind, total) != NOT_YET)))
 
-    def _senders(self, places: NDArray[np.int64]) -> NDArray[np.uint8]:
+    def _senders(self, places: Integers) -> Octets:
         """Return the header bytes that identify the sender, one row a place; bytes past the end are zeros."""
         return gather(self.buffer, places, self.way.framing.head)[:, self.way.framing.sender]
 
 
 def _first_bytes(
-    members: NDArray[np.int64], start: NDArray[np.int64], stop: NDArray[np.int64], rows: NDArray[np.intp]
-) -> tuple[NDArray[np.int64], list[int]]:
+    members: Integers, start: Integers, stop: Integers, rows: Places
+) -> tuple[Integers, list[int]]:
     """Choose, in segments that overlap, the bytes that came first.
 
     Args:
@@ -639,7 +627,7 @@ def _first_bytes(
     return np.array(spans, np.int64).reshape(-1, 3), again
 
 
-def _from(base: int | NDArray[np.int64], sequence: NDArray[np.int64]) -> NDArray[np.int64]:
+def _from(base: int | Integers, sequence: Integers) -> Integers:
     """Return the distance of sequence numbers from ``base``, modulo 2**32, between -2**31 and 2**31."""
     return np.asarray((sequence - base + _WRAP // 2) % _WRAP - _WRAP // 2)
 
@@ -698,21 +686,19 @@ def _batch(segments: Segments, rows: _Rows, ways: list[_Direction]) -> PacketBat
 
 
 def _contents(
-    data: NDArray[np.uint8],
+    data: Octets,
     column: Mapping[str, NDArray[Any]],
     findings: NDArray[np.uint32],
     ways: list[_Direction],
     used: int,
-) -> tuple[
-    list[NDArray[np.uint8]], NDArray[np.intp], NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]
-]:
+) -> tuple[list[Octets], Places, Integers, Integers, Mask]:
     """Return the contents of messages that differ from their bytes in the stream.
 
     Returns:
         The bytes; the rows they belong to; start and length of each, counted from ``used`` on; and which of
         them are only parts.
     """
-    extra: list[NDArray[np.uint8]] = []
+    extra: list[Octets] = []
     parts: list[tuple[NDArray[Any], ...]] = [
         (np.empty(0, np.intp), np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, bool))
     ]

@@ -9,7 +9,7 @@ import numpy as np
 
 from edoras_tools.io.frames.build import internet_checksum, put_words, words_of
 from edoras_tools.io.frames.network import TCP, IpPayloads
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather, read_at, word_sums
 
 if TYPE_CHECKING:
@@ -54,20 +54,20 @@ class Segments(msgspec.Struct, frozen=True, eq=False):
     """
 
     frames: FrameBatch
-    network: NDArray[np.int64]
+    network: Integers
     ip: IpPayloads
     source_port: NDArray[np.uint16]
     destination_port: NDArray[np.uint16]
-    sequence: NDArray[np.int64]
-    acknowledged: NDArray[np.int64]
-    flags: NDArray[np.uint8]
-    start: NDArray[np.int64]
-    length: NDArray[np.int64]
-    cut: NDArray[np.bool_]
-    fresh: NDArray[np.bool_]
+    sequence: Integers
+    acknowledged: Integers
+    flags: Octets
+    start: Integers
+    length: Integers
+    cut: Mask
+    fresh: Mask
 
 
-def read_segments(frames: FrameBatch, network: NDArray[np.int64], ip: IpPayloads, old: int) -> Segments:
+def read_segments(frames: FrameBatch, network: Integers, ip: IpPayloads, old: int) -> Segments:
     """Read TCP headers; a segment with a damaged header has no data.
 
     Args:
@@ -109,15 +109,13 @@ class SegmentBytes(msgspec.Struct, frozen=True, eq=False):
         sequence: sequence number of the first byte, i64.
     """
 
-    data: NDArray[np.uint8]
-    offset: NDArray[np.int64]
-    length: NDArray[np.int64]
-    sequence: NDArray[np.int64]
+    data: Octets
+    offset: Integers
+    length: Integers
+    sequence: Integers
 
 
-def rebuilt(
-    segments: Segments, rows: NDArray[np.int64], contents: SegmentBytes
-) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+def rebuilt(segments: Segments, rows: Integers, contents: SegmentBytes) -> tuple[Octets, Integers, Integers]:
     """Make segments with the headers of others.
 
     A packet that is longer than its IP header can say has the length 0 there, as segmentation offload leaves
@@ -153,12 +151,12 @@ def rebuilt(
 
 
 def _put_headers(
-    out: NDArray[np.uint8],
+    out: Octets,
     shape: tuple[int, int, int],
-    head: NDArray[np.uint8],
-    place: NDArray[np.int64],
-    length: NDArray[np.int64],
-    sequence: NDArray[np.int64],
+    head: Octets,
+    place: Integers,
+    length: Integers,
+    sequence: Integers,
 ) -> None:
     """Write the headers of segments of one shape: size of all headers, start of the TCP and the IP header."""
     size, transport, network = shape

@@ -28,6 +28,8 @@ from edoras_tools.io.net.sockets import IP_PKTINFO, IPV6_PKTINFO, SO_TIMESTAMPNS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Octets
+
 
 SLOTS: Final = 256
 """Maximum number of datagrams in one ``receive``."""
@@ -102,18 +104,18 @@ class DatagramBuffer:
         """Return the socket addresses that the last ``receive`` saw, u64 (count, 4)."""
         return self._names[:count]
 
-    def times(self, count: int) -> NDArray[np.int64]:
+    def times(self, count: int) -> Integers:
         """Return when the kernel received the datagrams of the last ``receive``, i64, ns since 1970."""
         return self._times[:count].copy()
 
-    def destinations(self, count: int, version: int) -> NDArray[np.uint8]:
+    def destinations(self, count: int, version: int) -> Octets:
         """Return the destination addresses of the datagrams of the last ``receive``, u8 (count, 4 or 16).
 
         Only for sockets that were opened with ``destinations``.
         """
         return self._destinations[:count, : 4 if version == 4 else 16]
 
-    def send(self, opened: socket.socket, slots: int | NDArray[np.int64], to: Address | None) -> SendResult:
+    def send(self, opened: socket.socket, slots: int | Integers, to: Address | None) -> SendResult:
         """Send slots in order.
 
         Args:
@@ -159,15 +161,15 @@ class VectorBuffer(DatagramBuffer):
         """See ``DatagramBuffer``."""
         return self._incoming.senders(count)
 
-    def times(self, count: int) -> NDArray[np.int64]:
+    def times(self, count: int) -> Integers:
         """See ``DatagramBuffer``."""
         return self._incoming.times(count)
 
-    def destinations(self, count: int, version: int) -> NDArray[np.uint8]:
+    def destinations(self, count: int, version: int) -> Octets:
         """See ``DatagramBuffer``."""
         return self._incoming.destinations(count, version)
 
-    def send(self, opened: socket.socket, slots: int | NDArray[np.int64], to: Address | None) -> SendResult:
+    def send(self, opened: socket.socket, slots: int | Integers, to: Address | None) -> SendResult:
         """See ``DatagramBuffer``."""
         selection = slice(0, slots) if isinstance(slots, int) else slots
         return self._outgoing.send(opened, self._base[selection], self.length[selection], to)

@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     import socket
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
     from edoras_tools.io.net.address import Address
+    from edoras_tools.wire.arrays.order import Integers
 
 _LATENCIES: Final = 4096
 """Most latencies that are collected before they are counted together, which is faster."""
@@ -55,10 +54,10 @@ class Direction(msgspec.Struct):
     kernel_drops: int = 0
     unclaimed: int = 0
     latency: Lateness = msgspec.field(default_factory=Lateness)
-    _latencies: NDArray[np.int64] = msgspec.field(default_factory=lambda: np.empty(_LATENCIES, np.int64))
+    _latencies: Integers = msgspec.field(default_factory=lambda: np.empty(_LATENCIES, np.int64))
     _waiting_latencies: int = 0
 
-    def add_latencies(self, latency_ns: NDArray[np.int64]) -> None:
+    def add_latencies(self, latency_ns: Integers) -> None:
         """Add the latencies of some datagrams; ``count_latencies`` counts them."""
         count = len(latency_ns)
         if self._waiting_latencies + count > _LATENCIES:
@@ -121,7 +120,7 @@ class Outlet:
         """Whether datagrams are queued."""
         return bool(self._waiting)
 
-    def send(self, buffer: DatagramBuffer, slots: int | NDArray[np.int64]) -> None:
+    def send(self, buffer: DatagramBuffer, slots: int | Integers) -> None:
         """Send slots of a buffer: their number from 0 on, or slot numbers."""
         first = 0
         if not self._waiting:

@@ -31,6 +31,8 @@ from edoras_tools.io.net.sockets import LINUX, MOST_REFUSALS, SendResult
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Octets
+
 
 _VECTOR: Final = np.dtype([("base", "u8"), ("length", "u8")])
 _CONTROL: Final = np.dtype(
@@ -112,12 +114,12 @@ class ReceiveMany:
         """Return the socket addresses of the senders of the first datagrams, u64 (count, 4)."""
         return self._names[:count]
 
-    def times(self, count: int) -> NDArray[np.int64]:
+    def times(self, count: int) -> Integers:
         """Return when the kernel received the first datagrams, i64, ns since 1970."""
         control = self._control[:count]
         return control["seconds"] * 1_000_000_000 + control["ns"]
 
-    def destinations(self, count: int, version: int) -> NDArray[np.uint8]:
+    def destinations(self, count: int, version: int) -> Octets:
         """Return the addresses that the first datagrams were sent to, u8 (count, 4 or 16)."""
         info = self._control["info"][:count].copy().view(np.uint8).reshape(count, -1)
         return info[:, 8:12] if version == 4 else info[:, :16]

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from edoras_tools.model import Endpoint
+    from edoras_tools.wire.arrays.order import Integers, Octets
 
 _MANY: Final = 512
 """Datagrams passed to the kernel at once."""
@@ -145,7 +146,7 @@ class Transmitter(_Port):
         if self._rehearses:
             send_one(self._socket, payload, flags=_MSG_PROBE)
 
-    def send_many(self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> int:
+    def send_many(self, data: Octets, offset: Integers, length: NDArray[np.int32]) -> int:
         """Send datagrams in order, as fast as possible; return how many the kernel accepted.
 
         Args:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.framing import Framing
     from edoras_tools.model import Endpoint
+    from edoras_tools.wire.arrays.order import Integers, Octets
 
 ANSWER_WITHIN_S: Final = 5.0
 """Longest wait for a connection, or for a target that does not read."""
@@ -81,7 +82,7 @@ class StreamTransmitter:
     def rehearse(self, payload: bytes | memoryview) -> None:
         """Do nothing: TCP has no send that delivers nothing; see ``Transmitter.rehearse``."""
 
-    def send_many(self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> int:
+    def send_many(self, data: Octets, offset: Integers, length: NDArray[np.int32]) -> int:
         """Send messages one after the other; return their number; see ``Transmitter.send_many``.
 
         Raises:

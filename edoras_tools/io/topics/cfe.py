@@ -15,7 +15,7 @@ from edoras_tools.links.resets import RESETS
 from edoras_tools.sessions.faults.fault import Fault
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, cfe_file
-from edoras_tools.wire.arrays.order import distinct_rows
+from edoras_tools.wire.arrays.order import Integers, Octets, distinct_rows
 from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at
 
 if TYPE_CHECKING:
@@ -132,12 +132,7 @@ _LOG = np.dtype(
 
 
 def software_bus_messages(
-    batch: PacketBatch,
-    columns: Columns,
-    channel_id: int,
-    published: NDArray[np.int64],
-    *,
-    big_endian: bool = False,
+    batch: PacketBatch, columns: Columns, channel_id: int, published: Integers, *, big_endian: bool = False
 ) -> Messages:
     """Return one ``edoras_msgs/msg/SoftwareBusHousekeeping`` for every complete 0x0803 packet.
 
@@ -161,12 +156,7 @@ def software_bus_messages(
 
 
 def event_messages(
-    batch: PacketBatch,
-    columns: Columns,
-    channel_id: int,
-    published: NDArray[np.int64],
-    *,
-    big_endian: bool = False,
+    batch: PacketBatch, columns: Columns, channel_id: int, published: Integers, *, big_endian: bool = False
 ) -> Messages:
     """Return one ``rcl_interfaces/msg/Log`` for every complete 0x0808 packet.
 
@@ -220,16 +210,16 @@ def outage_messages(outages: Sequence[InterfaceOutage], channel_id: int) -> Mess
     return _logs(np.arange(len(outages)), payload, channel_id, (time_ns, time_ns))
 
 
-def stamp(heads: NDArray[np.void], time_ns: NDArray[np.int64]) -> None:
+def stamp(heads: NDArray[np.void], time_ns: Integers) -> None:
     """Write the ``builtin_interfaces/msg/Time`` columns ``stamp_sec`` and ``stamp_nanosec``."""
     heads["stamp_sec"], heads["stamp_nanosec"] = np.divmod(time_ns, SECOND)
 
 
 def _logs(
-    rows: NDArray[np.int64],
+    rows: Integers,
     payload: NDArray[np.void],
     channel_id: int,
-    times: tuple[NDArray[np.int64], NDArray[np.int64]],
+    times: tuple[Integers, Integers],
     sequence: NDArray[np.uint16] | int = 0,
 ) -> Messages:
     """Return one ``rcl_interfaces/msg/Log`` for each event.
@@ -248,7 +238,7 @@ def _logs(
 
 def _telemetry(
     batch: PacketBatch, columns: Columns, msg_id: int, payload: np.dtype[np.void]
-) -> tuple[NDArray[np.int64], NDArray[np.void]]:
+) -> tuple[Integers, NDArray[np.void]]:
     """Find cFE telemetry of one MsgId that is long enough, and gather its payloads."""
     rows = np.flatnonzero(cfe.known_ids(columns.msg_id, columns.headers) == msg_id)
     if not len(rows):
@@ -262,9 +252,7 @@ def _telemetry(
     return rows, read_at(batch.data, columns.packet_offset[rows] + columns.header_length[rows], payload)
 
 
-def _log_strings(
-    payload: NDArray[np.void], head_bytes: int
-) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+def _log_strings(payload: NDArray[np.void], head_bytes: int) -> tuple[Octets, Integers, Integers]:
     """Write the fields after ``level`` in a Log: name, msg, file, function, line, as aligned CDR strings."""
     count = len(payload)
     senders = payload["spacecraft_id"].astype(np.uint64) << np.uint64(32) | payload["processor_id"]
@@ -298,7 +286,7 @@ def _log_strings(
     return out, base + start, size
 
 
-def _text(field: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+def _text(field: Octets) -> tuple[Octets, Integers, Integers]:
     """Return a pool, offsets and lengths of NUL-terminated text; bytes that are not ASCII become ``?``."""
     count, width = field.shape
     pool = np.where(field < 0x80, field, np.uint8(ord("?")))

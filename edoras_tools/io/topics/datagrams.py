@@ -17,7 +17,7 @@ from edoras_tools.io.topics.rows import (
     whole_messages,
 )
 from edoras_tools.model import Columns, Finding, PacketBatch
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, by_value
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -70,7 +70,7 @@ class DatagramWriter:
         self._channel_id = channel_id
         self._heads = self._blank(0)
 
-    def messages(self, batch: PacketBatch, columns: Columns, published: NDArray[np.int64]) -> Messages:
+    def messages(self, batch: PacketBatch, columns: Columns, published: Integers) -> Messages:
         """Return the messages of a batch; their heads are made when they are requested.
 
         Args:
@@ -104,7 +104,7 @@ class DatagramWriter:
         heads["source_mapped"] = heads["destination_mapped"] = _MAPPED
         return heads
 
-    def _fill(self, batch: PacketBatch, columns: Columns, published: NDArray[np.int64]) -> NDArray[Any]:
+    def _fill(self, batch: PacketBatch, columns: Columns, published: Integers) -> NDArray[Any]:
         if len(self._heads) < len(batch):
             self._heads = self._blank(len(batch))
         heads = self._heads[: len(batch)]
@@ -133,7 +133,7 @@ class DatagramWriter:
             self._fill_ipv6(heads, batch, rows)
         return heads
 
-    def _fill_ipv6(self, heads: NDArray[Any], batch: PacketBatch, rows: NDArray[np.int64]) -> None:
+    def _fill_ipv6(self, heads: NDArray[Any], batch: PacketBatch, rows: Integers) -> None:
         table = np.frombuffer(b"".join(batch.ipv6), dtype=f"V{_ADDRESS_BYTES}")
         places: Any = DATAGRAM.fields
         addresses = {"source_zero": batch.source_address, "destination_zero": batch.destination_address}
@@ -163,7 +163,7 @@ def without_trailing(
 
 
 def ros_messages(
-    batch: PacketBatch, columns: Columns, channel_ids: NDArray[np.uint16], published: NDArray[np.int64]
+    batch: PacketBatch, columns: Columns, channel_ids: NDArray[np.uint16], published: Integers
 ) -> Messages:
     """Return the ROS message of every row with a complete one on a configured topic, CDR as captured.
 

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Octets
+
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 """The first and last bytes of a file."""
@@ -61,13 +63,13 @@ class Messages(msgspec.Struct, frozen=True, eq=False):
         repeats: whether ``rows`` may contain a row more than once.
     """
 
-    rows: NDArray[np.int64]
+    rows: Integers
     channel_id: NDArray[np.uint16] | int
-    log_time: NDArray[np.int64]
+    log_time: Integers
     head_bytes: int
     heads: Callable[[slice], NDArray[Any]]
-    data: NDArray[np.uint8]
-    offset: NDArray[np.int64]
+    data: Octets
+    offset: Integers
     length: NDArray[np.integer[Any]]
     repeats: bool = False
 
@@ -76,13 +78,13 @@ class Messages(msgspec.Struct, frozen=True, eq=False):
 
 
 def whole_messages(
-    rows: NDArray[np.int64],
+    rows: Integers,
     heads: NDArray[Any],
     channel_id: NDArray[np.uint16] | int,
     sequence: NDArray[np.integer[Any]] | int,
-    log_time: NDArray[np.int64],
+    log_time: Integers,
     publish_time: NDArray[np.integer[Any]],
-    rest: tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.integer[Any]]] | None = None,
+    rest: tuple[Octets, Integers, NDArray[np.integer[Any]]] | None = None,
     *,
     repeats: bool = False,
 ) -> Messages:
@@ -116,7 +118,7 @@ def bodies_of(
     bodies: Sequence[bytes],
     times_ns: Sequence[int],
     channel_id: int,
-    rows: NDArray[np.int64] | None = None,
+    rows: Integers | None = None,
     *,
     repeats: bool = False,
 ) -> Messages:
@@ -159,8 +161,8 @@ class Records(msgspec.Struct, frozen=True, eq=False):
 
     channel_id: NDArray[np.uint16]
     log_time: NDArray[np.uint64]
-    start: NDArray[np.int64]
-    end: NDArray[np.int64]
+    start: Integers
+    end: Integers
     data: bytes
 
     def __len__(self) -> int:
@@ -192,7 +194,7 @@ def lay_out(streams: Sequence[Messages], rows: int) -> Records:
     return Records(channel_id[order], log_time[order], first[order], last[order], data.tobytes())
 
 
-def within_rows(stream: Messages, total: NDArray[np.int64]) -> NDArray[np.int64]:
+def within_rows(stream: Messages, total: Integers) -> Integers:
     """Return each message's start in its row, after ``total`` bytes there; add its bytes to ``total``."""
     size = stream.head_bytes + stream.length.astype(np.int64)
     rows = stream.rows

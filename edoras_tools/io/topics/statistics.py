@@ -15,7 +15,7 @@ from edoras_tools.links import table
 from edoras_tools.model import Columns, HostCounters, PacketBatch, SocketCounters, SourceStatistics
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import changes, distinct_rows
+from edoras_tools.wire.arrays.order import Integers, changes, distinct_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -113,7 +113,7 @@ class LinkStatistics:
         rows = np.zeros(len(groups), dtype=np.int64)
         return self._write(groups, rows, rows + self._end_ns, channel_id)
 
-    def _count(self, batch: PacketBatch, columns: Columns, second: NDArray[np.int64]) -> NDArray[np.void]:
+    def _count(self, batch: PacketBatch, columns: Columns, second: Integers) -> NDArray[np.void]:
         order, fresh = self._sequences.order(batch, columns)
         length = batch.length[order]
         starts = np.flatnonzero(fresh | changes(order, second))
@@ -131,7 +131,7 @@ class LinkStatistics:
         return groups
 
     def _write(
-        self, groups: NDArray[np.void], rows: NDArray[np.int64], time_ns: NDArray[np.int64], channel_id: int
+        self, groups: NDArray[np.void], rows: Integers, time_ns: Integers, channel_id: int
     ) -> Messages:
         if not len(groups):
             return no_messages(channel_id, _LINK_STATISTICS)

@@ -31,7 +31,7 @@ from edoras_tools.links import table
 from edoras_tools.links.resets import RESETS
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.payloads import payloads
-from edoras_tools.wire.arrays.order import by_value, order_by
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value, order_by
 from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class MissionClock:
         self._least = np.zeros(0, dtype=np.int64)
         self._last = np.zeros(0, dtype=np.int64)
 
-    def publish_times(self, time_ns: NDArray[np.int64], columns: Columns) -> NDArray[np.int64]:
+    def publish_times(self, time_ns: Integers, columns: Columns) -> Integers:
         """Return the time in each packet, ns since 1970 UTC; its capture time if it has none.
 
         A mission time of 0 is no time: cFS counts from a start offset, and senders without a clock write 0.
@@ -105,11 +105,8 @@ class MissionClock:
 
 
 def _running_least(
-    link: NDArray[np.uint8],
-    processor: NDArray[np.uint32],
-    offset: NDArray[np.int64],
-    earlier: NDArray[np.bool_],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    link: Octets, processor: NDArray[np.uint32], offset: Integers, earlier: Mask
+) -> tuple[Integers, Integers]:
     """Return the running minimum of each sender's offsets, reset at jumps, and each sender's last state."""
     changes = (link[1:] != link[:-1]) | (processor[1:] != processor[:-1])
     # There is no jump between a sender's stored smallest and last offset: the offset changed slowly.
@@ -229,7 +226,7 @@ class PreparedBatch(msgspec.Struct, frozen=True, eq=False):
         added: channel ids of the topics that were added so far, by name.
     """
 
-    published: NDArray[np.int64]
+    published: Integers
     statistics: list[Messages]
     added: Mapping[str, int]
 
@@ -347,7 +344,7 @@ class Streams:
         self,
         batch: PacketBatch,
         columns: Columns,
-        published: NDArray[np.int64] | None = None,
+        published: Integers | None = None,
         *,
         statistics: bool = True,
         transforms: bool = True,
@@ -399,8 +396,8 @@ class Streams:
         return other
 
     def prepare_part(
-        self, batch: PacketBatch, columns: Columns, published: NDArray[np.int64] | None, *, transforms: bool
-    ) -> NDArray[np.int64]:
+        self, batch: PacketBatch, columns: Columns, published: Integers | None, *, transforms: bool
+    ) -> Integers:
         """Process a batch of one spacecraft; return its publish times."""
         if published is None:
             published = self.clock.publish_times(batch.time_ns, columns)

@@ -33,7 +33,7 @@ def struct_messages(
     columns: Columns,
     structs: Structs,
     channel_ids: Mapping[str, int],
-    published: NDArray[np.int64],
+    published: Integers,
 ) -> Iterator[Messages]:
     """Yield the messages of every struct in a batch.
 
@@ -74,7 +74,7 @@ def _joined(
 
 
 def _messages(
-    payload: Held, batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
+    payload: Held, batch: PacketBatch, columns: Columns, channel_id: int, published: Integers
 ) -> Messages:
     """Return the messages of one struct."""
     rows = payload.rows

@@ -17,7 +17,7 @@ from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Endpoint, Finding, Link, Peer
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.render.capture.sequence import SequenceMessage
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import Integers, Places, numbered
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES, MsgType
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ class Conversation:
                 messages.append(SequenceMessage(*parties, stream.label, run.count, *ends, labels))
         return sorted(messages, key=lambda message: message.first_ns)
 
-    def _follow(self, stream: _Stream, times: NDArray[np.int64], findings: NDArray[np.uint32]) -> None:
+    def _follow(self, stream: _Stream, times: Integers, findings: NDArray[np.uint32]) -> None:
         """Extend the stream's last run up to a pause, and start another after it."""
         runs = self._streams.setdefault(stream, [])
         before = runs[-1].last_ns if runs else int(times[0])
@@ -195,7 +195,7 @@ class Conversation:
         return " ".join(["APP"] * (kind == MsgType.APP) + [word for word in words if word])
 
 
-def _alike(rows: ColumnRows) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _alike(rows: ColumnRows) -> tuple[Places, Places]:
     """Number the packets by everything that names their stream; return one row of each, and the numbers."""
     link = rows.column("link")
     to_cfs = table.among(link, lambda item: item.only_to_cfs)
@@ -216,7 +216,7 @@ def _alike(rows: ColumnRows) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return numbered(*keys, *_own_kinds(rows))
 
 
-def _own_kinds(rows: ColumnRows) -> Iterator[NDArray[np.int64]]:
+def _own_kinds(rows: ColumnRows) -> Iterator[Integers]:
     """Number the datagrams without a MsgId by which of their link's headers they have, and its own texts."""
     links = np.where(rows.column("msg_id") == NO_MSG_ID, rows.column("link"), 0)
     for reader in table.links():

@@ -28,7 +28,7 @@ from edoras_tools.model import NO_ROUTE, Decoded, Finding, Link, RosMessage
 from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
 from edoras_tools.ros.types.schema import PLACEHOLDER
 from edoras_tools.wire import ccsds, cfe, sbn
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.order import Integers, Places, by_value, numbered
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cdr import ENCAPSULATION
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
@@ -218,7 +218,7 @@ class _Shapes:
         self._padding = np.where(enclosed, self._start + rows.column("packet_length") - self._cdr - length, 0)
         self._command = msg_ids.is_command(rows.column("msg_id"))
 
-    def of(self, rows: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], dict[Path, Texts]]]:
+    def of(self, rows: Places) -> Iterator[tuple[Places, dict[Path, Texts]]]:
         """Yield groups of rows that have the same layers, each with its fields."""
         link, headers = self._rows.column("link"), self._rows.column("headers")
         keys = link, headers, self._command, self._inside, self._envelope, self._padding > 0
@@ -226,7 +226,7 @@ class _Shapes:
         for _, members in by_value(which):
             yield rows[members], dict(self._fields(rows[members]))
 
-    def _fields(self, rows: NDArray[np.intp]) -> Iterator[tuple[Path, Texts]]:
+    def _fields(self, rows: Places) -> Iterator[tuple[Path, Texts]]:
         of, first, start = self._rows, rows[0], self._start[rows]
         headers = cfe.HEADERS[of.column("headers")[first]]
         at = of.datagram("offset")[rows]
@@ -250,7 +250,7 @@ class _Shapes:
             stale = (of.column("findings")[rows] & np.uint32(Finding.STALE_TAIL)) != 0
             yield ("layers", "padding", "stale"), _texts(stale)
 
-    def _layer(self, layout: Layout, at: NDArray[np.int64]) -> Iterator[tuple[Path, Texts]]:
+    def _layer(self, layout: Layout, at: Integers) -> Iterator[tuple[Path, Texts]]:
         window = gather(self._rows.batch.data, at, layout.size)
         for slot in layout.slots:
             values = slot_values(layout, slot, window[:, slot.start : slot.end])

@@ -27,14 +27,13 @@ from edoras_tools.pipelines.reading import Limits, reading
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.missing import Missing
     from edoras_tools.io import Source
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.capture.info import Counting
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Progress, Watcher
+    from edoras_tools.wire.arrays.order import Octets
 
     _Table = TypeVar("_Table", PacketBatch, Columns)
 
@@ -98,7 +97,7 @@ class _Judges:
     def __init__(self, examination: Examination, judges: list[_Judge]) -> None:
         self._context, self._judges = examination.context, deque(judges)
 
-    def lend(self, size: int) -> NDArray[np.uint8]:
+    def lend(self, size: int) -> Octets:
         """Return memory to read into; its contents are not copied for the process whose turn it is."""
         return self._judges[0].workers.lend(size)
 

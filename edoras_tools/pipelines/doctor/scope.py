@@ -13,11 +13,10 @@ from edoras_tools.links import table
 from edoras_tools.pipelines.selection import Period, Selection
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.wire.arrays.order import Integers
 
 
 class Scope(msgspec.Struct, frozen=True):
@@ -65,7 +64,7 @@ class Chosen:
                 own = rows[columns.link[rows] == link]
                 self._writers |= {(link, guid) for guid in link.sample_reader().writers(batch, own)}
 
-    def rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
+    def rows(self, batch: PacketBatch, columns: Columns) -> Integers:
         """Return which rows of a batch are selected."""
         return self._selection.rows(batch, columns)
 

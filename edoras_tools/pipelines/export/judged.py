@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.render.terminal.text import Progress
+    from edoras_tools.wire.arrays.order import Mask
 
 VERDICTS_TOPIC: Final = "/edoras/verdicts"
 LOST_TOPIC: Final = "/edoras/lost"
@@ -96,7 +97,7 @@ def judged_blocks(
 def judged_block(topic: str, rows: Sequence[Mapping[str, Any]] = ()) -> TopicBlock:
     """Return rows of JSON as a block; the time of a row is its start."""
     fields: dict[str, NDArray[Any] | Ragged] = {}
-    present: dict[str, NDArray[np.bool_]] = {}
+    present: dict[str, Mask] = {}
     for name, kind in _FIELDS[topic].items():
         values = [row[name] for row in rows]
         fields[name] = _MAKE[kind](values)

@@ -34,7 +34,7 @@ from edoras_tools.pipelines.reading import reading, reads_by_heads
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.ros.cdr.columns import TopicBlock
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, by_value
 from edoras_tools.wire.arrays.window import read_at
 from edoras_tools.words import listed
 
@@ -148,7 +148,7 @@ class TopicSource(ABC):
             ConfigError: its filter has a mistake.
         """
 
-    def _recording(self, origin: NDArray[np.int64], rows: NDArray[Any]) -> NDArray[np.object_] | None:
+    def _recording(self, origin: Integers, rows: NDArray[Any]) -> NDArray[np.object_] | None:
         """Return the name of the recording of each row of a batch; None if there is a single one."""
         return self.recordings[origin[rows]] if len(self.recordings) else None
 
@@ -313,7 +313,7 @@ class CaptureTopics(TopicSource):
             selection: Collection[str],
             places: Sequence[Topic],
             zero_ns: int,
-            origin: NDArray[np.int64],
+            origin: Integers,
         ) -> list[Made]:
             of_topics = streams.prepared_messages(
                 batch, columns, prepared, datagrams=DATAGRAMS_TOPIC in selection
@@ -369,7 +369,7 @@ class CaptureTopics(TopicSource):
         rows: int,
         requested: Collection[str],
         topics: Sequence[Topic],
-        origin: NDArray[np.int64],
+        origin: Integers,
     ) -> Iterator[TopicBlock]:
         for messages in _in_order(streams, rows):
             places = by_value(np.broadcast_to(messages.channel_id, len(messages)))
@@ -459,7 +459,7 @@ class BagTopics(TopicSource):
             self.left_out += int((_invalid(columns) & np.isin(columns.route, [*places])).sum())
             return batch, columns, self.zero_ns, self._source.origin(batch.number)
 
-        def work(batch: PacketBatch, columns: Columns, zero_ns: int, origin: NDArray[np.int64]) -> list[Made]:
+        def work(batch: PacketBatch, columns: Columns, zero_ns: int, origin: Integers) -> list[Made]:
             results, invalid = [], _invalid(columns)
             for place, rows in by_value(columns.route):
                 if place in places:
@@ -476,7 +476,7 @@ class BagTopics(TopicSource):
         return self._shared(arguments, work, progress, jobs)
 
 
-def _invalid(columns: Columns) -> NDArray[np.bool_]:
+def _invalid(columns: Columns) -> Mask:
     """Return which messages are incomplete: bool (rows,)."""
     return (columns.findings & np.uint32(Finding.CDR_INVALID)) != 0
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.pipelines.export.sources import TopicSource
+    from edoras_tools.wire.arrays.order import Integers
 
 ELEMENT: Final = "element"
 """The column with the index of an element, if every element of a list has a row."""
@@ -68,7 +69,7 @@ class TableForm(NamedTuple):
         for name in fields:
             yield TableColumn(name, fields[name], block.present.get(name))
 
-    def _time(self, name: str, time_ns: NDArray[np.int64], zero_ns: int) -> TableColumn:
+    def _time(self, name: str, time_ns: Integers, zero_ns: int) -> TableColumn:
         if self.time is TimeForm.UTC:
             return TableColumn(name, time_ns.astype("datetime64[ns]"))
         if self.time is TimeForm.NS:

@@ -29,12 +29,11 @@ from edoras_tools.words import listed
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.io import Source
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.ros import TypeStore
+    from edoras_tools.wire.arrays.order import Integers, Mask
     from edoras_tools.wire.msg_id import MsgIds
 
 _WHAT: Final = {
@@ -130,7 +129,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
     return Loaded(out, tuple(sorted(subscriptions)), tuple(notes))
 
 
-def _harm(batch: PacketBatch) -> NDArray[np.int64]:
+def _harm(batch: PacketBatch) -> Integers:
     """Return the number of datagrams that the capture cut, and the number that came over TCP."""
     cut = np.count_nonzero(batch.capture_findings & np.uint32(Finding.CAPTURE_CUT))
     return np.array([cut, 0 if batch.streams is None else np.count_nonzero(batch.streams)])
@@ -144,12 +143,10 @@ def _changed(cut: int, over_tcp: int, options: SendOptions) -> Iterator[str]:
         yield f"{over_tcp:,} of them came over TCP, and are sent as datagrams; --tcp sends them over TCP"
 
 
-def _towards(
-    batch: PacketBatch, columns: Columns, options: SendOptions, mission: Mission
-) -> NDArray[np.bool_]:
+def _towards(batch: PacketBatch, columns: Columns, options: SendOptions, mission: Mission) -> Mask:
     if options.to.sending:
         return options.to.sending.outgoing_rows(batch, columns)
-    towards: NDArray[np.bool_] = columns.link == options.to.link
+    towards: Mask = columns.link == options.to.link
     if options.to is Receiver.SBN:
         ports = [link.peer_port for link in mission.flight] or [_SBN_PORT]
         on_port = np.isin(batch.destination_port, ports)
@@ -160,7 +157,7 @@ def _towards(
     return towards
 
 
-def _subscriptions(batch: PacketBatch, columns: Columns, towards: NDArray[np.bool_]) -> set[int]:
+def _subscriptions(batch: PacketBatch, columns: Columns, towards: Mask) -> set[int]:
     """Return the MsgIds that the captured peer subscribed to."""
     msg_ids: set[int] = set()
     for row in np.flatnonzero(towards & (columns.sbn_msg_type == sbn.MsgType.SUB)).tolist():
@@ -175,7 +172,7 @@ def _subscriptions(batch: PacketBatch, columns: Columns, towards: NDArray[np.boo
     return msg_ids
 
 
-def _routes(columns: Columns, patterns: Sequence[str], mission: Mission) -> NDArray[np.bool_]:
+def _routes(columns: Columns, patterns: Sequence[str], mission: Mission) -> Mask:
     if not patterns:
         return np.ones(len(columns), bool)
     msg_ids = np.unique(columns.msg_id).tolist()
@@ -187,7 +184,7 @@ def _routes(columns: Columns, patterns: Sequence[str], mission: Mission) -> NDAr
     return np.isin(columns.msg_id, fitting)
 
 
-def _others(own: Link, links: NDArray[np.int64], options: Mapping[Link, str]) -> dict[Link, str]:
+def _others(own: Link, links: Integers, options: Mapping[Link, str]) -> dict[Link, str]:
     """Return the other links in a file, in words, with the option that sends each."""
     return {
         link(code): f"{int(links[code]):,} of {link(code).name if code else 'no link'} "

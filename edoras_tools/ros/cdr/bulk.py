@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-    Position = int | NDArray[np.int64]
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+
+    Position = int | Integers
 
 _LITTLE: Final = 0x0100
 _BIG: Final = 0x0000
@@ -47,17 +49,15 @@ class Bytes:
         data: u8, contiguous.
     """
 
-    def __init__(self, data: NDArray[np.uint8]) -> None:
+    def __init__(self, data: Octets) -> None:
         self.data = data
 
-    def gather(self, start: NDArray[np.int64], size: int) -> NDArray[np.void]:
+    def gather(self, start: Integers, size: int) -> NDArray[np.void]:
         """Return ``size`` bytes from each offset; all must lie inside the buffer."""
         windows = np.ndarray((len(self.data) - size + 1,), f"V{size}", self.data, 0, (1,))
         return windows[start]
 
-    def numbers(
-        self, start: NDArray[np.int64], code: str, count: int, swap: NDArray[np.bool_] | None
-    ) -> NDArray[Any]:
+    def numbers(self, start: Integers, code: str, count: int, swap: Mask | None) -> NDArray[Any]:
         """Return ``count`` numbers from each offset, shape (offsets, count).
 
         Args:
@@ -107,10 +107,10 @@ class Cursor:
     def __init__(
         self,
         source: Bytes,
-        rows: NDArray[np.int64],
-        base: NDArray[np.int64],
-        end: NDArray[np.int64],
-        swap: NDArray[np.bool_] | None,
+        rows: Integers,
+        base: Integers,
+        end: Integers,
+        swap: Mask | None,
         position: Position = 0,
     ) -> None:
         self.bytes = source
@@ -127,11 +127,11 @@ class Cursor:
         return len(self.rows)
 
     @property
-    def start(self) -> NDArray[np.int64]:
+    def start(self) -> Integers:
         """The offset of each row's position in the buffer."""
         return self.base + self.position
 
-    def take(self, selection: NDArray[np.int64]) -> Self:
+    def take(self, selection: Integers) -> Self:
         """Return a cursor over some rows, given by index."""
         position = self.position if isinstance(self.position, int) else self.position[selection]
         swap = None if self.swap is None else self.swap[selection]
@@ -141,7 +141,7 @@ class Cursor:
         part.parent = selection
         return part
 
-    def keep(self, good: NDArray[np.bool_], carried: Position = 0) -> Position:
+    def keep(self, good: Mask, carried: Position = 0) -> Position:
         """Drop the rows where ``good`` is False; return the column ``carried`` without them."""
         if good.all():
             return carried
@@ -195,9 +195,7 @@ class Cursor:
         return int(first) if (values == first).all() else values.astype(np.int64)
 
 
-def start_cursor(
-    plan: CdrPlan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
-) -> Cursor:
+def start_cursor(plan: CdrPlan, data: Octets, offset: Integers, length: NDArray[np.int32]) -> Cursor:
     """Return a cursor over the messages that lie in the buffer, may be long enough, and are CDR."""
     offset, size = np.asarray(offset, np.int64), np.asarray(length, np.int64)
     inside = (offset >= 0) & (size >= ENCAPSULATION_BYTES + plan.least) & (offset <= len(data) - size)
@@ -315,7 +313,7 @@ def _walk_elements(
     cursor.keep(whole)
 
 
-def _finish_elements(plan: CdrPlan, cursor: Cursor, remaining: NDArray[np.int64]) -> None:
+def _finish_elements(plan: CdrPlan, cursor: Cursor, remaining: Integers) -> None:
     """Move a few rows past their remaining elements one by one, so that one long row costs little."""
     position = np.broadcast_to(cursor.position, len(cursor))
     ends = [

@@ -15,7 +15,9 @@ from edoras_tools.ros.cdr.plan import CdrPlan, Leaf, PrimitiveRun, Repeat, Text
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Piece = Callable[[], tuple[NDArray[np.int64], bulk.Position, NDArray[Any]]]
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+
+    Piece = Callable[[], tuple[Integers, bulk.Position, NDArray[Any]]]
     """Reads a part of a column; returns i64, its rows; the number of values of each row; and the values."""
 
 
@@ -30,7 +32,7 @@ class Ragged(msgspec.Struct, frozen=True, eq=False):
     """
 
     values: NDArray[Any]
-    offsets: NDArray[np.int64]
+    offsets: Integers
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
@@ -58,7 +60,7 @@ class MessageColumns(msgspec.Struct, frozen=True, eq=False):
     """
 
     type: str
-    valid: NDArray[np.bool_]
+    valid: Mask
     fields: Mapping[str, NDArray[Any] | Ragged]
 
     def __len__(self) -> int:
@@ -80,11 +82,11 @@ class TopicBlock(msgspec.Struct, frozen=True):
     """
 
     topic: str
-    time_ns: NDArray[np.int64]
+    time_ns: Integers
     message: MessageColumns
-    publish_ns: NDArray[np.int64] | None = None
+    publish_ns: Integers | None = None
     sequence: NDArray[np.unsignedinteger] | None = None
-    present: Mapping[str, NDArray[np.bool_]] = msgspec.field(default_factory=dict)
+    present: Mapping[str, Mask] = msgspec.field(default_factory=dict)
     recording: NDArray[np.object_] | None = None
 
     def __len__(self) -> int:
@@ -92,7 +94,7 @@ class TopicBlock(msgspec.Struct, frozen=True):
 
 
 def columns(
-    name: str, plan: CdrPlan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
+    name: str, plan: CdrPlan, data: Octets, offset: Integers, length: NDArray[np.int32]
 ) -> MessageColumns:
     """Return the fields of many messages as columns.
 
@@ -115,12 +117,7 @@ def columns(
 
 
 def _walked(
-    plan: CdrPlan,
-    data: NDArray[np.uint8],
-    offset: NDArray[np.int64],
-    length: NDArray[np.int32],
-    rows: NDArray[np.int64],
-    fields: _Fields,
+    plan: CdrPlan, data: Octets, offset: Integers, length: NDArray[np.int32], rows: Integers, fields: _Fields
 ) -> bool:
     """Collect the positions of all values; return whether all messages are valid."""
     cursor = bulk.start_cursor(plan, data, offset, length)
@@ -157,7 +154,7 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
         """Take a run that starts at the cursor's position."""
         source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
 
-        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], bulk.Position, NDArray[Any]]:
+        def gather(leaf: Leaf) -> tuple[Integers, bulk.Position, NDArray[Any]]:
             return rows, leaf.count or 1, _read(source, leaf, start, swap)
 
         for leaf in run.leaves:
@@ -167,7 +164,7 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
         """Take runs that follow each other from the cursor's position."""
         source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
 
-        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], bulk.Position, NDArray[Any]]:
+        def gather(leaf: Leaf) -> tuple[Integers, bulk.Position, NDArray[Any]]:
             if isinstance(count, int) and leaf.count is None and leaf.size == run.size:
                 return rows, count, source.numbers(start, leaf.code, count, swap)
             each = np.broadcast_to(np.asarray(count), len(rows))
@@ -235,20 +232,14 @@ def _zeros(item: Leaf | Text, rows: int, *, flat: bool) -> NDArray[Any]:
     return np.zeros(rows if flat or item.count is None else (rows, item.count), dtype)
 
 
-def _read(
-    source: bulk.Bytes, leaf: Leaf, start: NDArray[np.int64], swap: NDArray[np.bool_] | None
-) -> NDArray[Any]:
+def _read(source: bulk.Bytes, leaf: Leaf, start: Integers, swap: Mask | None) -> NDArray[Any]:
     """Read one leaf of the runs at some offsets: shape (offsets,), or (offsets, elements) for an array."""
     values = source.numbers(start + leaf.offset, leaf.code, leaf.count or 1, swap)
     return values.reshape(-1) if leaf.count is None else values
 
 
 def _strings(
-    source: bulk.Bytes,
-    text: Text,
-    start: NDArray[np.int64],
-    length: NDArray[np.int64],
-    swap: NDArray[np.bool_] | None,
+    source: bulk.Bytes, text: Text, start: Integers, length: Integers, swap: Mask | None
 ) -> NDArray[Any]:
     """Decode strings, each distinct one once."""
     texts = np.full(len(start), "", object)

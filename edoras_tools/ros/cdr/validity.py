@@ -20,6 +20,8 @@ from edoras_tools.ros.cdr.reader import ENCAPSULATION_BYTES, bytes_left, encapsu
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+
 
 _COUNTS: Final = struct.Struct("<I"), struct.Struct(">I")
 
@@ -110,9 +112,9 @@ class _Pattern:
         self._usable = len(row.seen) <= MOST_SEEN and sum(end - first for first, end in joined) <= _MOST
         self._windows = [_window(body, first, end, row.seen) for first, end in joined] if self._usable else []
 
-    def matches(self, cursor: Cursor) -> NDArray[np.bool_]:
+    def matches(self, cursor: Cursor) -> Mask:
         """Return which rows certainly have the same result."""
-        alike: NDArray[np.bool_] = cursor.end == self._end
+        alike: Mask = cursor.end == self._end
         alike &= (cursor.swap if cursor.swap is not None else False) == bool(self._swap)
         alike &= self._usable
         for window in self._windows:
@@ -131,9 +133,7 @@ class _Pattern:
         return alike
 
 
-def trailing(
-    plan: CdrPlan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
-) -> NDArray[np.int32]:
+def trailing(plan: CdrPlan, data: Octets, offset: Integers, length: NDArray[np.int32]) -> NDArray[np.int32]:
     """Return the bytes after each message's last field; -1 for messages that ``reader.decode`` refuses.
 
     Args:
@@ -164,7 +164,7 @@ def trailing(
     return result
 
 
-def _finish(plan: CdrPlan, cursor: Cursor) -> NDArray[np.int64]:
+def _finish(plan: CdrPlan, cursor: Cursor) -> Integers:
     """Walk a cursor to the end; drop the rows that are not valid; return the bytes left of the others."""
     if len(cursor) <= FEW and cursor.seen is None:
         rows = range(len(cursor))
@@ -187,7 +187,7 @@ def _joined(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return joined
 
 
-def _window(body: NDArray[np.uint8], first: int, end: int, ranges: list[tuple[int, int]]) -> _Window:
+def _window(body: Octets, first: int, end: int, ranges: list[tuple[int, int]]) -> _Window:
     size = -(-(end - first) // 8) * 8
     want, mask = np.zeros(size, np.uint8), np.zeros(size, np.uint8)
     want[: end - first] = body[first:end]
@@ -197,7 +197,7 @@ def _window(body: NDArray[np.uint8], first: int, end: int, ranges: list[tuple[in
     return _Window(first, size, _rows(want), _rows(mask))
 
 
-def _rows(data: NDArray[np.uint8]) -> NDArray[np.uint64]:
+def _rows(data: Octets) -> NDArray[np.uint64]:
     """Return bytes as u64, repeated for each row of a chunk; numpy is slow to broadcast short rows itself."""
     words = data.view("<u8")
     return (

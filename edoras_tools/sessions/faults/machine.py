@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Link
     from edoras_tools.sessions.faults.rules import Rule
     from edoras_tools.sessions.faults.scopes import Predicate
+    from edoras_tools.wire.arrays.order import Octets
 
 __all__ = ["HEAD_BYTES", "HOLD_BYTES", "Delivery", "FaultMachine", "FaultPlan"]
 
@@ -191,7 +192,7 @@ class FaultMachine:
 
     def decide(
         self,
-        heads: NDArray[np.uint8],
+        heads: Octets,
         length: NDArray[np.integer[Any]],
         payload: Callable[[int], bytes],
         *,
@@ -199,7 +200,7 @@ class FaultMachine:
         to_cfs: bool,
         now: int,
         stream: int = 0,
-    ) -> NDArray[np.uint8] | None:
+    ) -> Octets | None:
         """Decide a batch at once: which datagrams pass unchanged, and which need ``strike``.
 
         Args:
@@ -246,15 +247,7 @@ class FaultMachine:
         return verdicts
 
     def strike(
-        self,
-        payload: bytes,
-        column: NDArray[np.uint8],
-        row: int,
-        *,
-        link: Link,
-        to_cfs: bool,
-        now: int,
-        stream: int = 0,
+        self, payload: bytes, column: Octets, row: int, *, link: Link, to_cfs: bool, now: int, stream: int = 0
     ) -> tuple[list[Delivery], list[Fault]]:
         """Apply the decisions of ``decide`` to a datagram, in the order of the batch.
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.sessions.faults.effects import Effect
     from edoras_tools.sessions.faults.rules import Rule
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
     Predicate = Callable[[bytes, Link], bool]
 
@@ -87,7 +88,7 @@ class StreamCounter(msgspec.Struct):
     threshold: int
     count: int = 0
     first: int = 0
-    places: NDArray[np.int64] = None  # type: ignore[assignment]  # there is none before the first batch
+    places: Integers = None  # type: ignore[assignment]  # there is none before the first batch
 
 
 class BatchHeads:
@@ -99,11 +100,11 @@ class BatchHeads:
         link: link of all datagrams.
     """
 
-    def __init__(self, heads: NDArray[np.uint8], length: NDArray[np.integer[Any]], link: Link) -> None:
+    def __init__(self, heads: Octets, length: NDArray[np.integer[Any]], link: Link) -> None:
         self._heads, self._length, self._link = heads, length, link
         self._msg_id: NDArray[np.int32] | None = None
 
-    def inside(self, active: ActiveRule, payload: Callable[[int], bytes]) -> NDArray[np.bool_]:
+    def inside(self, active: ActiveRule, payload: Callable[[int], bytes]) -> Mask:
         """Return whether each datagram is in the scope of a rule that applies to this link; bool (n,)."""
         scope = active.rule.scope
         inside = np.ones(len(self._length), bool)

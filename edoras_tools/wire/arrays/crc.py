@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Buffer
 
+    from edoras_tools.wire.arrays.order import Integers, Octets
+
 CRC16_BYTES: Final = 2
 _ONES: Final = 0xFFFF
 _FEW: Final = 32
@@ -70,9 +72,7 @@ def _words() -> NDArray[np.uint16]:
     return word.astype(np.uint16)
 
 
-def crc16_rows(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
-) -> NDArray[np.uint16]:
+def crc16_rows(data: Octets, offset: Integers, length: NDArray[np.int32]) -> NDArray[np.uint16]:
     """Return the CRC-16 of each range ``offset : offset + length``, u16 (n,).
 
     Args:
@@ -97,9 +97,7 @@ def crc16_rows(
     return remainder
 
 
-def _preset_rows(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], preset: int
-) -> NDArray[np.uint8]:
+def _preset_rows(data: Octets, offset: Integers, length: NDArray[np.int32], preset: int) -> Octets:
     """Copy ranges into rows of one even length, with their first bytes inverted, which is a preset to ones.
 
     Zeros before a range change nothing while the remainder is 0.
@@ -113,9 +111,7 @@ def _preset_rows(
     return rows
 
 
-def crc32_rows(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
-) -> NDArray[np.uint32]:
+def crc32_rows(data: Octets, offset: Integers, length: NDArray[np.int32]) -> NDArray[np.uint32]:
     """Return the CRC-32 of each range ``offset : offset + length``, u32 (n,); see ``crc16_rows``.
 
     Args:

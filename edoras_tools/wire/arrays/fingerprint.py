@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Octets, Places, by_value
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 """An odd number without a pattern: multiplying by it spreads the bits of a word over the product."""
 
 
-def of_bytes(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[Any]) -> NDArray[np.uint64]:
+def of_bytes(data: Octets, offset: Integers, length: NDArray[Any]) -> NDArray[np.uint64]:
     """Return the fingerprint of each range of bytes, u64 (n,); 0 for an empty one."""
     out = np.zeros(len(offset), np.uint64)
     cut = np.minimum(length, HASHED_BYTES)
@@ -55,9 +55,7 @@ _LAST_WORD: Final = np.array([[0xFF] * (size or 8) + [0] * (-size % 8) for size 
 """Masks for the last word of a range, by its size modulo 8."""
 
 
-def matches(
-    first: NDArray[np.uint64], second: NDArray[np.uint64]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def matches(first: NDArray[np.uint64], second: NDArray[np.uint64]) -> tuple[Places, Places]:
     """Return the indices of keys that occur exactly once in each array, and are not 0."""
     sides = []
     for keys in (first, second):

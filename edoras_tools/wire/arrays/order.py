@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Integers: TypeAlias = "NDArray[np.int64]"
-"""Times in ns, or counts."""
-Octets: TypeAlias = "NDArray[np.uint8]"
-"""Bytes: a buffer, or one row of them for each element of other arrays."""
+"""Times in ns, counts, or places in a buffer of bytes."""
 Mask: TypeAlias = "NDArray[np.bool_]"
 """A selection of the elements of another array."""
+Octets: TypeAlias = "NDArray[np.uint8]"
+"""Bytes, or small numbers as the codes of links."""
 Places: TypeAlias = "NDArray[np.intp]"
 """Indices of the elements of another array."""
 Prints: TypeAlias = "NDArray[np.uint64]"
@@ -33,7 +33,7 @@ _SLOTS_EACH: Final = 3
 """Bits of the table beyond those that number the rows: a large table is too slow for few rows."""
 
 
-def order_by(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
+def order_by(*keys: NDArray[np.integer]) -> Integers:
     """Return the stable order that groups equal keys; keys are u8, u16 or u32, radix sorted."""
     digits: list[NDArray[np.uint16]] = []
     room = 0  # the largest factor for the last digit; a sort costs the same for each digit
@@ -57,7 +57,7 @@ def in_16_bits(values: NDArray[Any]) -> NDArray[Any]:
     return values.astype(np.uint16) if values.max(initial=0) <= 0xFFFF else values
 
 
-def changes(rows: NDArray[np.intp], *columns: NDArray[Any]) -> NDArray[np.bool_]:
+def changes(rows: Places, *columns: NDArray[Any]) -> Mask:
     """Return whether a column changes at each of some rows; True for the first row."""
     out = np.zeros(len(rows), np.bool_)
     out[:1] = True
@@ -68,7 +68,7 @@ def changes(rows: NDArray[np.intp], *columns: NDArray[Any]) -> NDArray[np.bool_]
     return out
 
 
-def numbered(*keys: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def numbered(*keys: NDArray[Any]) -> tuple[Places, Places]:
     """Number the distinct rows of some columns of integers, in order of first occurrence.
 
     Nothing is sorted while there are few distinct rows, as is usual for kinds of traffic.
@@ -86,7 +86,7 @@ def numbered(*keys: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return _numbered(whole)
 
 
-def _numbered(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _numbered(values: NDArray[Any]) -> tuple[Places, Places]:
     rows = np.arange(len(values))
     least, most = _bounds(values)
     if least == most:
@@ -108,7 +108,7 @@ def _bounds(values: NDArray[Any]) -> tuple[int, int]:
     return (int(values.min()), int(values.max())) if len(values) else (0, 0)
 
 
-def _from_zero(values: NDArray[Any]) -> tuple[NDArray[np.intp], int]:
+def _from_zero(values: NDArray[Any]) -> tuple[Places, int]:
     """Return integers minus the smallest, and the size of their range; a wide range is numbered."""
     least, most = _bounds(values)
     if most - least >= _WIDE:
@@ -117,7 +117,7 @@ def _from_zero(values: NDArray[Any]) -> tuple[NDArray[np.intp], int]:
     return (wide - wide.dtype.type(least)).astype(np.intp, copy=False), most - least + 1
 
 
-def _first_rows(values: NDArray[Any], mix: int = int(_MIX)) -> NDArray[np.intp]:
+def _first_rows(values: NDArray[Any], mix: int = int(_MIX)) -> Places:
     """Return the first row with the value of each row, by hashes; on a collision another hash is used."""
     bits = min(_SLOTS, len(values).bit_length() + _SLOTS_EACH)
     place = ((values.astype(np.uint64) * np.uint64(mix)) >> np.uint64(64 - bits)).astype(np.intp)
@@ -130,7 +130,7 @@ def _first_rows(values: NDArray[Any], mix: int = int(_MIX)) -> NDArray[np.intp]:
 
 
 def perhaps_in(
-    values: Prints, others: Prints, kinds: NDArray[np.uint8] | None = None, fits: Prints | None = None
+    values: Prints, others: Prints, kinds: Octets | None = None, fits: Prints | None = None
 ) -> Mask:
     """Return which fingerprints are among others, and perhaps a few more: nothing is sorted.
 
@@ -147,7 +147,7 @@ def perhaps_in(
     return np.asarray((met if fits is None else met & fits) != 0)
 
 
-def distinct_rows(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.intp], NDArray[np.intp]]:
+def distinct_rows(values: NDArray[Any]) -> tuple[NDArray[Any], Places, Places]:
     """Return ``numpy.unique`` of one column with its index and inverse.
 
     ``numpy.unique`` imports ``numpy.ma``, which takes longer than the work of a short command.
@@ -163,11 +163,11 @@ def distinct_rows(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.intp],
 def distinct(values: NDArray[Any]) -> NDArray[Any]:
     """Return ``numpy.unique`` of one column; it is sixty times as fast if many values differ."""
     ranked = np.sort(values)
-    new: NDArray[np.bool_] = np.append(True, ranked[1:] != ranked[:-1])
+    new: Mask = np.append(True, ranked[1:] != ranked[:-1])
     return np.asarray(ranked[new[: len(ranked)]])
 
 
-def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+def by_value(values: NDArray[Any]) -> Iterator[tuple[int, Places]]:
     """Yield each distinct value with the indices of its elements."""
     least, most = _bounds(values)
     if least == most:
@@ -181,7 +181,7 @@ def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
         yield int(values[order[first]]), order[first:end]
 
 
-def groups(values: NDArray[Any], rows: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+def groups(values: NDArray[Any], rows: Places) -> Iterator[tuple[int, Places]]:
     """Yield each distinct value of a column among some rows, with the rows that have it."""
     for value, at in by_value(values[rows]):
         yield value, rows[at]

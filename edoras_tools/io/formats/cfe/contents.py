@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from edoras_tools.wire.arrays.order import Integers
     from edoras_tools.wire.layout import Layout
 
 _SUBSCRIPTIONS: Final = ("TO_LAB.TO_LAB_Subs", "TO_LAB_APP.TO_LAB_Subs")
@@ -62,7 +61,7 @@ class CfeFile(msgspec.Struct, frozen=True):
     header: dict[str, Any]
     head: dict[str, Any] = msgspec.field(default_factory=dict)
     entries: list[dict[str, Any]] = msgspec.field(default_factory=list)
-    markers: NDArray[np.int64] | None = None
+    markers: Integers | None = None
 
     @property
     def kind(self) -> str:
@@ -75,7 +74,7 @@ class CfeFile(msgspec.Struct, frozen=True):
         return mission_ns(self.header) if self.header["seconds"] else 0
 
     @property
-    def spans(self) -> NDArray[np.int64]:
+    def spans(self) -> Integers:
         """Each entry of a marker with its exit, by time, (n, 3) i64: marker, begin in ns, length in ns."""
         assert self.markers is not None
         rows = self.markers[np.argsort(self.markers[:, 0], kind="stable")]
@@ -102,7 +101,7 @@ def marker_name(number: int) -> str:
     return MARKERS.get(number, f"marker {number}")
 
 
-def _by_marker(markers: NDArray[np.int64], spans: NDArray[np.int64]) -> Iterator[dict[str, Any]]:
+def _by_marker(markers: Integers, spans: Integers) -> Iterator[dict[str, Any]]:
     for number in np.unique(markers).tolist():
         length_ns = spans[spans[:, 0] == number, 2]
         yield {
@@ -228,7 +227,7 @@ def _resets(path: Path, data: bytes) -> list[dict[str, Any]]:
     ]
 
 
-def _markers(path: Path, head: dict[str, Any], data: bytes) -> NDArray[np.int64]:
+def _markers(path: Path, head: dict[str, Any], data: bytes) -> Integers:
     masks = 2 * 4 * head["mask_words"]
     if not head["ticks_per_second"] or masks > len(data):
         raise CaptureError(

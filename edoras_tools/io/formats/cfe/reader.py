@@ -29,10 +29,9 @@ from edoras_tools.wire.cfe_file import FILE_HEADER, ON_TIME_LINE, RESET_ENTRY, k
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from numpy.typing import NDArray
-
     from edoras_tools.io.formats.stream import Window
     from edoras_tools.io.frames.frame_batch import FrameBatch
+    from edoras_tools.wire.arrays.order import Integers, Octets, Places
 
 _ENDS: Final = ends_of(Endpoint("0.0.0.0", 0), Endpoint("0.0.0.0", STORED.transport.ports[0]))  # noqa: S104
 
@@ -91,9 +90,9 @@ class CfePacketSource(RecordSource):
             yield from self._entries(data, start, end)
             return
 
-        def successor(positions: NDArray[np.int64]) -> NDArray[np.int64]:
+        def successor(positions: Integers) -> Integers:
             header = gather(data, positions, ccsds.PRIMARY.size)
-            after: NDArray[np.int64] = positions + ccsds.PRIMARY.size + 1
+            after: Integers = positions + ccsds.PRIMARY.size + 1
             after += ccsds.PRIMARY.column("packet_data_length", header)
             return after
 
@@ -107,7 +106,7 @@ class CfePacketSource(RecordSource):
             page.add(data, positions, length, self._times(data, positions), _ENDS)
             yield page.frames(self.statistics.frames + 1)
 
-    def _entries(self, data: NDArray[np.uint8], start: int, end: int) -> Iterator[FrameBatch]:
+    def _entries(self, data: Octets, start: int, end: int) -> Iterator[FrameBatch]:
         """Yield the used entries of a reset log, oldest first."""
         positions = np.arange(start, end - RESET_ENTRY.size + 1, RESET_ENTRY.size)
         self._at = start + len(positions) * RESET_ENTRY.size
@@ -121,7 +120,7 @@ class CfePacketSource(RecordSource):
         page.add(data, positions, length, time_ns[order], _ENDS)
         yield page.frames(self.statistics.frames + 1)
 
-    def _times(self, data: NDArray[np.uint8], positions: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _times(self, data: Octets, positions: Integers) -> Integers:
         """Return the mission time of each packet as ns since 1970: i64 (n,)."""
         window = gather(data, positions, ccsds.PRIMARY.size + cfe.EXTENDED.size + cfe.TELEMETRY.size)
         if not self._clock_at:
@@ -137,7 +136,7 @@ class CfePacketSource(RecordSource):
         self._time_ns = int(time_ns[-1])
         return time_ns
 
-    def _where_time_is(self, window: NDArray[np.uint8]) -> int:
+    def _where_time_is(self, window: Octets) -> int:
         """Return the offset of the time: of two candidates, the one nearer to the file header's time."""
         usual = ccsds.PRIMARY.size
         seconds = [
@@ -148,7 +147,7 @@ class CfePacketSource(RecordSource):
         return usual if away[0] <= away[1] else usual + cfe.EXTENDED.size
 
 
-def reset_times(rows: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+def reset_times(rows: Octets) -> tuple[Integers, Places]:
     """Return the time of each entry of a reset log, and the order in which the entries were made.
 
     The log is a ring: where mission time decreases from one entry to the next, the oldest entry follows.

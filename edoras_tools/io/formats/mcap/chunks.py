@@ -31,7 +31,7 @@ from edoras_tools.wire.arrays.window import copy_rows, put_rows, spill_rows
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from numpy.typing import NDArray
+    from edoras_tools.wire.arrays.order import Integers, Octets
 
 
 CHUNK_BYTES = 128 << 10
@@ -103,7 +103,7 @@ class ChunkPress:
             self._buffer = _blank()
         yield chunks
 
-    def _packed(self, raw: memoryview, edges: NDArray[np.int64]) -> list[memoryview]:
+    def _packed(self, raw: memoryview, edges: Integers) -> list[memoryview]:
         """Return the compressed chunks of a buffer; a single one is compressed alone, which is faster."""
         if len(raw) <= CHUNK_BYTES:
             return [memoryview(self._compressor.compress(raw))]
@@ -175,7 +175,7 @@ class ChunkWriter:
             self._file.add_chunks(chunks)
 
 
-def _blank() -> NDArray[np.uint8]:
+def _blank() -> Octets:
     return np.empty(_BUFFER_BYTES, dtype=np.uint8)
 
 
@@ -187,13 +187,13 @@ class _Part:
         copy: copies the bytes after the heads.
     """
 
-    def __init__(self, messages: Messages, positions: NDArray[np.int64], copy: Callable[..., None]) -> None:
+    def __init__(self, messages: Messages, positions: Integers, copy: Callable[..., None]) -> None:
         self._messages = messages
         self._positions = positions
         self._copy = copy if messages.length.any() else None
         self._done = 0
 
-    def put(self, last: int, buffer: NDArray[np.uint8], shift: int, index: MessageIndex) -> None:
+    def put(self, last: int, buffer: Octets, shift: int, index: MessageIndex) -> None:
         """Write the remaining messages of the rows before ``last``.
 
         Args:

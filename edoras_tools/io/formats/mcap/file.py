@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io.formats.mcap.index import ChunkMessages
+    from edoras_tools.wire.arrays.order import Integers, Octets
 
     _Bytes = bytes | memoryview
 
@@ -172,11 +173,11 @@ class PackedChunks(msgspec.Struct, frozen=True, eq=False):
         end_ns: largest log time.
     """
 
-    data: NDArray[np.uint8]
+    data: Octets
     heads: Sequence[ChunkHead]
     sizes: Sequence[tuple[int, int]]
     places: NDArray[np.void]
-    place_edges: NDArray[np.int64]
+    place_edges: Integers
     counts: Mapping[int, int]
     start_ns: int
     end_ns: int
@@ -387,9 +388,7 @@ class McapFile:
         )
 
 
-def _beginning_with(
-    records: bytes, head: ChunkHead, stretch: NDArray[np.uint8]
-) -> tuple[ChunkHead, bytes, memoryview]:
+def _beginning_with(records: bytes, head: ChunkHead, stretch: Octets) -> tuple[ChunkHead, bytes, memoryview]:
     """Put records before those of a chunk, compressed with zstd.
 
     Args:

@@ -11,7 +11,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from edoras_tools.io.topics.rows import RECORD_PREFIX_BYTES
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import Integers, Octets, by_value
 from edoras_tools.wire.arrays.window import put_rows
 
 if TYPE_CHECKING:
@@ -90,27 +90,27 @@ class ChunkMessages(msgspec.Struct, frozen=True, eq=False):
         place_edges: the same edges for ``places``, i64 (n + 1).
     """
 
-    edges: NDArray[np.int64]
+    edges: Integers
     start_ns: NDArray[np.uint64]
     end_ns: NDArray[np.uint64]
     counts: dict[int, int]
-    records: NDArray[np.uint8]
-    record_edges: NDArray[np.int64]
+    records: Octets
+    record_edges: Integers
     places: NDArray[np.void]
-    place_edges: NDArray[np.int64]
+    place_edges: Integers
 
 
 class MessageIndex:
     """The messages of a buffer that becomes one or several chunks, added while they go into it."""
 
     def __init__(self) -> None:
-        self._noted: dict[int, list[tuple[NDArray[np.uint64], NDArray[np.int64]]]] = {}
+        self._noted: dict[int, list[tuple[NDArray[np.uint64], Integers]]] = {}
 
     def add(
         self,
         channel_id: NDArray[np.uint16] | int,
         log_time: NDArray[np.int64 | np.uint64],
-        position: NDArray[np.int64],
+        position: Integers,
     ) -> None:
         """Add at least one message; those of a channel must come in order of their positions.
 
@@ -185,7 +185,7 @@ class MessageIndex:
         )
 
 
-def _edges(positions: NDArray[np.int64], base: NDArray[np.int64], size: int, limit: int) -> NDArray[np.int64]:
+def _edges(positions: Integers, base: Integers, size: int, limit: int) -> Integers:
     """Return the start of each chunk of a buffer, and the end of the last one.
 
     Args:
@@ -206,7 +206,7 @@ def _edges(positions: NDArray[np.int64], base: NDArray[np.int64], size: int, lim
 
 
 def _times(
-    times: NDArray[np.uint64], first: NDArray[np.int64], counts: NDArray[np.int64]
+    times: NDArray[np.uint64], first: Integers, counts: Integers
 ) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
     """Return the smallest and the largest time of each chunk, u64, from those of its channels."""
     filled = np.nonzero(counts)

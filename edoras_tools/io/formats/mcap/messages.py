@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from mcap.summary import Summary
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Octets
+
 _BATCH_BYTES: Final = 4 << 20
 """Bytes up to which chunks are joined."""
 _BEFORE: Final = "; all before was read"
@@ -50,12 +52,12 @@ class SelectedMessages(NamedTuple):
     """
 
     channel_id: NDArray[np.uint16]
-    log_time: NDArray[np.int64]
-    data: NDArray[np.uint8]
-    offset: NDArray[np.int64]
-    length: NDArray[np.int64]
+    log_time: Integers
+    data: Octets
+    offset: Integers
+    length: Integers
     sequence: NDArray[np.uint32]
-    publish_time: NDArray[np.int64]
+    publish_time: Integers
 
     def take(self, rows: NDArray[Any] | slice) -> SelectedMessages:
         """Return the messages that an index array, a mask or a slice selects, over the same buffer."""
@@ -149,7 +151,7 @@ def joined_messages(parts: Sequence[SelectedMessages]) -> SelectedMessages:
     return SelectedMessages(*columns)._replace(offset=np.concatenate(offsets))
 
 
-def _offsets(file: IO[bytes], index: ChunkIndex, channel: int) -> NDArray[np.int64]:
+def _offsets(file: IO[bytes], index: ChunkIndex, channel: int) -> Integers:
     """Return the positions of a channel's Message records in a chunk."""
     file.seek(index.message_index_offsets[channel])
     _, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
@@ -158,7 +160,7 @@ def _offsets(file: IO[bytes], index: ChunkIndex, channel: int) -> NDArray[np.int
     return listed["offset"].astype(np.int64)
 
 
-def _unpacked(file: IO[bytes], name: str, index: ChunkIndex) -> NDArray[np.uint8]:
+def _unpacked(file: IO[bytes], name: str, index: ChunkIndex) -> Octets:
     def content() -> bytes:
         file.seek(index.chunk_start_offset + RECORD_HEAD.size)
         return file.read(index.chunk_length - RECORD_HEAD.size)
@@ -167,9 +169,7 @@ def _unpacked(file: IO[bytes], name: str, index: ChunkIndex) -> NDArray[np.uint8
     return np.frombuffer(chunk_records(name, place, size, content, _BEFORE), np.uint8)
 
 
-def _messages(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], name: str, index: ChunkIndex
-) -> SelectedMessages:
+def _messages(data: Octets, offset: Integers, name: str, index: ChunkIndex) -> SelectedMessages:
     if len(offset) and (int(offset[0]) < 0 or int(offset[-1]) + RECORD_BYTES > len(data)):
         raise _damaged(name, index)
     heads = read_at(data, offset, np.dtype(RECORD))
@@ -180,7 +180,7 @@ def _messages(
     return _selected(heads, data, start)
 
 
-def _selected(heads: NDArray[Any], data: NDArray[np.uint8], start: NDArray[np.int64]) -> SelectedMessages:
+def _selected(heads: NDArray[Any], data: Octets, start: Integers) -> SelectedMessages:
     length = heads["record_length"].astype(np.int64) - (RECORD_BYTES - RECORD_PREFIX_BYTES)
     log_time, published = (heads[name].astype(np.int64) for name in ("log_time", "publish_time"))
     return SelectedMessages(heads["channel_id"], log_time, data, start, length, heads["sequence"], published)

@@ -76,6 +76,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Choice
     from edoras_tools.links.framing import Framing
     from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 T = TypeVar("T")
 
@@ -251,12 +252,12 @@ class McapSource(SourceDefaults):
         heads = self._heads_of(batch.number)
         return columns if heads is None else replace(columns, findings=heads["findings"])
 
-    def published(self, number: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    def published(self, number: Integers) -> Integers | None:
         """See ``SourceDefaults``."""
         heads = self._heads_of(number)
         return None if heads is None else heads["publish_time"].astype(np.int64)
 
-    def _heads_of(self, number: NDArray[np.int64]) -> NDArray[np.void] | None:
+    def _heads_of(self, number: Integers) -> NDArray[np.void] | None:
         """Return the recorded headers of datagrams of the last batch, after ``choose``; else None."""
         if self._chosen is None or not len(number):
             return None
@@ -297,7 +298,7 @@ class McapSource(SourceDefaults):
                 needed[max(chunk - 1, 0)] = True
         return self._passing_over(heads, needed)
 
-    def _passing_over(self, heads: NDArray[np.void], needed: NDArray[np.bool_]) -> list[int]:
+    def _passing_over(self, heads: NDArray[np.void], needed: Mask) -> list[int]:
         """Return the positions of the needed chunks; warn if the file's checksum is wrong.
 
         The damage may be in chunks that are skipped. The checksum of a large file is not computed, because
@@ -366,7 +367,7 @@ class McapSource(SourceDefaults):
         """Number of datagrams in the recording; after a repair it may be less than was recorded."""
         return sum(self._counts.get(key, 0) for key in self._datagrams)
 
-    def _indexes(self) -> tuple[NDArray[np.void], NDArray[np.intp], NDArray[np.void]]:
+    def _indexes(self) -> tuple[NDArray[np.void], Places, NDArray[np.void]]:
         """Return the chunk indexes of the summary, in the order of the file; empty if it is damaged.
 
         Returns:
@@ -448,7 +449,7 @@ class McapSource(SourceDefaults):
         count.bytes += int(frames.length.sum())
         yield batch
 
-    def _frames(self, data: NDArray[np.uint8], offsets: NDArray[np.int64] | None, place: int) -> FrameBatch:
+    def _frames(self, data: Octets, offsets: Integers | None, place: int) -> FrameBatch:
         """Return the frames in a chunk.
 
         Args:
@@ -490,7 +491,7 @@ class McapSource(SourceDefaults):
         self._heads.append(heads[rows])
         return packed_frames(frames_at(frames, rows))
 
-    def _walk(self, data: NDArray[np.uint8]) -> NDArray[np.int64]:
+    def _walk(self, data: Octets) -> Integers:
         """Return the positions of datagram messages in records without an index; also learn channels."""
         view, size = data.data, data.size
         positions: list[int] = []
@@ -509,19 +510,19 @@ class McapSource(SourceDefaults):
             position = end
         return np.array(positions, dtype=np.int64)
 
-    def _chunk(self, start: int, end: int) -> NDArray[np.uint8]:
+    def _chunk(self, start: int, end: int) -> Octets:
         """Decompress the chunk whose content starts at ``start``."""
         ending = " and was left out"
         return _array(chunk_records(self._name, start, end - start, lambda: self._read(start, end), ending))
 
-    def _index(self, position: int) -> tuple[NDArray[np.int64] | None, int]:
+    def _index(self, position: int) -> tuple[Integers | None, int]:
         """Read the message index after a chunk.
 
         Returns:
             The start of each datagram message in the chunk, or None without a complete index; and the
             position of the next record.
         """
-        parts: list[NDArray[np.int64]] = []
+        parts: list[Integers] = []
         indexed = False
         while (record := self._prefix(position)) is not None and record[0] == Opcode.MESSAGE_INDEX:
             _, start, end = record
@@ -689,7 +690,7 @@ def _following(needed: list[int] | None, position: int) -> int:
     return needed[bisect_left(needed, position)] if needed and position < needed[-1] else position
 
 
-def _array(data: bytes | bytearray | memoryview) -> NDArray[np.uint8]:
+def _array(data: bytes | bytearray | memoryview) -> Octets:
     return np.frombuffer(data, dtype=np.uint8)
 
 

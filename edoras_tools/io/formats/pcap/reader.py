@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io.formats.stream import Window
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
 FILE_HEADER_BYTES = 24
 RECORD_HEADER_BYTES = 16
@@ -78,8 +79,8 @@ class PcapSource(RecordSource):
         dtype = f"{self._order}u4"
         unpack = struct.Struct(f"{self._order}I").unpack_from
 
-        def successor(positions: NDArray[np.int64]) -> NDArray[np.int64]:
-            after: NDArray[np.int64] = captured_at[positions].view(dtype) + positions
+        def successor(positions: Integers) -> Integers:
+            after: Integers = captured_at[positions].view(dtype) + positions
             after += RECORD_HEADER_BYTES
             return after
 
@@ -174,11 +175,7 @@ class PcapSource(RecordSource):
         return None
 
     def _batch(
-        self,
-        data: NDArray[np.uint8],
-        positions: NDArray[np.int64],
-        headers: NDArray[np.uint32],
-        captured: NDArray[np.int64],
+        self, data: Octets, positions: Integers, headers: NDArray[np.uint32], captured: Integers
     ) -> FrameBatch:
         time_ns = headers[:, 0].astype(np.int64)
         self._latest_s = int(time_ns[-1])
@@ -195,7 +192,7 @@ class PcapSource(RecordSource):
             original_length=headers[:, 3].astype(np.int32),
         )
 
-    def _seeds(self, data: NDArray[np.uint8], start: int, end: int) -> NDArray[np.int64]:
+    def _seeds(self, data: Octets, start: int, end: int) -> Integers:
         """Return positions that look like two consecutive records, about one in every stride."""
         count = (end - start) // _STRIDE - 1
         if count < 1:
@@ -207,15 +204,13 @@ class PcapSource(RecordSource):
             (count, _SIGHT), dtype=np.uint8, buffer=data.data, offset=base + first, strides=(_STRIDE, 1)
         )
         lane, place = np.divmod(np.flatnonzero(sight == data[start + first]), _SIGHT)
-        positions: NDArray[np.int64] = base + lane * _STRIDE + place
+        positions: Integers = base + lane * _STRIDE + place
         sound, after = self._look(data, positions, end)
         sound[sound] = self._look(data, after[sound], end)[0]
         lane, positions = lane[sound], positions[sound]
         return positions[np.flatnonzero(np.diff(lane, prepend=-1))]
 
-    def _look(
-        self, data: NDArray[np.uint8], positions: NDArray[np.int64], end: int
-    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    def _look(self, data: Octets, positions: Integers, end: int) -> tuple[Mask, Integers]:
         """Return which positions have a plausible record header, and the position of the next record."""
         header = read_at(data, positions, np.dtype((f"{self._order}u4", 4)))
         captured = header[:, 2].astype(np.int64)

@@ -14,9 +14,8 @@ from edoras_tools.wire.arrays.window import copy_rows, put_rows
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from edoras_tools.model import PacketBatch, SourceStatistics
+    from edoras_tools.wire.arrays.order import Octets
 
 _MICROSECONDS = 0xA1B2C3D4
 _NANOSECONDS = 0xA1B23C4D
@@ -48,7 +47,7 @@ class PcapSink(CaptureFileSink):
         self._snap_length = snap_length
         self._link_type: int | None = None
 
-    def _lay_out(self, batch: PacketBatch) -> NDArray[np.uint8]:
+    def _lay_out(self, batch: PacketBatch) -> Octets:
         if self._link_type is None:
             self._begin(int(batch.link_type[0]))
         others = batch.link_type[batch.link_type != self._link_type]

@@ -20,7 +20,7 @@ from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import SourceInfo
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import distinct
+from edoras_tools.wire.arrays.order import Integers, Mask, distinct
 from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class TimeScale(msgspec.Struct, frozen=True):
         """A tick in ns; 1 if it is shorter."""
         return max(1, SECOND // int(self.base**self.exponent))
 
-    def to_ns(self, ticks: NDArray[np.uint64]) -> NDArray[np.int64]:
+    def to_ns(self, ticks: NDArray[np.uint64]) -> Integers:
         """Convert ticks to ns since 1970-01-01 UTC, rounded down; times past the year 2262 wrap."""
         if self.base == 10:
             if self.exponent <= 9:
@@ -122,7 +122,7 @@ class _Interface(NamedTuple):
 class _Blocks(NamedTuple):
     """Complete blocks of one section: their positions, and their first seven words."""
 
-    position: NDArray[np.int64]
+    position: Integers
     words: NDArray[np.uint32]
 
     @property
@@ -130,10 +130,10 @@ class _Blocks(NamedTuple):
         return self.words[:, 0]
 
     @property
-    def length(self) -> NDArray[np.int64]:
+    def length(self) -> Integers:
         return self.words[:, 1].astype(np.int64)
 
-    def take(self, rows: NDArray[np.int64] | slice) -> _Blocks:
+    def take(self, rows: Integers | slice) -> _Blocks:
         return _Blocks(self.position[rows], self.words[rows])
 
 
@@ -295,7 +295,7 @@ class PcapngSource(RecordSource):
         length_at = np.ndarray((data.size - 7,), dtype="V4", buffer=data, offset=4, strides=(1,))
         unpack = struct.Struct(f"{self._order}I").unpack_from
 
-        def successor(positions: NDArray[np.int64]) -> NDArray[np.int64]:
+        def successor(positions: Integers) -> Integers:
             length = length_at[positions].view(dtype)
             return (length & np.uint32(_MULTIPLE_OF_4)) + positions
 
@@ -310,7 +310,7 @@ class PcapngSource(RecordSource):
             return blocks.take(slice(first)), int(positions[first])
         return blocks, stop
 
-    def _seeds(self, start: int, end: int, dtype: np.dtype[np.uint32]) -> NDArray[np.int64]:
+    def _seeds(self, start: int, end: int, dtype: np.dtype[np.uint32]) -> Integers:
         """Return positions that look like a packet block, about one in every stride."""
         data = self._window.data
         count = (end - start) // _STRIDE - 1
@@ -319,7 +319,7 @@ class PcapngSource(RecordSource):
         base = start + _STRIDE
         sight = np.ndarray((count, _SIGHT // 4), dtype=dtype, buffer=data, offset=base, strides=(_STRIDE, 4))
         lane, place = np.divmod(np.flatnonzero(sight == ENHANCED_PACKET), _SIGHT // 4)
-        positions: NDArray[np.int64] = base + lane * _STRIDE + place * 4
+        positions: Integers = base + lane * _STRIDE + place * 4
         length = read_at(data, positions + 4, dtype).astype(np.int64)
         sound = (length >= _LEAST_BYTES[ENHANCED_PACKET]) & (length & 3 == 0) & (positions + length <= end)
         positions, lane, length = positions[sound], lane[sound], length[sound]
@@ -327,10 +327,10 @@ class PcapngSource(RecordSource):
         positions, lane = positions[sound], lane[sound]
         return positions[np.flatnonzero(np.diff(lane, prepend=-1))]
 
-    def _sound(self, blocks: _Blocks) -> NDArray[np.bool_]:
+    def _sound(self, blocks: _Blocks) -> Mask:
         """Return which blocks are valid for their type and length; add the interfaces among them."""
         kind, length = blocks.type, blocks.length
-        sound: NDArray[np.bool_] = (length >= 12) & (length & 3 == 0)
+        sound: Mask = (length >= 12) & (length & 3 == 0)
         tail = np.where(sound, blocks.position + length - 4, blocks.position + 4)
         sound &= read_at(self._window.data, tail, f"{self._order}u4") == blocks.words[:, 1]
         for of_kind, least in _LEAST_BYTES.items():
@@ -368,7 +368,7 @@ class PcapngSource(RecordSource):
                 return f"claims a frame of {captured} bytes, more than the block has"
         return "uses an interface that the section does not describe"
 
-    def _interface_of(self, blocks: _Blocks) -> NDArray[np.int64]:
+    def _interface_of(self, blocks: _Blocks) -> Integers:
         interface = blocks.words[:, 2].astype(np.int64)
         kind = blocks.type
         obsolete = kind == _OBSOLETE_PACKET

@@ -14,9 +14,8 @@ from edoras_tools.wire.arrays.window import copy_rows, put_rows
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from edoras_tools.model import PacketBatch, SourceStatistics
+    from edoras_tools.wire.arrays.order import Octets
 
 _ENHANCED_PACKET = 6
 _HEAD_BYTES = 28
@@ -58,7 +57,7 @@ class PcapngSink(CaptureFileSink):
         size = struct.pack("<I", 28 + len(option))
         self._put(b"\x0a\x0d\x0d\x0a" + size + struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1) + option + size)
 
-    def _lay_out(self, batch: PacketBatch) -> NDArray[np.uint8]:
+    def _lay_out(self, batch: PacketBatch) -> Octets:
         if batch.time_ns.min() < 0:
             raise CaptureError(
                 f"{self.name}: a time before 1970 does not fit pcapng; write an .mcap file instead"

@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from mcap.summary import Summary
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Octets
+
 METADATA: Final = "metadata.yaml"
 """The file that every rosbag2 directory has."""
 _SQLITE: Final = b"SQLite format 3\0"
@@ -85,9 +87,9 @@ class RecordedBlock(NamedTuple):
     """
 
     topic: str
-    time_ns: NDArray[np.int64]
-    data: NDArray[np.uint8]
-    offset: NDArray[np.int64]
+    time_ns: Integers
+    data: Octets
+    offset: Integers
     length: NDArray[np.int32]
 
 

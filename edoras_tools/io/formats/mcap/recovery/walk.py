@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+
 
 _HEAD: Final = np.dtype(RECORD)
 _CHANNEL_AT: Final = RECORD_HEAD.size
@@ -48,11 +50,11 @@ class Walked(msgspec.Struct, frozen=True):
         used: bytes that contain complete records; the rest, if any, is not a record.
     """
 
-    data: NDArray[np.uint8]
+    data: Octets
     channel: NDArray[np.uint16]
     log_time: NDArray[np.uint64]
-    start: NDArray[np.int64]
-    end: NDArray[np.int64]
+    start: Integers
+    end: Integers
     others: list[Any]
     places: list[int]
     used: int
@@ -65,7 +67,7 @@ class Walked(msgspec.Struct, frozen=True):
         """Whether the chunk contains only complete records."""
         return self.used == len(self.data)
 
-    def take(self, rows: NDArray[np.bool_]) -> Walked:
+    def take(self, rows: Mask) -> Walked:
         """Return some of the messages, without the other records."""
         fields = (self.channel[rows], self.log_time[rows], self.start[rows], self.end[rows])
         return Walked(self.data, *fields, [], [], self.used)
@@ -74,7 +76,7 @@ class Walked(msgspec.Struct, frozen=True):
         """Return the start of the first message of a channel, which must have one."""
         return int(self.start[np.argmax(self.channel == channel)])
 
-    def agree(self, entries: Entries) -> NDArray[np.bool_]:
+    def agree(self, entries: Entries) -> Mask:
         """Return for each message whether an index contains it, with channel, log time and position."""
         indexed = np.empty(sum(map(len, entries.values())), _ENTRY)
         indexed["channel"] = np.repeat([*entries], [len(item) for item in entries.values()])
@@ -130,7 +132,7 @@ def walk(raw: bytes | memoryview, entries: Entries | None = None) -> Walked:
     return _one_by_one(data)
 
 
-def _at(data: NDArray[np.uint8], starts: NDArray[np.int64]) -> Walked | None:
+def _at(data: Octets, starts: Integers) -> Walked | None:
     """Return the records, if messages start at these positions; otherwise None."""
     if not len(starts) or starts[0] < 0 or starts[-1] + _HEAD.itemsize > len(data):
         return None
@@ -159,7 +161,7 @@ def _at(data: NDArray[np.uint8], starts: NDArray[np.int64]) -> Walked | None:
     return Walked(data, *fields, others, places, len(data))
 
 
-def _one_by_one(data: NDArray[np.uint8]) -> Walked:
+def _one_by_one(data: Octets) -> Walked:
     view = data.data
     rows = array("Q")  # four numbers a message: as objects, they could take a gigabyte for one chunk
     others: list[Any] = []
