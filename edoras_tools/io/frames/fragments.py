@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.io.frames.network import IpPayloads, transport_payloads
+from edoras_tools.io.frames.network import IpHeaders, IpPayloads, transport_payloads
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.icmp import FORMS, LONGEST, QUOTED_UDP
 
@@ -16,33 +16,27 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.model import PacketBatch
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
     from edoras_tools.wire.layout import Layout
 
 
 _PROTOCOLS: Final = FORMS[0].protocol, FORMS[1].protocol
 
 
-def find_errors(
-    data: Octets, network: Integers, version: Octets, end: Integers, rows: Integers
-) -> IpPayloads | None:
+def find_errors(located: IpHeaders, rows: Integers) -> IpPayloads | None:
     """Return the ICMP errors that quote UDP, among some frames; None if there are none.
 
     Args:
-        data: buffer, u8.
-        network: start of each frame's IP header, i64.
-        version: IP version of each frame, u8, 4 or 6.
-        end: offset after each frame's last captured byte, i64.
+        located: the IP headers of all frames.
         rows: frames that may be errors, i64.
 
     Returns:
         The errors; ``rows`` are the indices of their frames.
     """
-    least = min(form.size for form in FORMS)
-    payloads = transport_payloads(data, network[rows], version[rows], end[rows], _PROTOCOLS, least)
+    payloads = transport_payloads(located.take(rows), _PROTOCOLS, min(form.size for form in FORMS))
     assert payloads.rows is not None
-    window = gather(data, payloads.position, LONGEST)
-    have = np.minimum(payloads.end, end[rows][payloads.rows]) - payloads.position
+    window = gather(located.data, payloads.position, LONGEST)
+    have = np.minimum(payloads.end, located.end[rows][payloads.rows]) - payloads.position
 
     def field(layout: Layout, name: str, at: int) -> NDArray[Any]:
         values = layout.column(name, window, at).astype(np.int64)

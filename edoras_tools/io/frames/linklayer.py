@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from ipaddress import ip_address
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -42,10 +42,10 @@ from edoras_tools.io.frames.network import (
     TCP,
     UDP_BYTES,
     UDP_HEADER,
+    IpHeaders,
     IpPayloads,
+    ip_payloads,
     ipv4,
-    ipv6,
-    merge_rows,
     transport_payloads,
     wrong_checksums,
 )
@@ -90,20 +90,6 @@ _WAITING_BYTES = 16 << 20
 """Most bytes of TCP segments that wait for others."""
 _TYPE_AND_IPV4 = np.dtype([("ether_type", ">u2"), *IPV4_HEADER.descr])
 """An EtherType, and the header that usually follows: one memory access instead of two."""
-
-
-class _Located(NamedTuple):
-    """Positions of network headers; one element for each frame.
-
-    Attributes:
-        network: start of each header, i64.
-        version: IP version, u8; 0 if there is no IP header.
-        header: record with the fields of ``IPV4_HEADER``, whatever the bytes are; None if not read.
-    """
-
-    network: Integers
-    version: Octets
-    header: NDArray[np.void] | None = None
 
 
 def network_headers(batch: PacketBatch) -> tuple[Integers, NDArray[np.uint16], Octets]:
@@ -208,14 +194,9 @@ class Demux:
         data, end = frames.data, frames.offset + frames.length
         if len(frames) and int(end.max()) + PADDING > data.size:
             data = np.concatenate((data, np.zeros(PADDING, dtype=np.uint8)))
-        network, version, header = self._locate(data, frames)
-        if (version == 4).all():
-            transport = ipv4(data, network, end, header)
-        else:
-            four, six = np.flatnonzero(version == 4), np.flatnonzero(version == 6)
-            transport = merge_rows(
-                [(four, ipv4(data, network[four], end[four])), (six, ipv6(data, network[six], end[six]))]
-            )
+        located = self._locate(data, frames)
+        version = located.version
+        transport = ipv4(located) if (version == 4).all() else ip_payloads(located)
         self.skipped += len(frames) - len(transport.position)
         batch = self._datagrams(data, frames_at(frames, transport.rows), transport)
         if transport.rows is None or len(transport.rows) == len(frames):
@@ -226,10 +207,10 @@ class Demux:
         if not len(rest):
             return batch
         at = np.where(version[rest] == 4, _PROTOCOL_AT[4], _PROTOCOL_AT[6])
-        control = rest[np.isin(read_at(data, network[rest] + at, np.uint8), _CONTROL)]
+        control = rest[np.isin(read_at(data, located.network[rest] + at, np.uint8), _CONTROL)]
         if len(control):
-            batch = self._with_errors(batch, replace(frames, data=data), network, version, control)
-        rows = self._stream_rows(data, network, version, end, rest)
+            batch = self._with_errors(batch, replace(frames, data=data), located, control)
+        rows = self._stream_rows(located, rest)
         return self._with_streams(batch, frames_at(replace(frames, data=data), rows)) if len(rows) else batch
 
     def finish(self) -> PacketBatch | None:
@@ -239,12 +220,12 @@ class Demux:
         return self._messages(self._waiting, len(self._waiting), final=True)
 
     def _with_errors(
-        self, batch: PacketBatch, frames: FrameBatch, network: Integers, version: Octets, rows: Integers
+        self, batch: PacketBatch, frames: FrameBatch, located: IpHeaders, rows: Integers
     ) -> PacketBatch:
         """Add a row for each ICMP error among some frames, with ports 0, in the order of the frames."""
         from edoras_tools.io.frames.fragments import find_errors
 
-        errors = find_errors(frames.data, network, version, frames.offset + frames.length, rows)
+        errors = find_errors(located, rows)
         if errors is None:
             return batch
         frames = frames_at(frames, errors.rows)
@@ -259,13 +240,11 @@ class Demux:
         )
         return by_time([batch, own])
 
-    def _stream_rows(
-        self, data: Octets, network: Integers, version: Octets, end: Integers, rows: Integers
-    ) -> Integers:
+    def _stream_rows(self, located: IpHeaders, rows: Integers) -> Integers:
         """Return which of some frames are TCP segments from or to a link's port."""
-        payloads = transport_payloads(data, network[rows], version[rows], end[rows], (TCP, TCP), _TCP_BYTES)
+        payloads = transport_payloads(located.take(rows), (TCP, TCP), _TCP_BYTES)
         members = np.arange(len(rows)) if payloads.rows is None else payloads.rows
-        ports = read_at(data, payloads.position, _PORTS)
+        ports = read_at(located.data, payloads.position, _PORTS)
         link_ports = np.zeros(1 << 16, bool)
         link_ports[list(self.framings)] = True
         of_link: Mask = link_ports[ports["source_port"]]
@@ -290,31 +269,27 @@ class Demux:
         if self._streams is None:
             self._streams = StreamReassembler(self.framings)
         located = self._locate(frames.data, frames)
-        end = frames.offset + frames.length
-        payloads = transport_payloads(
-            frames.data, located.network, located.version, end, (TCP, TCP), _TCP_BYTES
-        )
+        payloads = transport_payloads(located, (TCP, TCP), _TCP_BYTES)
         segments = read_segments(frames, located.network, payloads, old)
         batch, waiting = self._streams.messages(segments, final=final)
         self.skipped -= int(np.count_nonzero(segments.length[old:]))
         self._waiting = packed_frames(frames_at(frames, waiting)) if len(waiting) else None
         return batch
 
-    def _locate(self, data: Octets, frames: FrameBatch) -> _Located:
+    def _locate(self, data: Octets, frames: FrameBatch) -> IpHeaders:
         """Find the start of each network header, and the IP version."""
-        types = frames.link_type
+        types, end = frames.link_type, frames.offset + frames.length
         if len(types) and (types == types[0]).all():
-            return self._locate_one(int(types[0]), data, frames.offset, frames.offset + frames.length)
+            return self._locate_one(int(types[0]), data, frames.offset, end)
         network = frames.offset.copy()
         version = np.zeros(len(frames), dtype=np.uint8)
         for link_type in np.unique(types):
             rows = np.flatnonzero(types == link_type)
-            offset = frames.offset[rows]
-            end = offset + frames.length[rows]
-            network[rows], version[rows], _ = self._locate_one(int(link_type), data, offset, end)
-        return _Located(network, version)
+            part = self._locate_one(int(link_type), data, frames.offset[rows], end[rows])
+            network[rows], version[rows] = part.network, part.version
+        return IpHeaders(data, network, version, end)
 
-    def _locate_one(self, link_type: int, data: Octets, offset: Integers, end: Integers) -> _Located:
+    def _locate_one(self, link_type: int, data: Octets, offset: Integers, end: Integers) -> IpHeaders:
         if link_type in _PROTOCOL_FIELD:
             size, at = _PROTOCOL_FIELD[link_type]
             if at + 2 < size:
@@ -325,14 +300,14 @@ class Demux:
         version = np.zeros(len(offset), dtype=np.uint8)
         if link_type in _RAW:
             version[:] = read_at(data, offset, np.uint8) >> 4
-            return _Located(offset, version)
+            return IpHeaders(data, offset, version, end)
         if link_type not in _FAMILY_FIELD:
             self.unknown_link_types.add(link_type)
-            return _Located(offset, version)
+            return IpHeaders(data, offset, version, end)
         family = read_at(data, offset, "<u4")
         for value, number in _FAMILY_VERSION.items():
             version[(family == value) | (family == value << 24)] = number
-        return _Located(offset + 4, version)
+        return IpHeaders(data, offset + 4, version, end)
 
     def _datagrams(self, data: Octets, frames: FrameBatch, transport: IpPayloads) -> PacketBatch:
         """Read UDP headers; ``frames`` and ``transport`` have the same rows."""
@@ -438,7 +413,7 @@ def _untag(
     protocol: NDArray[np.uint16],
     end: Integers,
     header: NDArray[np.void] | None = None,
-) -> _Located:
+) -> IpHeaders:
     """Skip VLAN tags (IEEE 802.1Q, nested too) and return the IP version from the EtherType.
 
     Args:
@@ -456,7 +431,7 @@ def _untag(
         position[rows] += 4
         rows = rows[np.isin(protocol[rows], _VLAN)]
     version = (protocol == _IPV4) * np.uint8(4) + (protocol == _IPV6) * np.uint8(6)
-    return _Located(position, version, header)
+    return IpHeaders(data, position, version, end, header)
 
 
 def _ends(item: Beginning) -> tuple[Endpoint, Endpoint]:

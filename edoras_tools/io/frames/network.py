@@ -5,7 +5,7 @@ RFC 791 and RFC 8200. Only packets of one transport protocol are kept, usually U
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -103,22 +103,31 @@ class IpPayloads(msgspec.Struct, frozen=True, eq=False):
         return IpPayloads(**columns)
 
 
-def ipv4(
-    data: Octets,
-    network: Integers,
-    end: Integers,
-    header: NDArray[np.void] | None = None,
-    protocol: int = UDP,
-) -> IpPayloads:
-    """Read IPv4 headers.
+class IpHeaders(NamedTuple):
+    """Where the network headers of frames are; one element for each frame.
 
-    Args:
-        data: buffer, u8.
-        network: start of each header, i64; the buffer has at least 28 bytes from there.
+    Attributes:
+        data: buffer, u8; it has at least 40 bytes from the start of each header.
+        network: start of each header, i64.
+        version: IP version, u8; 0 if there is no IP header.
         end: offset after each frame's last captured byte, i64.
-        header: record with the fields of ``IPV4_HEADER``, if already read.
-        protocol: number of the transport protocol to keep.
+        header: record with the fields of ``IPV4_HEADER``, whatever the bytes are; None if not read.
     """
+
+    data: Octets
+    network: Integers
+    version: Octets
+    end: Integers
+    header: NDArray[np.void] | None = None
+
+    def take(self, rows: Integers) -> IpHeaders:
+        """Return the headers of some frames."""
+        return IpHeaders(self.data, self.network[rows], self.version[rows], self.end[rows])
+
+
+def ipv4(located: IpHeaders, protocol: int = UDP) -> IpPayloads:
+    """Read IPv4 headers, and keep the packets of one transport protocol."""
+    data, network, _, end, header = located
     if header is None:
         header = read_at(data, network, IPV4_HEADER)
     # Version 4 and 5 to 15 words: 0 to 10.
@@ -151,15 +160,9 @@ def ipv4(
     )
 
 
-def ipv6(data: Octets, network: Integers, end: Integers, protocol: int = UDP) -> IpPayloads:
-    """Read IPv6 headers and their extension headers.
-
-    Args:
-        data: buffer, u8.
-        network: start of each header, i64; the buffer has at least 40 bytes from there.
-        end: offset after each frame's last captured byte, i64.
-        protocol: number of the transport protocol to keep.
-    """
+def ipv6(located: IpHeaders, protocol: int = UDP) -> IpPayloads:
+    """Read IPv6 headers and their extension headers, and keep the packets of one transport protocol."""
+    data, network, _, end, _ = located
     header = read_at(data, network, _IPV6)
     position = network + 40
     length = header["payload_length"].astype(np.int64)
@@ -231,28 +234,25 @@ def merge_rows(parts: list[tuple[Integers, IpPayloads]]) -> IpPayloads:
     return IpPayloads(**{name: column[order] for name, column in columns.items()}, addresses=addresses)
 
 
-def transport_payloads(
-    data: Octets, network: Integers, version: Octets, end: Integers, protocols: tuple[int, int], least: int
-) -> IpPayloads:
+def ip_payloads(located: IpHeaders, protocols: tuple[int, int] = (UDP, UDP)) -> IpPayloads:
+    """Read headers of both IP versions, and keep the packets of a protocol, whose number each version has."""
+    four, six = np.flatnonzero(located.version == 4), np.flatnonzero(located.version == 6)
+    return merge_rows(
+        [(four, ipv4(located.take(four), protocols[0])), (six, ipv6(located.take(six), protocols[1]))]
+    )
+
+
+def transport_payloads(located: IpHeaders, protocols: tuple[int, int], least: int) -> IpPayloads:
     """Find the unfragmented payloads of one transport protocol, in packets with an IP header.
 
     Args:
-        data: buffer, u8.
-        network: start of each IP header, i64.
-        version: IP version, u8, 4 or 6.
-        end: offset after each frame's last captured byte, i64.
+        located: the packets.
         protocols: numbers of the protocol in IPv4, and in IPv6.
         least: fewest captured bytes of a payload.
     """
-    four, six = np.flatnonzero(version == 4), np.flatnonzero(version == 6)
-    payloads = merge_rows(
-        [
-            (four, ipv4(data, network[four], end[four], protocol=protocols[0])),
-            (six, ipv6(data, network[six], end[six], protocols[1])),
-        ]
-    )
+    payloads = ip_payloads(located, protocols)
     assert payloads.rows is not None
-    keep = np.minimum(payloads.end, end[payloads.rows]) - payloads.position >= least
+    keep = np.minimum(payloads.end, located.end[payloads.rows]) - payloads.position >= least
     keep &= payloads.fragment == 0
     return payloads if keep.all() else payloads.take(keep)
 
