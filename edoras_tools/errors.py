@@ -16,10 +16,10 @@ Every message is one line (``ConfigError``: one line a mistake) that says what, 
 from __future__ import annotations
 
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 
 class EdorasError(Exception):
@@ -123,3 +123,16 @@ def os_errors(failure: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise CaptureError(f"{failure}: {error.strerror or error}") from error
+
+
+class OnFailure(NamedTuple):
+    """Calls ``undo`` if what is inside fails; the error goes on."""
+
+    undo: Callable[[], object]
+
+    def __enter__(self) -> None:
+        """Begin what may fail."""
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is not None:
+            self.undo()

@@ -12,7 +12,7 @@ from typer import Argument, Option
 
 from edoras_tools.cli.declare import headed
 from edoras_tools.cli.endings import tell
-from edoras_tools.errors import ConfigError, EdorasError, NoDatagramsError
+from edoras_tools.errors import ConfigError, NoDatagramsError, OnFailure
 from edoras_tools.io.formats.table import READ_PACKED
 
 if TYPE_CHECKING:
@@ -151,11 +151,8 @@ def _open_files(
         from edoras_tools.pipelines.messages import open_messages
 
         return open_messages(read, settings, error)
-    try:
+    with OnFailure(source.close):
         bench = settings.workbench(source.info, read)
-    except EdorasError:
-        source.close()
-        raise
     bench.columns.context.notes += notes
     return source, bench
 
@@ -178,11 +175,8 @@ def _as_user(
         check_writable(user, output.absolute().parent)
     forbid_new_privileges()  # before the capture's threads are started
     source = _opened(live, bench, every_port=every_port)
-    try:
+    with OnFailure(source.close):
         become(user)
-    except EdorasError:
-        source.close()
-        raise
     return source, bench
 
 

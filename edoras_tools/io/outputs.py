@@ -13,12 +13,13 @@ import signal
 import stat
 import time
 from contextlib import contextmanager, suppress
+from functools import partial
 from glob import escape
 from itertools import count
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, ClassVar, Final, NamedTuple
 
-from edoras_tools.errors import CaptureError, ConfigError, os_errors
+from edoras_tools.errors import CaptureError, ConfigError, OnFailure, os_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -281,11 +282,8 @@ def lock_older(path: Path) -> int:
         fileno = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
         return -1
-    try:
+    with OnFailure(partial(os.close, fileno)):
         _lock(fileno)
-    except OSError:
-        os.close(fileno)
-        raise
     return fileno
 
 
@@ -378,7 +376,7 @@ class OutputFile:
         status = os.fstat(self._fileno)
         self._regular = path != STDOUT and stat.S_ISREG(status.st_mode)
         self._own = False
-        try:
+        with OnFailure(self.close):
             if self._regular:
                 _lock(self._fileno)
                 if status.st_size:
@@ -389,9 +387,6 @@ class OutputFile:
                     _take_after(self._fileno, status)
                     _lock(self._fileno)
                 self._own = True
-        except OSError:
-            self.close()
-            raise
         status = os.fstat(self._fileno)
         self._inode = status.st_dev, status.st_ino
 

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.decode.recorded import JSON_ENCODING
-from edoras_tools.errors import ConfigError, NoDatagramsError
+from edoras_tools.errors import ConfigError, NoDatagramsError, OnFailure
 from edoras_tools.io.formats.merge import merge_sources
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.source import MessageSource, NumberedTopics
@@ -49,11 +49,8 @@ def open_inputs(paths: Sequence[Path], settings: Settings) -> tuple[Source, Work
         source = open_files(paths)
     except NoDatagramsError as error:
         return open_messages(paths, settings, error)
-    try:
+    with OnFailure(source.close):
         return source, settings.workbench(source.info, paths)
-    except BaseException:
-        source.close()
-        raise
 
 
 def open_messages(

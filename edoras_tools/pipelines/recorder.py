@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
-from edoras_tools.errors import CaptureError, EdorasError
+from edoras_tools.errors import CaptureError, EdorasError, OnFailure
 from edoras_tools.io import DisplaySink, Sink, SourceDefaults
 from edoras_tools.io.frames.build import HEADER_BYTES, FramePage
 from edoras_tools.io.frames.linklayer import Demux
@@ -221,11 +221,8 @@ class _WriterApart:
         self._workers.start()
         if self._workers.full:
             raise OSError("no process can be forked")
-        try:
+        with OnFailure(self._workers.close):
             self._run("begin")
-        except EdorasError:
-            self._workers.close()
-            raise
 
     def look(self) -> None:
         """Do nothing: the second process flushes in time."""
@@ -348,11 +345,8 @@ class RelayRecorder:
         if target:
             patience = Patience(target.on_warning, lambda: self._ending[0] > 0)
             self._opened.enter_context(waiting_for_room(patience))
-        try:
+        with OnFailure(self._opened.close):
             self._writer = _writer_apart(begin, self.path) if apart else begin()
-        except BaseException:
-            self._opened.close()
-            raise
         self._queue: queue.SimpleQueue[_Page | None] = queue.SimpleQueue()
         self._queued = self._written = 0
         self._page = _Page()

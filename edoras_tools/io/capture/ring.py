@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, OnFailure
 from edoras_tools.io.capture import barrier, tpacket
 from edoras_tools.io.capture.bpf import (
     ETHERNET,
@@ -173,11 +173,8 @@ class Ring(Device):
         self._asked: tuple[int, int] | None = None
         """Turn and count of the open block that the barrier waits for."""
         self._barrier = barrier.Barrier() if walks else None
-        try:
+        with OnFailure(self._end_barrier):
             self._open(device)
-        except CaptureError:
-            self._end_barrier()
-            raise
 
     def _open(self, interface: Interface) -> None:
         """Create socket and ring for this kind of interface, and bind it if the interface exists."""

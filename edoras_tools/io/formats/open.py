@@ -10,7 +10,7 @@ from pathlib import Path
 from socket import if_nameindex
 from typing import TYPE_CHECKING
 
-from edoras_tools.errors import CaptureError, NoDatagramsError
+from edoras_tools.errors import CaptureError, NoDatagramsError, OnFailure
 from edoras_tools.io.formats.cfe import CFE_MAGIC
 from edoras_tools.io.formats.pcap.reader import MAGICS, PcapSource
 from edoras_tools.io.formats.stream import (
@@ -68,17 +68,12 @@ def open_file(path: str | Path, name: str = "") -> Source:
     try:
         if os.path.isdir(path):  # noqa: PTH112  Path raises an error at a name that no file can have
             return _open_folder(Path(path))
-        return _open_stream(FileStream(_open(path), name or str(path)), path)
+        file = FileStream(_open(path), name or str(path))
+        with OnFailure(file.close):
+            stream, head, wrapped = _unpacked(file)
+            return _source(stream, path, head, wrapped)
     except NoDatagramsError as error:
         error.path = str(path)
-        raise
-
-
-def _open_stream(stream: ByteStream, path: str | Path) -> Source:
-    try:
-        return _tell(stream, path)
-    except BaseException:
-        stream.close()
         raise
 
 
@@ -100,17 +95,14 @@ def is_cfe_file(path: Path) -> bool:
     return False
 
 
-def _tell(stream: ByteStream, path: str | Path) -> Source:
-    """Make the source for the format that the first bytes identify; unpack gzip or zstd first."""
-    head = _head(stream)
-    wrapped = ""
-    for magic, kind in _COMPRESSED.items():
-        if head.startswith(magic):
-            wrapped = kind
-            stream = CompressedStream(stream, kind, head)
-            head = _head(stream)
-            break
-    return _source(stream, path, head, wrapped)
+def _unpacked(file: FileStream) -> tuple[ByteStream, bytes, str]:
+    """Return the stream inside of gzip or zstd, its first bytes, which are read, and the compression."""
+    head = _head(file)
+    kind = next((kind for magic, kind in _COMPRESSED.items() if head.startswith(magic)), "")
+    if not kind:
+        return file, head, ""
+    stream = CompressedStream(file, kind, head)
+    return stream, _head(stream), kind
 
 
 def _source(stream: ByteStream, path: str | Path, head: bytes, wrapped: str) -> Source:
@@ -144,11 +136,8 @@ def kept_recording(path: Path) -> SettledFile | Source:
     stream, head = unwrapped(path)
     if head.startswith((_MCAP, _DATABASE)):
         return settled_file(stream, path, head)
-    try:
+    with OnFailure(stream.close):
         return _source(stream, path, head, "")
-    except BaseException:
-        stream.close()
-        raise
 
 
 def unwrapped(path: Path) -> tuple[ByteStream, bytes]:
@@ -157,16 +146,9 @@ def unwrapped(path: Path) -> tuple[ByteStream, bytes]:
     Raises:
         CaptureError: it cannot be read.
     """
-    stream: ByteStream = FileStream(_open(path), str(path))
-    try:
-        head = _head(stream)
-        kind = next((kind for magic, kind in _COMPRESSED.items() if head.startswith(magic)), "")
-        if kind:
-            stream = CompressedStream(stream, kind, head)
-            head = _head(stream)
-    except BaseException:
-        stream.close()
-        raise
+    file = FileStream(_open(path), str(path))
+    with OnFailure(file.close):
+        stream, head, _ = _unpacked(file)
     return stream, head
 
 

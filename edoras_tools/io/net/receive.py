@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, OnFailure
 from edoras_tools.io.capture.device import Device, DeviceSource
 from edoras_tools.io.frames.build import ENDS, FramePage
 from edoras_tools.io.net.buffer import SLOTS, make_buffer
@@ -71,11 +71,8 @@ class Sockets(Device):
         self._number = 1
         self._smallest = 1 << 62
         self._emptied = False
-        try:
+        with OnFailure(self.close):
             self.endpoints = tuple(self._bind(endpoint, receive_buffer) for endpoint in endpoints)
-        except CaptureError:
-            self.close()
-            raise
         if not self.endpoints:
             raise CaptureError("no endpoint to listen on: name one as HOST:PORT")
         self.info = SourceInfo(", ".join(str(endpoint) for endpoint in self.endpoints), "udp")

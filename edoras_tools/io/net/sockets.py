@@ -9,7 +9,7 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, OnFailure
 from edoras_tools.io.net.address import Address, address_of, resolve
 from edoras_tools.model import Endpoint
 
@@ -71,13 +71,10 @@ def open_bound(
     """
     family, address = resolve(endpoint, name)
     opened = open_socket(family, buffer_bytes)
-    try:
+    with OnFailure(opened.close):
         if destinations:
             _tell_destinations(opened)
         bind(opened, address, name, instead)
-    except CaptureError:
-        opened.close()
-        raise
     return opened
 
 

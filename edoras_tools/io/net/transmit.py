@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 
+from edoras_tools.errors import OnFailure
 from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.mmsg import SendMany, usable
 from edoras_tools.io.net.sockets import (
@@ -117,14 +118,11 @@ class Transmitter(_Port):
         self.statistics = SendStatistics()
         family, address = resolve(target, f"UDP {target}")
         opened = open_socket(family, _BUFFER_BYTES)
-        try:
+        with OnFailure(opened.close):
             opened.setblocking(True)
             if source is not None:
                 bind(opened, resolve(source, f"UDP {source}")[1], f"UDP {source}", _INSTEAD)
             connect(opened, address, f"UDP {target}")
-        except BaseException:
-            opened.close()
-            raise
         super().__init__(opened)
         self.target = address.endpoint
         self._many = SendMany(_MANY, waits=True) if usable() else None

@@ -6,7 +6,7 @@ import select
 import time
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.errors import CaptureError, RouteError
+from edoras_tools.errors import CaptureError, OnFailure, RouteError
 from edoras_tools.io.net.buffer import make_buffer
 from edoras_tools.middleware import Graph, open_graph
 from edoras_tools.pipelines.bridge.inbox import Inbox
@@ -85,7 +85,7 @@ class Bridges:
             return graph
 
         shared = BridgeContext(plan, request or BridgeRequest(), node, self._inbox, make_buffer(), self._say)
-        try:
+        with OnFailure(self.close):
             for item in plan.stations:
                 try:
                     self.stations.append(Station(len(self.stations), item, shared))
@@ -97,9 +97,6 @@ class Bridges:
                 self.recorder = recorder()
                 for station in self.stations:
                     station.recorder = self.recorder
-        except BaseException:
-            self.close()
-            raise
 
     @property
     def lost(self) -> int:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 import numpy as np
 
-from edoras_tools.errors import EdorasError, RouteError
+from edoras_tools.errors import EdorasError, OnFailure, RouteError
 from edoras_tools.io.frames.build import ends_of
 from edoras_tools.io.net.address import ANY_ADDRESS, address_of, host_of, own_address
 from edoras_tools.io.net.buffer import SLOTS, SPARE, DatagramBuffer
@@ -99,20 +99,13 @@ class Station:
         self.to_cfs, self.from_cfs = Direction("to cFS"), Direction("from cFS")
         self.socket = _bind(plan)
         self.endpoint = local_endpoint(self.socket)
-        try:
+        with OnFailure(self.socket.close):
             target = address_of(socket.AF_INET, (plan.target.address, plan.target.port))
             self._outlet = Outlet(self.socket, target, self.to_cfs, _QUEUE_BYTES)
             self._graph = shared.join(plan.node)
-        except BaseException:
-            self.socket.close()
-            raise
-        try:
-            routes, self._publish = self._topics(number, shared.inbox)
-            self.machine = self._machine(routes, shared.plan, shared.request)
-        except BaseException:
-            self._graph.close()
-            self.socket.close()
-            raise
+            with OnFailure(self._graph.close):
+                routes, self._publish = self._topics(number, shared.inbox)
+                self.machine = self._machine(routes, shared.plan, shared.request)
 
     @property
     def waits(self) -> bool:

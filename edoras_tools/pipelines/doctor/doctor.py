@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.examination import Chapter, Diagnosis, Examination
 from edoras_tools.diagnosis.summary import summarize
-from edoras_tools.errors import CaptureError, EdorasError
+from edoras_tools.errors import CaptureError, EdorasError, OnFailure
 from edoras_tools.io.formats.text import json_value
 from edoras_tools.io.processes import Workers
 from edoras_tools.io.processors import jobs_for
@@ -236,11 +236,8 @@ def examine(
     if progress is not None:
         examination.progress = partial(progress.step, "judging")
     scope = scope or Scope()
-    try:
+    with OnFailure(source.close):
         choices = Chosen(scope.selection, bench)
-    except EdorasError:
-        source.close()
-        raise
     pace = pace or Pace(lambda: 0)
     host = tuple(source.host())
 

@@ -31,7 +31,7 @@ from mcap.records import (
 from msgspec.structs import replace
 
 from edoras_tools import __version__
-from edoras_tools.errors import CaptureError, os_errors
+from edoras_tools.errors import CaptureError, OnFailure, os_errors
 from edoras_tools.io.formats.mcap.index import CHUNK_HEAD, INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, ChunkHead
 from edoras_tools.io.outputs import STDOUT, OutputFile, output_name
 from edoras_tools.io.topics.rows import MAGIC
@@ -254,12 +254,9 @@ class McapFile:
         self._news_from = 0
         with os_errors(f"{path}: cannot be created"):
             self.output = OutputFile(path)
-        try:
+        with OnFailure(self.abandon):
             usual = MAGIC + record_bytes(Header("ros2", f"edoras-tools {__version__}"))
             self.add_bytes(usual if header is None else header)
-        except CaptureError:
-            self.abandon()
-            raise
 
     @property
     def path(self) -> Path:

@@ -25,7 +25,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 from msgspec.structs import replace
 
 from edoras_tools import __version__
-from edoras_tools.errors import CaptureError, NoDatagramsError, WireError, os_errors
+from edoras_tools.errors import CaptureError, NoDatagramsError, OnFailure, WireError, os_errors
 from edoras_tools.io import SourceDefaults
 from edoras_tools.io.formats.mcap.index import (
     CHUNK_HEAD_BYTES,
@@ -138,11 +138,9 @@ class McapSource(SourceDefaults):
         self._data_end = 0
         self.statistics = SourceStatistics(total_bytes=self._size)
         self._demux = Demux()
-        try:
+        # The copy is still needed: a recording without datagrams may have topics.
+        with OnFailure(self._file.close):
             self._check(whole=self._read_front())
-        except BaseException:
-            self._file.close()  # the copy is still needed: a recording without datagrams may have topics
-            raise
         values = {key: item for kind in METADATA_NAMES for key, item in self._metadata.get(kind, {}).items()}
         self._flows = _flows(values.get("flows", ""))
         self.info = SourceInfo(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from edoras_tools import __version__
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, OnFailure
 from edoras_tools.io import Sink
 from edoras_tools.io.formats.mcap.chunks import ChunkPress, ChunkWriter
 from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks
@@ -273,11 +273,8 @@ class McapSink(Sink):
         self._number += 1
         file = McapFile(path, offered=self._options.offered)
         self.files.append(file)
-        try:
+        with OnFailure(file.abandon):
             self._begin(file)
-        except CaptureError:
-            file.abandon()
-            raise
         return self._chunk_writer()
 
     def _chunk_writer(self) -> ChunkWriter:
