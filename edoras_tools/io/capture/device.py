@@ -17,21 +17,18 @@ from abc import ABC, abstractmethod
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io import SourceDefaults
+from edoras_tools.io.frames.build import FramePage
 from edoras_tools.io.frames.frame_batch import FrameBatch, joined_frames
-from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.io.frames.linklayer import FrameSource, demux
 from edoras_tools.model import InterfaceOutage, PacketBatch, SourceInfo, SourceStatistics
-from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator
     from types import EllipsisType
 
-    from edoras_tools.links.framing import Framing
 
 _AT_ONCE = 4 << 20
 """Maximum bytes of one batch, or one read of the device if that is more."""
@@ -107,7 +104,7 @@ class Device(ABC):
         """Release everything."""
 
 
-class DeviceSource(SourceDefaults):
+class DeviceSource(FrameSource):
     """A ``Source`` over a ``Device``.
 
     Reading starts in the constructor: nothing that arrives afterwards is missed without being counted.
@@ -140,8 +137,8 @@ class DeviceSource(SourceDefaults):
         idle_s: float = 0.1,
         queue_bytes: int = 128 << 20,
     ) -> None:
+        super().__init__(SourceStatistics(outages=device.outages))
         self.info = device.info
-        self.statistics = SourceStatistics(outages=device.outages)
         self.started = threading.Event()
         self.gather_s = _GATHER_S
         self._handed = -math.inf  # not 0: a monotonic clock may begin there
@@ -151,7 +148,6 @@ class DeviceSource(SourceDefaults):
         self._news = 0
         self.idle_s = idle_s
         self._queue_bytes = queue_bytes
-        self._demux = Demux()
         # None ends the queue, an exception ends it with an error. Signal handlers may use a SimpleQueue.
         self._queue: queue.SimpleQueue[FrameBatch | BaseException | None] = queue.SimpleQueue()
         self._queued = 0  # written by the thread only
@@ -175,7 +171,7 @@ class DeviceSource(SourceDefaults):
             CaptureError: the device failed; everything that it delivered has been yielded.
         """
         self.started.set()
-        nothing = _nothing()
+        nothing = demux(FramePage().frames(1))
         while True:
             self._tell()
             if self._ready is not None and (not self._device.outages or self._device.outages[0].end_ns):
@@ -185,14 +181,11 @@ class DeviceSource(SourceDefaults):
             self.statistics.kernel_drops = self._device.drops
             if frames:
                 self._handed = time.monotonic()
-                yield self._hand_over(joined_frames(frames) if len(frames) > 1 else frames[0])
+                yield self._demuxed(joined_frames(frames) if len(frames) > 1 else frames[0])
             elif end is ...:
                 yield nothing
             if end is not ...:
-                rest = self._demux.finish()
-                if rest is not None and len(rest):
-                    self.statistics.datagrams += len(rest)
-                    yield rest
+                yield from self._rest()
             if isinstance(end, BaseException):
                 raise end
             if end is None:
@@ -201,10 +194,6 @@ class DeviceSource(SourceDefaults):
     def pace(self, gather_s: float, idle_s: float) -> None:
         """Set ``gather_s`` and ``idle_s``."""
         self.gather_s, self.idle_s = gather_s, idle_s
-
-    def follow(self, framings: Mapping[int, Framing]) -> None:
-        """Read the TCP streams of these ports, and no others; call it before the first batch."""
-        self._demux.framings = framings
 
     def _due_s(self) -> float:
         """Return the seconds until a batch is due; 0 or less: it is due now."""
@@ -288,16 +277,6 @@ class DeviceSource(SourceDefaults):
             outage = outages[number // 2]
             self._on_outage(outage if number % 2 else replace(outage, end_ns=0))
             self._news += 1
-
-    def _hand_over(self, frames: FrameBatch) -> PacketBatch:
-        """Demux a batch and update the statistics."""
-        batch = self._demux.demux(frames)
-        statistics = self.statistics
-        statistics.frames += len(frames)
-        statistics.bytes += int(frames.length.sum())
-        statistics.datagrams += len(batch)
-        statistics.skipped = self._demux.skipped
-        return batch
 
     def _run(self) -> None:
         """Read the device until stopped; the thread's function."""
@@ -396,26 +375,3 @@ class DeviceSource(SourceDefaults):
             return False
         self._turns += 1
         return self._turns > _DRAIN_TURNS and time.monotonic() > self._deadline
-
-
-def _nothing() -> PacketBatch:
-    """Return an empty batch."""
-    wide, narrow = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int32)
-    address, port = np.empty(0, dtype=np.uint32), np.empty(0, dtype=np.uint16)
-    return PacketBatch(
-        data=np.zeros(PADDING, dtype=np.uint8),
-        number=wide,
-        time_ns=wide,
-        link_type=port,
-        frame_offset=wide,
-        frame_length=narrow,
-        original_length=narrow,
-        offset=wide,
-        length=narrow,
-        source_address=address,
-        source_port=port,
-        destination_address=address,
-        destination_port=port,
-        ip_version=np.empty(0, dtype=np.uint8),
-        capture_findings=address,
-    )

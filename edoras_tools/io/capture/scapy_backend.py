@@ -173,9 +173,9 @@ class ScapySource(DeviceSource):
                 "scapy does not know how many frames this system dropped: 0 drops may be wrong"
             )
 
-    def _hand_over(self, frames: FrameBatch) -> PacketBatch:
+    def _demuxed(self, frames: FrameBatch) -> PacketBatch:
         """Leave out other ports, for kernels without a filter; fragments may have no ports and are kept."""
-        batch = super()._hand_over(frames)
+        batch = super()._demuxed(frames)
         if not len(self._ports):
             return batch
         keep = np.isin(batch.source_port, self._ports) | np.isin(batch.destination_port, self._ports)

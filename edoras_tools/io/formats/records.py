@@ -6,17 +6,15 @@ from abc import abstractmethod
 from typing import TYPE_CHECKING, NamedTuple
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io import SourceDefaults
-from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.io.frames.linklayer import FrameSource
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator
 
     from edoras_tools.io import Room
     from edoras_tools.io.formats.stream import Window
     from edoras_tools.io.frames.frame_batch import FrameBatch
-    from edoras_tools.links.framing import Framing
 
 LARGEST_FRAME = 262144
 """Captured bytes of a frame that every reader accepts, even if the file has a smaller snap length."""
@@ -46,7 +44,7 @@ class LeftOut(NamedTuple):
     after_ns: int | None = None
 
 
-class RecordSource(SourceDefaults):
+class RecordSource(FrameSource):
     """A source that reads records from windows of a stream.
 
     A format implements how records become frames, and sets ``_info``.
@@ -62,9 +60,8 @@ class RecordSource(SourceDefaults):
     _info: SourceInfo
 
     def __init__(self, window: Window) -> None:
-        self.statistics = SourceStatistics(total_bytes=window.stream.total_bytes)
+        super().__init__(SourceStatistics(total_bytes=window.stream.total_bytes))
         self._window = window
-        self._demux = Demux()
         self.left_out: list[LeftOut] = []
         self.keep: Callable[[memoryview], object] | None = None
         self._latest_ns: int | None = None
@@ -95,10 +92,6 @@ class RecordSource(SourceDefaults):
         finally:
             self._warn()
             self.close()
-
-    def follow(self, framings: Mapping[int, Framing]) -> None:
-        """Read the TCP streams of these ports, and no others; call it before the first batch."""
-        self._demux.framings = framings
 
     def borrow(self, room: Room) -> None:
         """Read into memory from ``room(size)``, u8, instead of newly allocated memory."""
@@ -146,10 +139,7 @@ class RecordSource(SourceDefaults):
             self._leave_out(place, window.base + begin, damage)
             if searching and ended:
                 break
-        rest = self._demux.finish()
-        if rest is not None and len(rest):
-            self.statistics.datagrams += len(rest)
-            yield rest
+        yield from self._rest()
         if failure is not None:
             after = self.statistics.frames - before
             if not after:
@@ -166,17 +156,12 @@ class RecordSource(SourceDefaults):
             self.left_out.append(LeftOut(start, end, reason.rpartition("; ")[0], self._latest_ns))
 
     def _count(self, frames: FrameBatch) -> PacketBatch:
-        statistics = self.statistics
-        batch = self._demux.demux(frames)
+        batch = self._demuxed(frames)
         if len(frames):
             if self.left_out and self.left_out[-1].after_ns is None:
                 self.left_out[-1] = self.left_out[-1]._replace(after_ns=int(frames.time_ns[0]))
             self._latest_ns = int(frames.time_ns[-1])
-        statistics.frames += len(frames)
-        statistics.bytes += int(frames.length.sum())
-        statistics.datagrams += len(batch)
-        statistics.skipped = self._demux.skipped
-        statistics.position = self._window.stream.position
+        self.statistics.position = self._window.stream.position
         return batch
 
     def _warn(self) -> None:

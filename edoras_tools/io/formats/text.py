@@ -93,11 +93,22 @@ def value_texts(values: NDArray[Any]) -> list[str]:
     return texts
 
 
-class JsonLinesWriter:
-    """Writes one object a row, its keys in the order of the columns; see ``TableWriter``."""
+class _TextWriter:
+    """Writes rows as they are made; see ``TableWriter``."""
 
     def __init__(self, file: IO[bytes], _: TableHead, __: Sequence[TableColumn]) -> None:
         self._file = file
+
+    def write(self, piece: TextRows) -> None:
+        """Write some rows."""
+        self._file.write(piece)
+
+    def close(self) -> None:
+        """Do nothing: every row is written."""
+
+
+class JsonLinesWriter(_TextWriter):
+    """Writes one object a row, its keys in the order of the columns."""
 
     @staticmethod
     def piece(columns: Sequence[TableColumn]) -> TextRows:
@@ -106,35 +117,21 @@ class JsonLinesWriter:
         line = "{" + ", ".join(f"{name}: %s" for name in names) + "}\n"
         return TextRows("".join(map(line.__mod__, zip(*map(json_texts, columns), strict=True))).encode())
 
-    def write(self, piece: TextRows) -> None:
-        """Write some rows."""
-        self._file.write(piece)
-
-    def close(self) -> None:
-        """Do nothing: every row is written."""
-
 
 _SPECIAL: Final = re.compile(r'[",\r\n]')
 
 
-class CsvWriter:
+class CsvWriter(_TextWriter):
     """Writes one line a row; a list is JSON in one cell, a missing value is an empty cell."""
 
-    def __init__(self, file: IO[bytes], _: TableHead, columns: Sequence[TableColumn]) -> None:
-        self._file = file
+    def __init__(self, file: IO[bytes], head: TableHead, columns: Sequence[TableColumn]) -> None:
+        super().__init__(file, head, columns)
         self.write(_lines([_quoted([column.name for column in columns])]))
 
     @staticmethod
     def piece(columns: Sequence[TableColumn]) -> TextRows:
         """Return some rows as text."""
         return _lines(zip(*map(_cells, columns), strict=True))
-
-    def write(self, piece: TextRows) -> None:
-        """Write some rows."""
-        self._file.write(piece)
-
-    def close(self) -> None:
-        """Do nothing: every row is written."""
 
 
 def _lines(rows: Iterable[Sequence[str]]) -> TextRows:

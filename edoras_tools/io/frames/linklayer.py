@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import replace
 
+from edoras_tools.io import SourceDefaults
 from edoras_tools.io.frames.fragments import Beginning, Fragment, Reassembler
 from edoras_tools.io.frames.frame_batch import (
     LINKTYPE_RAW,
@@ -54,12 +55,13 @@ from edoras_tools.model import CutDatagram, Datagram, Endpoint, Finding, PacketB
 from edoras_tools.wire.arrays.window import PADDING, read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
     from edoras_tools.io.frames.tcp import StreamReassembler
     from edoras_tools.links.framing import Framing
+    from edoras_tools.model import SourceStatistics
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
 _PROTOCOL_FIELD = {1: (14, 12), 113: (16, 14), 276: (20, 0)}
@@ -370,6 +372,38 @@ class Demux:
             used += size - UDP_BYTES
         data.append(np.zeros(PADDING, dtype=np.uint8))
         return replace(batch, data=np.concatenate(data))
+
+
+class FrameSource(SourceDefaults):
+    """What sources of frames share: they find the datagrams in them, and count both.
+
+    Attributes:
+        statistics: counts of what was read.
+    """
+
+    def __init__(self, statistics: SourceStatistics) -> None:
+        self.statistics = statistics
+        self._demux = Demux()
+
+    def follow(self, framings: Mapping[int, Framing]) -> None:
+        """Read the TCP streams of these ports, and no others; call it before the first batch."""
+        self._demux.framings = framings
+
+    def _demuxed(self, frames: FrameBatch) -> PacketBatch:
+        """Return the datagrams of some frames."""
+        batch, statistics = self._demux.demux(frames), self.statistics
+        statistics.frames += len(frames)
+        statistics.bytes += int(frames.length.sum())
+        statistics.datagrams += len(batch)
+        statistics.skipped = self._demux.skipped
+        return batch
+
+    def _rest(self) -> Iterator[PacketBatch]:
+        """Yield the datagrams that waited for more bytes of a TCP stream."""
+        rest = self._demux.finish()
+        if rest is not None and len(rest):
+            self.statistics.datagrams += len(rest)
+            yield rest
 
 
 def _heads(frames: Any) -> dict[str, Any]:

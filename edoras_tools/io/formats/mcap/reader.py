@@ -26,7 +26,6 @@ from msgspec.structs import replace
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, NoDatagramsError, OnFailure, WireError, os_errors
-from edoras_tools.io import SourceDefaults
 from edoras_tools.io.formats.mcap.index import (
     CHUNK_HEAD_BYTES,
     CHUNK_INDEX,
@@ -42,7 +41,7 @@ from edoras_tools.io.formats.mcap.messages import scanned
 from edoras_tools.io.formats.mcap.unpack import chunk_records
 from edoras_tools.io.formats.table import TOPIC_READERS
 from edoras_tools.io.frames.frame_batch import FrameBatch, frames_at, joined_frames, packed_frames
-from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.io.frames.linklayer import FrameSource
 from edoras_tools.io.topics.cfe import FAULTS_TOPIC, fault_of
 from edoras_tools.io.topics.datagrams import DATAGRAM
 from edoras_tools.io.topics.rows import (
@@ -74,7 +73,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io import Choice
-    from edoras_tools.links.framing import Framing
     from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
@@ -101,7 +99,7 @@ _KIND = 0xFFFF
 """The bits of a CDR encapsulation that contain the byte order; the rest are options."""
 
 
-class McapSource(SourceDefaults):
+class McapSource(FrameSource):
     """Reads a recording.
 
     Args:
@@ -136,8 +134,7 @@ class McapSource(SourceDefaults):
         self._ahead = b""
         self._ahead_at = 0
         self._data_end = 0
-        self.statistics = SourceStatistics(total_bytes=self._size)
-        self._demux = Demux()
+        super().__init__(SourceStatistics(total_bytes=self._size))
         # The copy is still needed: a recording without datagrams may have topics.
         with OnFailure(self._file.close):
             self._check(whole=self._read_front())
@@ -212,13 +209,6 @@ class McapSource(SourceDefaults):
             raise failure
         self.statistics.position = self._size
 
-    def _rest(self) -> Iterator[PacketBatch]:
-        """Yield the datagrams that waited for more bytes of a TCP stream."""
-        rest = self._demux.finish()
-        if rest is not None and len(rest):
-            self.statistics.datagrams += len(rest)
-            yield rest
-
     def _wrong_end(self, position: int, *, ended: bool) -> CaptureError | None:
         if ended:
             return None if DATAGRAMS_TOPIC in self._topics.values() else self._no_datagrams()
@@ -228,10 +218,6 @@ class McapSource(SourceDefaults):
             "everything before was read; "
             f"`edoras recover {self._name}` repairs it"
         )
-
-    def follow(self, framings: Mapping[int, Framing]) -> None:
-        """Read the TCP streams of these ports, and no others; call it before the first batch."""
-        self._demux.framings = framings
 
     def narrow(self, period: Callable[[int], tuple[int, int]]) -> None:
         """See ``SourceDefaults``; chunks are skipped only if the summary lists them."""
@@ -436,16 +422,8 @@ class McapSource(SourceDefaults):
 
     def _batch(self, parts: list[FrameBatch]) -> Iterator[PacketBatch]:
         """Make a batch of the frames of several chunks; nothing if there are none."""
-        if not any(map(len, parts)):
-            return
-        frames = joined_frames(parts)
-        batch = self._demux.demux(frames)
-        count = self.statistics
-        count.frames += len(frames)
-        count.datagrams += len(batch)
-        count.skipped = self._demux.skipped
-        count.bytes += int(frames.length.sum())
-        yield batch
+        if any(map(len, parts)):
+            yield self._demuxed(joined_frames(parts))
 
     def _frames(self, data: Octets, offsets: Integers | None, place: int) -> FrameBatch:
         """Return the frames in a chunk.

@@ -43,6 +43,7 @@ from edoras_tools.io.formats.mcap.recovery.numbering import (
     Definitions,
     KnownTopics,
     Numbering,
+    RecordId,
     Stretch,
     renumbered,
 )
@@ -504,9 +505,7 @@ class _Assembly:
                 MAGIC + record_bytes(header or Header(profile, f"edoras-tools {__version__}"))
             )
 
-    def _define(
-        self, part: FilePart, record: Schema | Channel, inside: Container[tuple[type, int]] = ()
-    ) -> None:
+    def _define(self, part: FilePart, record: Schema | Channel, inside: Container[RecordId] = ()) -> None:
         """Write a new schema or channel at this place; those ``inside`` are in the chunk itself."""
         self._begin()
         if isinstance(record, Schema):
@@ -602,14 +601,12 @@ class _Assembly:
         return not self._reasons and not self._losses
 
 
-def _before_use(
-    walked: Walked, channels: Mapping[int, tuple[Channel, Schema | None]]
-) -> set[tuple[type, int]]:
+def _before_use(walked: Walked, channels: Mapping[int, tuple[Channel, Schema | None]]) -> set[RecordId]:
     """Return the schemas and channels that stand in a chunk before the messages that need them.
 
     The others must be written before the chunk, for readers that read a file from its beginning.
     """
-    places: dict[tuple[type, int], int] = {}
+    places: dict[RecordId, int] = {}
     for item, place in zip(walked.others, walked.places, strict=True):
         places.setdefault((type(item), item.id), place)
     inside = {*places}

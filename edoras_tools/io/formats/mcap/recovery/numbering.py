@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.formats.mcap.recovery.walk import Walked
 
+RecordId = tuple[type, int]
+"""The kind of a record, ``Schema`` or ``Channel``, and its number."""
+
 
 class Definitions:
     """The schemas and channels of one file.
@@ -39,11 +42,11 @@ class Definitions:
 
     def __init__(self, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
         self._proved = {*((Schema, key) for key in schemas), *((Channel, key) for key in channels)}
-        self._known: dict[tuple[type, int], Schema | Channel | None] = {}
+        self._known: dict[RecordId, Schema | Channel | None] = {}
         self._known |= {(Schema, key): item for key, item in schemas.items()}
         self._known |= {(Channel, key): item for key, item in channels.items()}
         self.altered = False
-        self.late: Mapping[tuple[type, int], Schema | Channel | None] = {}
+        self.late: Mapping[RecordId, Schema | Channel | None] = {}
 
     @property
     def complete(self) -> bool:
@@ -93,7 +96,7 @@ class Stretch(msgspec.Struct):
         fits: whether all messages of a channel without a record could be of our recorder, by channel.
     """
 
-    proved: dict[tuple[type, int], Schema | Channel | None] = msgspec.field(default_factory=dict)
+    proved: dict[RecordId, Schema | Channel | None] = msgspec.field(default_factory=dict)
     fits: dict[int, bool] = msgspec.field(default_factory=dict)
 
     def learn(self, record: Schema | Channel) -> None:
@@ -168,13 +171,13 @@ class Numbering:
     def __init__(self, out: McapFile | None) -> None:
         self._out = out
         self._numbers: dict[Hashable, int] = {}
-        self._records: dict[tuple[type, int], Schema | Channel] = {}
-        self._written: set[tuple[type, int]] = set()
+        self._records: dict[RecordId, Schema | Channel] = {}
+        self._written: set[RecordId] = set()
         self._last: dict[tuple[int, int], tuple[int, Channel, Schema | None]] = {}
         """Numbers already assigned, by the identity of the objects, which are kept alive here."""
         self.topics: dict[int, str] = {}
 
-    def schema(self, schema: Schema, *, write: bool = True, inside: Container[tuple[type, int]] = ()) -> int:
+    def schema(self, schema: Schema, *, write: bool = True, inside: Container[RecordId] = ()) -> int:
         """Number a schema, and write it if it is new; see ``channel``."""
         key = (schema.id, schema.name, schema.encoding, bytes(schema.data))
         return self._put(key, schema, write=write, inside=inside)
@@ -191,12 +194,7 @@ class Numbering:
         return self.channel(channel, schema, write=False)
 
     def channel(
-        self,
-        channel: Channel,
-        schema: Schema | None,
-        *,
-        write: bool = True,
-        inside: Container[tuple[type, int]] = (),
+        self, channel: Channel, schema: Schema | None, *, write: bool = True, inside: Container[RecordId] = ()
     ) -> int:
         """Number a channel, and write it and its schema if they are new.
 
@@ -223,12 +221,7 @@ class Numbering:
         return number
 
     def _put(
-        self,
-        key: Hashable,
-        record: Schema | Channel,
-        *,
-        write: bool = True,
-        inside: Container[tuple[type, int]] = (),
+        self, key: Hashable, record: Schema | Channel, *, write: bool, inside: Container[RecordId]
     ) -> int:
         kind = type(record)
         if key not in self._numbers:
