@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from contextlib import suppress
+from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -196,9 +196,8 @@ def _nearest(
 
 def _holds_resets(path: Path) -> bool:
     """Return whether a cFE file is a reset log."""
-    source = open_file(path)
-    source.close()
-    return bool(source.header["subtype"] == RESET_LOG)
+    with closing(open_file(path)) as source:
+        return bool(source.header["subtype"] == RESET_LOG)
 
 
 def _placed(
@@ -240,8 +239,7 @@ def _not_placed(path: Path, name: str, boots: int) -> str:
 
 def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Side:
     gc.collect(0)  # free the previous decoder, whose objects refer to each other: 1.5 MB
-    source = open_file(path)
-    try:
+    with closing(open_file(path)) as source:
         bench = settings.workbench(source.info)
         recorder = Recorder(bench.columns.context)
         source.follow(bench.columns.context.framings)
@@ -252,8 +250,6 @@ def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Side
                 progress.read(source)
             if len(recorder) >= _MOST:
                 break
-    finally:
-        source.close()
     return Side.of(recorder)
 
 

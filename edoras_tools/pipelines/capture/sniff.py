@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import CaptureError
@@ -43,7 +44,7 @@ def decode_packet(source: Source, bench: Workbench, number: int) -> Decoded:
     """
     last = 0
     source.follow(bench.columns.context.framings)
-    try:
+    with closing(source):
         for batch in source.batches():
             bench.columns.decode(batch)
             rows = (batch.number == number).nonzero()[0]
@@ -52,8 +53,6 @@ def decode_packet(source: Source, bench: Workbench, number: int) -> Decoded:
             last = int(batch.number[-1]) if len(batch) else last
             if last > number:
                 break
-    finally:
-        source.close()
     word, unit = ("message", "message") if bench.mission.recorded else ("packet", "datagram")
     problem = (
         "is not a UDP datagram" if number <= last else f"does not exist: the last {unit} is number {last}"

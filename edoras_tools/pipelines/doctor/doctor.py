@@ -312,7 +312,7 @@ def list_missing(
     places = {item.number: place for place, item in enumerate(rows) if item.number is not None}
     dissector = Dissector(bench.columns.context, detail=False)
     source.follow(bench.columns.context.framings)
-    try:
+    with closing(source):
         for batch in source.batches() if places else ():
             if progress is not None:
                 progress.read(source)
@@ -320,6 +320,4 @@ def list_missing(
                 message = dissector.dissect(batch[row]).message
                 place = places[int(batch.number[row])]
                 rows[place] = replace(rows[place], message=json_value(message.values) if message else None)
-    finally:
-        source.close()
     return rows

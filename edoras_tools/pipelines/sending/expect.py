@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -122,10 +123,8 @@ class AwaitedResults(msgspec.Struct):
         msg_id = self._structs.msg_ids.of(data)
         for item in self.items:
             if msg_id in item.msg_ids:
-                try:
+                with suppress(TruncatedError):
                     item.take(data, self._structs, counts=self._running)
-                except TruncatedError:
-                    continue
 
     def as_json(self) -> list[dict[str, Any]]:
         """Return ``expected`` of ``replay --json``."""

@@ -14,6 +14,7 @@ Command Ingest counts the datagrams that it reads, in 0x884. How many of the sen
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -202,7 +203,7 @@ class Responses:
         msg_id = self._mission.msg_ids.of(data)
         self.counts[link, msg_id] = self.counts.get((link, msg_id), 0) + 1
         self.expected.take(data)
-        try:
+        with suppress(TruncatedError):  # it is counted, but cannot be decoded
             standard = self._mission.msg_ids.standard(msg_id)
             if standard == cfe.EVENT_MSG_ID:
                 self._event(data, now)
@@ -211,8 +212,6 @@ class Responses:
             elif standard == command_ingest.HOUSEKEEPING_MSG_ID and len(data) in _INGEST:
                 values = _INGEST[len(data)].parse(data, cfe.TELEMETRY_HEADER_BYTES)
                 self.ingest.reported(values["ingest_packets"] + values["ingest_errors"])
-        except TruncatedError:
-            pass  # it is counted, but cannot be decoded
 
     def _event(self, data: bytes, now: int) -> None:
         values = cfe.EVENT.parse(data, cfe.TELEMETRY_HEADER_BYTES)

@@ -126,7 +126,7 @@ def frame_at(data: bytes) -> tuple[bytes, int] | None:
     Returns:
         The contents and the length of the frame; None if there is none at the start.
     """
-    try:
+    with suppress(zstandard.ZstdError):
         if not zstandard.get_frame_parameters(data).has_checksum:
             return None
         inflater = zstandard.ZstdDecompressor().decompressobj()
@@ -139,8 +139,6 @@ def frame_at(data: bytes) -> tuple[bytes, int] | None:
                 return b"".join(pieces), end
             if filled > MAX_CHUNK_BYTES:
                 break
-    except zstandard.ZstdError:
-        pass
     return None
 
 
