@@ -161,22 +161,16 @@ def _as_user(
     name: str, live: LiveOptions, bench: Workbench, *, every_port: bool, output: Path | None
 ) -> tuple[Source, Workbench]:
     """Open live traffic, then change the user; first check that this user can write the output."""
-    from edoras_tools.io.privileges import (
-        become,
-        check_readable,
-        check_writable,
-        find_user,
-        forbid_new_privileges,
-    )
+    from edoras_tools.io import privileges
 
-    user = find_user(name)
-    check_readable(user, Path(os.__file__), Path(__file__))
+    user = privileges.find_user(name)
+    privileges.check_readable(user, Path(os.__file__), Path(__file__))
     if output is not None:
-        check_writable(user, output.absolute().parent)
-    forbid_new_privileges()  # before the capture's threads are started
+        privileges.check_writable(user, output.absolute().parent)
+    privileges.forbid_new_privileges()  # before the capture's threads are started
     source = _opened(live, bench, every_port=every_port)
     with OnFailure(source.close):
-        become(user)
+        privileges.become(user)
     return source, bench
 
 

@@ -14,16 +14,8 @@ from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.table import carrying
+from edoras_tools.mission import model
 from edoras_tools.mission.fields import Fields, suggestion
-from edoras_tools.mission.model import (
-    Bridge,
-    FlightLink,
-    GroundLink,
-    Handling,
-    Route,
-    StoredTopic,
-    TransferLink,
-)
 from edoras_tools.mission.report import Mistakes, printable
 from edoras_tools.mission.tree import ScalarNode
 from edoras_tools.wire import cfe
@@ -39,7 +31,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.model import Link
 
-    Claims = dict[tuple[Link, int], tuple[NodeParameters, Route]]
+    Claims = dict[tuple[Link, int], tuple[NodeParameters, model.Route]]
 
     from collections.abc import Sequence
 
@@ -54,7 +46,7 @@ _TO_MOST: Final = 0xFF
 """Highest limit of Telemetry Output, which stores it in eight bits."""
 
 
-def read_handling(fields: Fields, group: str, defaults: Handling) -> Handling:
+def read_handling(fields: Fields, group: str, defaults: model.Handling) -> model.Handling:
     """Read the handling of topics from a group; mistakes go to the report.
 
     Args:
@@ -66,7 +58,7 @@ def read_handling(fields: Fields, group: str, defaults: Handling) -> Handling:
     reliability = fields.word(f"{group}.qos.reliability", ("reliable", "best_effort"))
     durability = fields.word(f"{group}.qos.durability", ("volatile", "transient_local"))
     warn_of_unknown(fields, f"{group}.qos", _QOS)
-    return Handling(
+    return model.Handling(
         max_rate=fields.rate(f"{group}.max_rate") or defaults.max_rate,
         keep=keep or defaults.keep,
         reliable=reliability == "reliable" if reliability else defaults.reliable,
@@ -158,16 +150,16 @@ def is_transfer(node: NodeParameters) -> bool:
     return not {"cfdp", "write_data", "read_data", "store_data"}.isdisjoint(node.lines)
 
 
-def read_transfer(node: NodeParameters, report: Mistakes) -> TransferLink | None:
+def read_transfer(node: NodeParameters, report: Mistakes) -> model.TransferLink | None:
     """Return the CFDP entities of a ``data_transfer`` node; None if it has none, or a mistake."""
     fields = Fields(node, report)
     if "cfdp" not in node.groups or (fields.has(_PDU_MSG_IDS) and not fields.has("cfdp.port")):
         return None
     port, peer = (fields.integer(name, *_PORT) for name in ("cfdp.port", "cfdp.port_peer"))
-    return TransferLink(port, peer, report.file, node.lines["cfdp"]) if port and peer else None
+    return model.TransferLink(port, peer, report.file, node.lines["cfdp"]) if port and peer else None
 
 
-def read_stored(node: NodeParameters, check_type: CheckType | None) -> Iterator[StoredTopic]:
+def read_stored(node: NodeParameters, check_type: CheckType | None) -> Iterator[model.StoredTopic]:
     """Yield the topics of a ``data_transfer`` node, first those that it writes.
 
     Entries without topic, file or known type are left out: ``data_transfer`` checks its own file.
@@ -180,7 +172,7 @@ def read_stored(node: NodeParameters, check_type: CheckType | None) -> Iterator[
             name = file.rpartition("/")[2]
             well_formed = _TYPE.fullmatch(kind) and (check_type is None or check_type(kind) is None)
             if name and well_formed and (topic := full_topic(topic, node.name)):
-                yield StoredTopic(topic, kind, name)
+                yield model.StoredTopic(topic, kind, name)
 
 
 def read_pdu_msg_ids(node: NodeParameters, report: Mistakes) -> tuple[int, ...]:
@@ -194,7 +186,7 @@ def read_bridge(
     claims: Claims,
     check_type: CheckType | None,
     msg_ids: MsgIds = VERSION_1,
-) -> tuple[Bridge | None, list[Route]]:
+) -> tuple[model.Bridge | None, list[model.Route]]:
     """Return the valid part of a bridge, and its routes that no other bridge has; mistakes go to ``report``.
 
     Args:
@@ -218,10 +210,10 @@ def read_bridge(
     warn_of_unknown(fields, HANDLING_GROUP, BRIDGE_KEYS)
     if link is None:
         return None, reader.routes
-    return Bridge(node.name, link, tuple(reader.whole), total, size), reader.routes
+    return model.Bridge(node.name, link, tuple(reader.whole), total, size), reader.routes
 
 
-def _communication(fields: Fields) -> tuple[bool, GroundLink | FlightLink | None]:
+def _communication(fields: Fields) -> tuple[bool, model.GroundLink | model.FlightLink | None]:
     """Return whether the node is a flight bridge, and its link; None if a parameter of the link is wrong."""
     group, node = "communication", fields.node
     present = node.children(group)
@@ -246,7 +238,7 @@ def _communication(fields: Fields) -> tuple[bool, GroundLink | FlightLink | None
     if None in values.values():
         return flight, None
     place: dict[str, Any] = {"file": fields.report.file, "line": node.lines[group]}
-    return flight, FlightLink(**values, **place) if flight else GroundLink(**values, **place)
+    return flight, model.FlightLink(**values, **place) if flight else model.GroundLink(**values, **place)
 
 
 class _Routes:
@@ -260,9 +252,9 @@ class _Routes:
         self.claims = claims
         self.check_type = check_type
         self.msg_ids = msg_ids
-        self.routes: list[Route] = []
-        self.whole: list[Route] = []
-        self.defaults = read_handling(fields, HANDLING_GROUP, Handling())
+        self.routes: list[model.Route] = []
+        self.whole: list[model.Route] = []
+        self.defaults = read_handling(fields, HANDLING_GROUP, model.Handling())
         self.keys: dict[str, int] = {}
         self.topics: dict[str, tuple[str, int]] = {}
 
@@ -292,7 +284,7 @@ class _Routes:
         if msg_id is None:
             return
         link = carrying("flight" if self.flight else "ground", to_cfs=direction == "command")
-        route = Route(
+        route = model.Route(
             topic or "",
             type_name or "",
             msg_id,
@@ -381,7 +373,7 @@ class _Routes:
             self.fields.mistake(name, str(error) if isinstance(value, tuple) else plain)
             return None
 
-    def _claim(self, route: Route) -> bool:
+    def _claim(self, route: model.Route) -> bool:
         """Claim the MsgId; return False if another topic has it, or another bridge has the same route."""
         node, other = self.claims.setdefault((route.link, route.msg_id), (self.fields.node, route))
         if other is route:
@@ -395,7 +387,7 @@ class _Routes:
             )
         return False
 
-    def _warn_of_msg_id(self, route: Route) -> None:
+    def _warn_of_msg_id(self, route: model.Route) -> None:
         name, msg_ids = f"{route.key}.mid", self.msg_ids
         command = msg_ids.is_command(route.msg_id)
         if msg_ids is VERSION_1 and not route.msg_id & _SECONDARY_HEADER_BIT:

@@ -10,15 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs.time_services import START_S
-from edoras_tools.diagnosis.evidence.clocks.alignment import (
-    HANDED_NS,
-    MISSION_TIME,
-    Alignment,
-    Side,
-    align,
-    boot_offsets,
-    lost_between,
-)
+from edoras_tools.diagnosis.evidence.clocks import alignment
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.errors import CaptureError
@@ -144,7 +136,7 @@ def open_aligned(
         if shift is None:
             if is_cfe_file(path):
                 sources[at], name = _of_cfe(path)
-                most = max(len(boot_offsets(tables[other], name)) for other in set_back)
+                most = max(len(alignment.boot_offsets(tables[other], name)) for other in set_back)
                 notes.append(_not_placed(path, name, most))
                 continue
             if gaps_ns[at] or _is_beside(tables[0], table):
@@ -161,7 +153,9 @@ def open_aligned(
         set_back[at] = set_back[to] if is_one_clock else [shift.line, *set_back[to]]
         sources[at] = Aligned(open_file(path), set_back[at], shift.shared)
         sources[0].statistics.shared += len(shift.shared)
-        for side, (places, sure) in zip((to, at), lost_between(tables[to], table, shift), strict=True):
+        for side, (places, sure) in zip(
+            (to, at), alignment.lost_between(tables[to], table, shift), strict=True
+        ):
             rows = tables[side].rows.take(places)
             for line in set_back[side]:
                 rows = replace(rows, time_ns=line.set_back(rows.time_ns))
@@ -176,13 +170,13 @@ def open_aligned(
 
 
 def _nearest(
-    path: Path, tables: Sequence[Side], at: int, aligned: Iterable[int]
-) -> tuple[int, Alignment | None]:
+    path: Path, tables: Sequence[alignment.Side], at: int, aligned: Iterable[int]
+) -> tuple[int, alignment.Alignment | None]:
     """Return the best aligned capture, and the alignment of another capture to it; None if none fits."""
 
-    def fits(others: Iterable[int]) -> Iterator[tuple[int, Alignment]]:
+    def fits(others: Iterable[int]) -> Iterator[tuple[int, alignment.Alignment]]:
         for other in others:
-            shift = align(tables[other], tables[at])
+            shift = alignment.align(tables[other], tables[at])
             if shift and (is_cfe_file(path) or not _of_two_runs(tables[other], tables[at], shift)):
                 yield other, shift
 
@@ -201,13 +195,13 @@ def _holds_resets(path: Path) -> bool:
 
 
 def _placed(
-    path: Path, paths: Sequence[Path], tables: Sequence[Side], set_back: dict[int, list[ClockLine]]
+    path: Path, paths: Sequence[Path], tables: Sequence[alignment.Side], set_back: dict[int, list[ClockLine]]
 ) -> tuple[Source, str]:
     """Put a reset log on the clock of the first capture that shows one boot of its cFS; return a note too."""
     source, name = _of_cfe(path)
     most = 0
     for to, lines in set_back.items():
-        offsets = boot_offsets(tables[to], name)
+        offsets = alignment.boot_offsets(tables[to], name)
         most = max(most, len(offsets))
         if len(offsets) == 1:
             line = ClockLine(0, cfe.EPOCH_S * SECOND - offsets[0])
@@ -237,7 +231,7 @@ def _not_placed(path: Path, name: str, boots: int) -> str:
     return f"{path}: not placed, its mission times are kept: {why}; 'edoras info {path}' shows it alone"
 
 
-def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Side:
+def _recorded(path: Path, settings: Settings, progress: Progress | None) -> alignment.Side:
     gc.collect(0)  # free the previous decoder, whose objects refer to each other: 1.5 MB
     with closing(open_file(path)) as source:
         bench = settings.workbench(source.info)
@@ -250,7 +244,7 @@ def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Side
                 progress.read(source)
             if len(recorder) >= _MOST:
                 break
-    return Side.of(recorder)
+    return alignment.Side.of(recorder)
 
 
 def _readable(source: Source) -> Iterator[PacketBatch]:
@@ -259,7 +253,7 @@ def _readable(source: Source) -> Iterator[PacketBatch]:
         yield from source.batches()
 
 
-def _is_one_clock(first: Side, second: Side, shift: Alignment) -> bool:
+def _is_one_clock(first: alignment.Side, second: alignment.Side, shift: alignment.Alignment) -> bool:
     """Return whether two captures have the same clock, whatever was measured.
 
     One of these is true:
@@ -272,12 +266,12 @@ def _is_one_clock(first: Side, second: Side, shift: Alignment) -> bool:
     """
     gap_ns, may_be = _gap_ns(first, second), shift.low_ns <= 0 <= shift.high_ns
     if gap_ns < 0:
-        return may_be and abs(shift.line.offset_ns) < HANDED_NS and _is_beside(first, second)
-    is_restart = shift.by == MISSION_TIME and abs(shift.line.offset_ns) > APART_NS
+        return may_be and abs(shift.line.offset_ns) < alignment.HANDED_NS and _is_beside(first, second)
+    is_restart = shift.by == alignment.MISSION_TIME and abs(shift.line.offset_ns) > APART_NS
     return gap_ns < SEAM_NS or may_be or is_restart
 
 
-def _of_two_runs(first: Side, second: Side, shift: Alignment) -> bool:
+def _of_two_runs(first: alignment.Side, second: alignment.Side, shift: alignment.Alignment) -> bool:
     """Return whether two captures are similar but of different runs, as the same commands sent twice.
 
     By their own clocks they do not overlap; by their common data they would overlap. The common data are the
@@ -293,12 +287,12 @@ def _of_two_runs(first: Side, second: Side, shift: Alignment) -> bool:
     return (timed or bool(same.any())) and _gap_ns(first, second, shift.line) <= 0
 
 
-def _is_beside(first: Side, second: Side) -> bool:
+def _is_beside(first: alignment.Side, second: alignment.Side) -> bool:
     """Return whether two captures are of different conversations on loopback, so of one clock."""
     return bool(first.local and second.local) and first.local.isdisjoint(second.local)
 
 
-def _gap_ns(first: Side, second: Side, line: ClockLine | None = None) -> int:
+def _gap_ns(first: alignment.Side, second: alignment.Side, line: ClockLine | None = None) -> int:
     """Return the time from the end of one of two captures to the begin of the other, ns.
 
     It is negative if they overlap. With a line, the second capture's times are corrected by it first.

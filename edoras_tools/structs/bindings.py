@@ -8,17 +8,8 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.types.schema import Definition, complete_text, with_used
+from edoras_tools.structs import messages
 from edoras_tools.structs.bound import Bound
-from edoras_tools.structs.messages import (
-    HEADER_TYPE,
-    definition,
-    definition_text,
-    described,
-    header_definition,
-    message_type_name,
-    parts,
-    unique,
-)
 from edoras_tools.structs.shapes import SHIPPED, Key, Struct, StructLayout
 
 if TYPE_CHECKING:
@@ -126,25 +117,29 @@ class Bindings:
         if struct.name in within:
             raise ConfigError(f"{layout.origin}: {struct.name} contains itself")
         package = f"{layout.package}/msg/"
-        name = self._names[key] = package + self._free(package, message_type_name(struct.name))
+        name = self._names[key] = package + self._free(package, messages.message_type_name(struct.name))
         names = {}
         if whole and not layout.entries:
-            names[HEADER_TYPE] = package + HEADER_TYPE
-            self._used.add(names[HEADER_TYPE])
+            names[messages.HEADER_TYPE] = package + messages.HEADER_TYPE
+            self._used.add(names[messages.HEADER_TYPE])
         inside = (*within, struct.name)
-        for part in parts(layout, struct, whole=whole):
+        for part in messages.parts(layout, struct, whole=whole):
             nested = layout.structs.get(str(part.member.type))
             if nested is not None:
                 names[nested.name] = self._define(layout, nested, False, inside)
-        fields = described(layout, struct, names, whole=whole)
-        self._definitions[name] = definition(name, fields)
-        self._texts[name] = definition_text(struct, fields)
-        if HEADER_TYPE in names and names[HEADER_TYPE] not in self._definitions:
-            self._definitions[names[HEADER_TYPE]] = header = header_definition(names[HEADER_TYPE])
-            self._texts[names[HEADER_TYPE]] = "# what the packet was, and where it came from\n" + header.text
+        fields = messages.described(layout, struct, names, whole=whole)
+        self._definitions[name] = messages.definition(name, fields)
+        self._texts[name] = messages.definition_text(struct, fields)
+        if messages.HEADER_TYPE in names and names[messages.HEADER_TYPE] not in self._definitions:
+            self._definitions[names[messages.HEADER_TYPE]] = header = messages.header_definition(
+                names[messages.HEADER_TYPE]
+            )
+            self._texts[names[messages.HEADER_TYPE]] = (
+                "# what the packet was, and where it came from\n" + header.text
+            )
         return name
 
     def _free(self, package: str, name: str) -> str:
-        free = unique(package + name, self._used | {package + HEADER_TYPE})
+        free = messages.unique(package + name, self._used | {package + messages.HEADER_TYPE})
         self._used.add(free)
         return free.removeprefix(package)

@@ -14,25 +14,13 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from edoras_tools.cfs.arguments import ARGUMENTS, BARE_TOO, SERVICES, TAILS
+from edoras_tools.structs import shapes
 from edoras_tools.structs.files import layout_of
-from edoras_tools.structs.shapes import (
-    BASIC,
-    DATAGRAMS,
-    PACKETS,
-    SHIPPED,
-    UDP_KEY,
-    Enumeration,
-    Key,
-    Member,
-    Struct,
-    StructLayout,
-    packets,
-)
 from edoras_tools.wire import cfe
 from edoras_tools.wire import layout as wire
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
-LAYOUT_NAME: Final = SHIPPED
+LAYOUT_NAME: Final = shapes.SHIPPED
 """Name of this layout on the command line."""
 _COUNTERS: Final = {
     "command_counter": ("uint8", "ground commands accepted"),
@@ -246,13 +234,13 @@ _WIRE_LAYOUTS: Final = {
 
 
 @cache
-def shipped_layout(msg_ids: MsgIds = VERSION_1) -> StructLayout:
+def shipped_layout(msg_ids: MsgIds = VERSION_1) -> shapes.StructLayout:
     """Return the layout of the packets that cFE itself sends and takes, with MsgIds of a version."""
     raw = {
         "enums": _ENUMS,
         "bind": {
             msg_id: name
-            for msg_id, name in packets(msg_ids).items()
+            for msg_id, name in shapes.packets(msg_ids).items()
             if msg_ids.standard(msg_id) not in _WIRE_LAYOUTS
         },
         "structs": {
@@ -270,19 +258,19 @@ def shipped_layout(msg_ids: MsgIds = VERSION_1) -> StructLayout:
     structs, enums = dict(layout.structs), dict(layout.enums)
     bindings = dict(layout.bindings)
     for msg_id, header in _WIRE_LAYOUTS.items():
-        name = PACKETS[msg_id]
+        name = shapes.PACKETS[msg_id]
         structs[name] = _of_header(name, header, enums)
-        bindings[Key(msg_ids.of_known(msg_id))] = name
-    for size, header in DATAGRAMS.items():
+        bindings[shapes.Key(msg_ids.of_known(msg_id))] = name
+    for size, header in shapes.DATAGRAMS.items():
         structs[header.name] = _of_header(header.name, header, enums)
-        bindings[Key(UDP_KEY, size)] = header.name
+        bindings[shapes.Key(shapes.UDP_KEY, size)] = header.name
     for (msg_id, code), arguments in ARGUMENTS.items():
         if arguments.size and (msg_id, code) not in BARE_TOO:
             name = command_type(msg_id, arguments.title)
             command = _of_header(name, arguments, enums)
             structs[name] = replace(command, tail=TAILS.get((msg_id, arguments.title), 0))
-            bindings[Key(msg_ids.of_known(msg_id), code)] = name
-    return StructLayout(structs, enums, bindings, origin=LAYOUT_NAME)
+            bindings[shapes.Key(msg_ids.of_known(msg_id), code)] = name
+    return shapes.StructLayout(structs, enums, bindings, origin=LAYOUT_NAME)
 
 
 def command_type(msg_id: int, title: str) -> str:
@@ -295,19 +283,19 @@ def command_type(msg_id: int, title: str) -> str:
     return f"{SERVICES[msg_id][1]}_{title.title().replace('_', '')}Cmd"
 
 
-def _of_header(name: str, header: wire.Layout, enums: dict[str, Enumeration]) -> Struct:
+def _of_header(name: str, header: wire.Layout, enums: dict[str, shapes.Enumeration]) -> shapes.Struct:
     """Return the table of a header, or of a command's arguments, as a struct, without spare bytes."""
     members = []
     for slot in header.slots:
         item, size = slot.field, slot.end - slot.start
-        kind = BASIC["char"] if item.kind == "text" else BASIC.get(f"{item.kind}{item.bits}")
+        kind = shapes.BASIC["char"] if item.kind == "text" else shapes.BASIC.get(f"{item.kind}{item.bits}")
         if kind is None or item.name == "spare":
             continue
-        enum = Enumeration(f"{name}_{item.name}", kind, item.names)
+        enum = shapes.Enumeration(f"{name}_{item.name}", kind, item.names)
         if item.names:
             enums[enum.name] = enum
         members.append(
-            Member(
+            shapes.Member(
                 item.name,
                 enum.name if item.names else kind,
                 slot.start,
@@ -316,4 +304,4 @@ def _of_header(name: str, header: wire.Layout, enums: dict[str, Enumeration]) ->
                 doc=item.doc,
             )
         )
-    return Struct(name, header.size, tuple(members), doc=header.title)
+    return shapes.Struct(name, header.size, tuple(members), doc=header.title)

@@ -14,20 +14,10 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from edoras_tools.decode.filters import syntax
 from edoras_tools.decode.filters.compare import Misfit, Test, test_of
 from edoras_tools.decode.filters.names import Names, Unknown
 from edoras_tools.decode.filters.rows import ColumnRows, PacketRows, ValueKind
-from edoras_tools.decode.filters.syntax import (
-    Comparison,
-    Expression,
-    Junction,
-    Negation,
-    Operand,
-    Presence,
-    WhereError,
-    parse_filter,
-    parse_names,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,7 +48,7 @@ class Where:
         self.text = text
         self.context = context
         self._begin_ns = begin_ns
-        self._node = _compile(parse_filter(text), text, names or Names(context))
+        self._node = _compile(syntax.parse_filter(text), text, names or Names(context))
 
     def __str__(self) -> str:
         return self.text
@@ -156,19 +146,19 @@ class _Joined(_Test, frozen=True):
         return whole
 
 
-def _compile(node: Expression, text: str, names: Names) -> _Test:
+def _compile(node: syntax.Expression, text: str, names: Names) -> _Test:
     match node:
-        case Negation():
+        case syntax.Negation():
             inner = _compile(node.of, text, names)
             return _Not(inner.price, inner)
-        case Junction():
+        case syntax.Junction():
             nodes = sorted((_compile(item, text, names) for item in node.of), key=lambda item: item.price)
             steps = [tuple(group) for _, group in groupby(nodes, key=lambda item: item.price)]
             return _Joined(nodes[-1].price, steps, node.every)
-        case Presence():
+        case syntax.Presence():
             fields = _fields(node.operand, text, names)
             return _Present(max(field.price for field in fields), fields)
-        case Comparison():
+        case syntax.Comparison():
             return _comparison(node, text, names)
 
 
@@ -179,19 +169,19 @@ def fields(text: str, context: Context, option: str = "--fields") -> list[tuple[
         WhereError: one is not a field, or a group of fields.
     """
     names, pairs = Names(context), []
-    for operand in parse_names(text, option):
+    for operand in syntax.parse_names(text, option):
         items = _fields(operand, text, names, option)
         if all(item.kind is ValueKind.STRUCT for item in items):
-            raise WhereError(text, operand.at, operand.end, _is_group(items[0], names), option)
+            raise syntax.WhereError(text, operand.at, operand.end, _is_group(items[0], names), option)
         pairs.append((items[0].name, items))
     return pairs
 
 
-def _fields(operand: Operand, text: str, names: Names, option: str = "--where") -> list[FilterField]:
+def _fields(operand: syntax.Operand, text: str, names: Names, option: str = "--where") -> list[FilterField]:
     try:
         matches = [replace(field, name=operand.name) for field in names.find(operand.name)]
     except Unknown as error:
-        raise WhereError(text, operand.at, operand.end, str(error), option) from None
+        raise syntax.WhereError(text, operand.at, operand.end, str(error), option) from None
     if operand.wrap != "len":
         return matches
     lengths = [
@@ -199,7 +189,7 @@ def _fields(operand: Operand, text: str, names: Names, option: str = "--where") 
     ]
     if not lengths:
         why = f"len counts what is in a list or a text; {operand.name} is neither"
-        raise WhereError(text, operand.at, operand.end, why, option)
+        raise syntax.WhereError(text, operand.at, operand.end, why, option)
     return lengths
 
 
@@ -209,7 +199,7 @@ def _is_group(field: FilterField, names: Names) -> str:
     return f"{field.name} is {field.kind.value}, not a value{hint}"
 
 
-def _comparison(node: Comparison, text: str, names: Names) -> _Test:
+def _comparison(node: syntax.Comparison, text: str, names: Names) -> _Test:
     operand = node.operand
     fields = _fields(operand, text, names)
     tests: list[tuple[FilterField, Test]] = []
@@ -221,8 +211,8 @@ def _comparison(node: Comparison, text: str, names: Names) -> _Test:
             misfit = misfit or error
     if not tests and misfit is not None:
         if fields[0].kind is ValueKind.STRUCT:
-            raise WhereError(text, operand.at, operand.end, _is_group(fields[0], names))
+            raise syntax.WhereError(text, operand.at, operand.end, _is_group(fields[0], names))
         place = misfit.value or node
-        raise WhereError(text, place.at, place.end, misfit.why)
+        raise syntax.WhereError(text, place.at, place.end, misfit.why)
     every = operand.wrap == "all" or (operand.wrap != "any" and node.operator in {"!=", "not in"})
     return _Compared(max(field.price for field, _ in tests), tests, every)

@@ -39,26 +39,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError, OnFailure
-from edoras_tools.io.capture import barrier, tpacket
-from edoras_tools.io.capture.bpf import (
-    ETHERNET,
-    LINUX_SLL2,
-    NOTHING,
-    RAW,
-    Instruction,
-    attach_program,
-    port_filter,
-)
+from edoras_tools.io.capture import barrier, bpf, interfaces, tpacket
 from edoras_tools.io.capture.device import Device
-from edoras_tools.io.capture.interfaces import (
-    ANY_INTERFACE,
-    Interface,
-    claim_raw_sockets,
-    denied,
-    find_interface,
-    loopback_index,
-    possible,
-)
 from edoras_tools.model import InterfaceOutage, SourceInfo
 from edoras_tools.wire.arrays.window import PADDING
 
@@ -83,7 +65,7 @@ _STATUS_KERNEL: Final = 0
 _STATUS, _COUNT, _FIRST, _LENGTH = 2, 3, 4, 5
 """Words of a block's descriptor."""
 
-_LINK_TYPES: Final = {1: ETHERNET, 772: ETHERNET, 519: RAW, 65534: RAW}
+_LINK_TYPES: Final = {1: bpf.ETHERNET, 772: bpf.ETHERNET, 519: bpf.RAW, 65534: bpf.RAW}
 """By ARPHRD type: ETHER, LOOPBACK, RAWIP, NONE (a tun); frames of others are captured without header."""
 _FRAME_SIZE: Final = 2048  # it only has to divide the block size: V3 packs packets of any size
 _AT_ONCE: Final = 4 << 20
@@ -151,7 +133,7 @@ class Ring(Device):
     ) -> None:
         if not hasattr(socket, "AF_PACKET"):
             raise CaptureError("packet rings are a Linux feature: use the scapy back end on this system")
-        device = _existing_interface(interface) if wait else find_interface(interface)
+        device = _existing_interface(interface) if wait else interfaces.find_interface(interface)
         if not wait and not device.up:
             raise CaptureError(
                 f"{interface} is down: switch it on with 'ip link set {interface} up', or -i wait:{interface}"
@@ -176,18 +158,18 @@ class Ring(Device):
         with OnFailure(self._end_barrier):
             self._open(device)
 
-    def _open(self, interface: Interface) -> None:
+    def _open(self, interface: interfaces.Interface) -> None:
         """Create socket and ring for this kind of interface, and bind it if the interface exists."""
-        self._link_type = _LINK_TYPES.get(interface.hardware_type, LINUX_SLL2)
+        self._link_type = _LINK_TYPES.get(interface.hardware_type, bpf.LINUX_SLL2)
         if interface.loopback:
             loopback: int | None = interface.index
         else:
-            loopback = loopback_index() if interface.name == ANY_INTERFACE else None
-        cooked = self._link_type == LINUX_SLL2
+            loopback = interfaces.loopback_index() if interface.name == interfaces.ANY_INTERFACE else None
+        cooked = self._link_type == bpf.LINUX_SLL2
         # The kernel marks packets of several datagrams, but not on a cooked socket. A socket of all
         # interfaces is therefore raw, and cooked headers are written by ``tpacket``.
-        self._told = _tells_segments() and (not cooked or interface.name == ANY_INTERFACE)
-        program = port_filter(
+        self._told = _tells_segments() and (not cooked or interface.name == interfaces.ANY_INTERFACE)
+        program = bpf.port_filter(
             self._link_type,
             self._ports,
             streams=self._streams,
@@ -206,9 +188,9 @@ class Ring(Device):
             self._socket.close()
             raise CaptureError(f"{interface.name}: {error.strerror}") from error
 
-    def _start(self, interface: Interface, program: Sequence[Instruction]) -> None:
+    def _start(self, interface: interfaces.Interface, program: Sequence[bpf.Instruction]) -> None:
         """Set filter, then ring, then bind: in this order, every packet in the ring has passed the filter."""
-        attach_program(self._socket, program)
+        bpf.attach_program(self._socket, program)
         self._socket.setsockopt(_SOL_PACKET, _PACKET_VERSION, _TPACKET_V3)
         if self._told:
             self._socket.setsockopt(_SOL_PACKET, _PACKET_VNET_HDR, 1)
@@ -220,14 +202,14 @@ class Ring(Device):
             with contextlib.suppress(OSError):  # before Linux 4.20 only the filter does it
                 self._socket.setsockopt(_SOL_PACKET, _PACKET_IGNORE_OUTGOING, 1)
         self._bound = 0
-        if interface.name == ANY_INTERFACE:
+        if interface.name == interfaces.ANY_INTERFACE:
             self._bind_all()
         elif interface.index:
             self._bind(interface)
         if not (interface.up and interface.carrier):
             self._leave(interface)
 
-    def _bind(self, interface: Interface) -> None:
+    def _bind(self, interface: interfaces.Interface) -> None:
         """Receive from an interface; if it is down, the kernel attaches it when it comes up."""
         if not interface.loopback:
             member = struct.pack("=iHH8s", interface.index, _PACKET_MR_PROMISC, 0, b"")
@@ -376,7 +358,7 @@ class Ring(Device):
 
     def refuse(self) -> None:
         """Drop every packet from now on; packets in the ring stay."""
-        attach_program(self._socket, NOTHING)
+        bpf.attach_program(self._socket, bpf.NOTHING)
         self._refusing = True
 
     def drained(self) -> bool:
@@ -390,7 +372,9 @@ class Ring(Device):
         if error not in (0, errno.ENETDOWN):
             return f"{self.info.name}: {os.strerror(error)}"
         now = time.monotonic()
-        if self.info.name == ANY_INTERFACE or not (error or self._away or now - self._watched >= _WATCH_S):
+        if self.info.name == interfaces.ANY_INTERFACE or not (
+            error or self._away or now - self._watched >= _WATCH_S
+        ):
             return None
         self._watched = now
         try:
@@ -411,7 +395,7 @@ class Ring(Device):
         """
         device = _existing_interface(self.info.name)
         if device.index and device.index != self._bound:
-            if _LINK_TYPES.get(device.hardware_type, LINUX_SLL2) != self._link_type:
+            if _LINK_TYPES.get(device.hardware_type, bpf.LINUX_SLL2) != self._link_type:
                 if not self.drained():
                     return
                 self._reopen(device)
@@ -428,7 +412,7 @@ class Ring(Device):
             self._leave(replace(device, up=False))
             self.outages[-1] = replace(self.outages[-1], end_ns=self.outages[-1].start_ns)
 
-    def _leave(self, interface: Interface) -> None:
+    def _leave(self, interface: interfaces.Interface) -> None:
         why = "not there" if not interface.index else "without carrier" if interface.up else "down"
         self.outages.append(InterfaceOutage(interface.name, why, time.time_ns()))
         self._back_ns = 0
@@ -439,7 +423,7 @@ class Ring(Device):
             after = frames.time_ns[frames.time_ns > self.outages[-1].start_ns]
             self._back_ns = int(after[0]) if len(after) else 0
 
-    def _reopen(self, interface: Interface) -> None:
+    def _reopen(self, interface: interfaces.Interface) -> None:
         """Open a new socket under the old file descriptor, so that threads that poll it need not know."""
         before = self._socket
         self._release()
@@ -469,25 +453,25 @@ def _socket(interface: str, *, cooked: bool) -> socket.socket:
     kind = socket.SOCK_DGRAM if cooked else socket.SOCK_RAW
     with contextlib.suppress(PermissionError):
         return socket.socket(socket.AF_PACKET, kind, 0)
-    claim_raw_sockets()
+    interfaces.claim_raw_sockets()
     try:
         return socket.socket(socket.AF_PACKET, kind, 0)
     except PermissionError:
-        raise denied(interface) from None
+        raise interfaces.denied(interface) from None
 
 
-def _existing_interface(name: str) -> Interface:
+def _existing_interface(name: str) -> interfaces.Interface:
     """Look up an interface that may be away; if so, it has index 0 and is assumed to be Ethernet.
 
     Raises:
         CaptureError: no interface can have that name.
     """
     try:
-        return find_interface(name)
+        return interfaces.find_interface(name)
     except CaptureError:
-        if not possible(name):
+        if not interfaces.possible(name):
             raise
-        return Interface(name, index=0, hardware_type=1, up=False, loopback=False, carrier=False)
+        return interfaces.Interface(name, index=0, hardware_type=1, up=False, loopback=False, carrier=False)
 
 
 def _tells_segments() -> bool:

@@ -11,6 +11,7 @@ from socket import if_nameindex
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import CaptureError, NoDatagramsError, OnFailure
+from edoras_tools.io.formats import table
 from edoras_tools.io.formats.cfe import CFE_MAGIC
 from edoras_tools.io.formats.pcap.reader import MAGICS, PcapSource
 from edoras_tools.io.formats.stream import (
@@ -20,15 +21,6 @@ from edoras_tools.io.formats.stream import (
     SettledFile,
     Window,
     settled_file,
-)
-from edoras_tools.io.formats.table import (
-    CFE,
-    LONGEST_MAGIC,
-    MCAP,
-    PCAPNG,
-    READABLE,
-    TOPIC_READERS,
-    installed_formats,
 )
 
 if TYPE_CHECKING:
@@ -114,14 +106,14 @@ def _source(stream: ByteStream, path: str | Path, head: bytes, wrapped: str) -> 
     if head[:4] in MAGICS:
         return PcapSource(Window(stream, head))
     if head.startswith(_SECTION_HEADER):
-        return PCAPNG.source()(Window(stream, head))
+        return table.PCAPNG.source()(Window(stream, head))
     if head.startswith(CFE_MAGIC):
-        return CFE.source()(Window(stream, head))
+        return table.CFE.source()(Window(stream, head))
     if head.startswith(_MCAP):
         return _mcap(stream, path, b"" if whole_file else head)
     if head.startswith(_DATABASE):
         raise _database(stream, path, b"" if whole_file else head)
-    for item in installed_formats():
+    for item in table.installed_formats():
         if item.magic and head.startswith(item.magic):
             return item.source()(Window(stream, head))
     raise CaptureError(f"{stream.name}: {_looks_like(head, wrapped)}")
@@ -159,7 +151,7 @@ def _mcap(stream: ByteStream, path: str | Path, head: bytes) -> Source:
     """
     file = settled_file(stream, Path(path), head)
     try:
-        source: Source = MCAP.source()(file.path, file.name, file.copy)
+        source: Source = table.MCAP.source()(file.path, file.name, file.copy)
     except NoDatagramsError as error:
         error.files = [file]
         raise
@@ -168,7 +160,9 @@ def _mcap(stream: ByteStream, path: str | Path, head: bytes) -> Source:
 
 def _database(stream: ByteStream, path: str | Path, head: bytes) -> NoDatagramsError:
     """Return the error for a database, which has no datagrams; ``head`` is as for ``_mcap``."""
-    error = NoDatagramsError(f"{stream.name}: a database holds topics and no datagrams; {TOPIC_READERS}")
+    error = NoDatagramsError(
+        f"{stream.name}: a database holds topics and no datagrams; {table.TOPIC_READERS}"
+    )
     error.files = [settled_file(stream, Path(path), head)]
     return error
 
@@ -195,9 +189,9 @@ def _open(path: str | Path) -> io.FileIO:
 
 def _head(stream: ByteStream) -> bytes:
     """Read the bytes of the longest magic number; fewer at the end of the stream."""
-    buffer = bytearray(LONGEST_MAGIC)
+    buffer = bytearray(table.LONGEST_MAGIC)
     filled = 0
-    while filled < LONGEST_MAGIC and (count := stream.fill(memoryview(buffer)[filled:])):
+    while filled < table.LONGEST_MAGIC and (count := stream.fill(memoryview(buffer)[filled:])):
         filled += count
     return bytes(buffer[:filled])
 
@@ -205,7 +199,7 @@ def _head(stream: ByteStream) -> bytes:
 def _looks_like(head: bytes, wrapped: str) -> str:
     """Return what a file that is not a capture probably is, and what to do."""
     inside = f"{wrapped} data that contains " if wrapped else "looks like "
-    can = f"{READABLE} can be read"
+    can = f"{table.READABLE} can be read"
     if head[:4] in _MODIFIED_PCAP:
         return f"a modified pcap (magic {head[:4].hex()}), whose records differ from file to file; {_CONVERT}"
     for magic, likely in _OTHERS:

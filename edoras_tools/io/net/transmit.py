@@ -21,19 +21,9 @@ import msgspec
 import numpy as np
 
 from edoras_tools.errors import OnFailure
+from edoras_tools.io.net import sockets
 from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.mmsg import SendMany, usable
-from edoras_tools.io.net.sockets import (
-    LINUX,
-    SendResult,
-    bind,
-    connect,
-    local_endpoint,
-    open_bound,
-    open_socket,
-    received,
-    send_one,
-)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -64,7 +54,7 @@ class SendStatistics(msgspec.Struct):
     refused: int = 0
     errors: dict[str, int] = msgspec.field(default_factory=dict)
 
-    def add(self, sent: SendResult) -> None:
+    def add(self, sent: sockets.SendResult) -> None:
         """Add the result of sending some datagrams."""
         self.sent += sent.accepted
         self.refused += sent.refused
@@ -81,7 +71,7 @@ class _Port:
 
     def __init__(self, opened: socket.socket) -> None:
         self._socket = opened
-        self.local = local_endpoint(opened)
+        self.local = sockets.local_endpoint(opened)
 
     def __enter__(self) -> Self:
         return self
@@ -117,12 +107,12 @@ class Transmitter(_Port):
     def __init__(self, target: Endpoint, source: Endpoint | None = None) -> None:
         self.statistics = SendStatistics()
         family, address = resolve(target, f"UDP {target}")
-        opened = open_socket(family, _BUFFER_BYTES)
+        opened = sockets.open_socket(family, _BUFFER_BYTES)
         with OnFailure(opened.close):
             opened.setblocking(True)
             if source is not None:
-                bind(opened, resolve(source, f"UDP {source}")[1], f"UDP {source}", _INSTEAD)
-            connect(opened, address, f"UDP {target}")
+                sockets.bind(opened, resolve(source, f"UDP {source}")[1], f"UDP {source}", _INSTEAD)
+            sockets.connect(opened, address, f"UDP {target}")
         super().__init__(opened)
         self.target = address.endpoint
         self._many = SendMany(_MANY, waits=True) if usable() else None
@@ -130,7 +120,7 @@ class Transmitter(_Port):
 
     def send(self, payload: bytes | memoryview) -> bool:
         """Send one datagram; return whether the kernel accepted it."""
-        sent = send_one(self._socket, payload)
+        sent = sockets.send_one(self._socket, payload)
         if sent.full:
             sent = _dropped(sent)
         self.statistics.add(sent)
@@ -142,7 +132,7 @@ class Transmitter(_Port):
         After a sleep the caches are cold, and the next datagram would leave up to 10 us later.
         """
         if self._rehearses:
-            send_one(self._socket, payload, flags=_MSG_PROBE)
+            sockets.send_one(self._socket, payload, flags=_MSG_PROBE)
 
     def send_many(self, data: Octets, offset: Integers, length: NDArray[np.int32]) -> int:
         """Send datagrams in order, as fast as possible; return how many the kernel accepted.
@@ -171,11 +161,11 @@ class Transmitter(_Port):
         answers: list[tuple[bytes, Endpoint]] = []
         while True:
             try:
-                answers.extend(received(self._socket, most - len(answers)))
+                answers.extend(sockets.received(self._socket, most - len(answers)))
             except ConnectionRefusedError:
                 self.statistics.refused += 1
             except OSError as error:
-                self.statistics.add(SendResult(1, errors={error.strerror or str(error): 1}))
+                self.statistics.add(sockets.SendResult(1, errors={error.strerror or str(error): 1}))
                 return answers
             else:
                 return answers
@@ -192,16 +182,18 @@ class Listener(_Port):
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
-        super().__init__(open_bound(endpoint, f"UDP {endpoint}", _OR_NONE, buffer_bytes=_BUFFER_BYTES))
+        super().__init__(
+            sockets.open_bound(endpoint, f"UDP {endpoint}", _OR_NONE, buffer_bytes=_BUFFER_BYTES)
+        )
 
     def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
         """Return the datagrams that have arrived, at most ``most``, with their senders."""
-        return list(received(self._socket, most))
+        return list(sockets.received(self._socket, most))
 
 
 def _probes() -> bool:
     """Return whether this system supports ``_MSG_PROBE``; others would send the rehearsed datagram."""
-    if not LINUX:
+    if not sockets.LINUX:
         return False
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
         own.setblocking(False)
@@ -217,7 +209,7 @@ def _probes() -> bool:
     return False
 
 
-def _dropped(sent: SendResult) -> SendResult:
+def _dropped(sent: sockets.SendResult) -> sockets.SendResult:
     """Return the result for a blocking socket that accepts no more: the system is out of memory."""
     reason = os.strerror(errno.ENOBUFS)
     return sent._replace(sent=sent.sent + 1, errors={**sent.errors, reason: sent.errors.get(reason, 0) + 1})

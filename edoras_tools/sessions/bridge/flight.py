@@ -4,18 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.sessions.sbn import events
 from edoras_tools.sessions.sbn.connection import SbnConnection
-from edoras_tools.sessions.sbn.events import (
-    AppMessage,
-    Connected,
-    Disconnected,
-    NotTaken,
-    Refusal,
-    Subscriptions,
-    Trigger,
-    UnknownType,
-    Version,
-)
 from edoras_tools.sessions.sbn.habits import BRIDGE
 from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
@@ -85,7 +75,7 @@ class FlightSession:
         step = self.connection.receive_datagram(data, now=now)
         at = _NO_PACKET
         for event in step.events:
-            if isinstance(event, AppMessage):
+            if isinstance(event, events.AppMessage):
                 at = sbn.HEADER.size
             else:
                 self._note(event)
@@ -137,35 +127,35 @@ class FlightSession:
         """Count an event, and add a line for people if it needs one."""
         peer = self._peer
         match event:
-            case Connected():
+            case events.Connected():
                 self.connections += 1
                 self.notes.append(f"connected to peer {peer}")
-            case Disconnected(Trigger.DISCONNECT):
+            case events.Disconnected(events.Trigger.DISCONNECT):
                 self.losses["disconnect"] += 1
                 self.notes.append(f"peer {peer} disconnected; asking again")
-            case Disconnected():
+            case events.Disconnected():
                 self.losses["timeout"] += 1
                 seconds = (BRIDGE.timeout_ns or 0) // SECOND
                 self.notes.append(f"nothing from peer {peer} for {seconds} s: connection lost; asking again")
-            case Version(version) if version not in {None, sbn.PROTOCOL_VERSION}:
+            case events.Version(version) if version not in {None, sbn.PROTOCOL_VERSION}:
                 self._tell(
                     f"peer {peer} speaks SBN protocol {version}, this side {sbn.PROTOCOL_VERSION}: it may "
                     f"refuse messages; continuing"
                 )
-            case Subscriptions(ident=ident):
+            case events.Subscriptions(ident=ident):
                 self._unwanted -= self.connection.subscribed
                 if ident != sbn.IDENT:
                     self._tell(
                         f"peer {peer} is another SBN ({ident or 'no $Id'}): it will refuse our subscriptions"
                     )
-            case UnknownType(msg_type):
+            case events.UnknownType(msg_type):
                 self._count(f"unknown SBN message type 0x{msg_type:02x}")
-            case NotTaken(Refusal.OTHER_PEER, other):
+            case events.NotTaken(events.Refusal.OTHER_PEER, other):
                 self._count(f"peer {other}" if len(self.refused) < _MOST_PEERS else "further peers")
                 self._tell(f"peer {other} sends here, but the file expects {peer}: refused")
-            case NotTaken(reason):
+            case events.NotTaken(reason):
                 self._count(reason.value)
-                if reason is Refusal.OLD_HEADER:
+                if reason is events.Refusal.OLD_HEADER:
                     self._tell(
                         "an older SBN with a header of 7 bytes instead of 11 sends here: not supported"
                     )

@@ -24,7 +24,7 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 from msgspec.structs import replace
 
-from edoras_tools import __version__
+from edoras_tools import __version__, model
 from edoras_tools.errors import CaptureError, NoDatagramsError, OnFailure, WireError, os_errors
 from edoras_tools.io.formats.mcap.index import (
     CHUNK_HEAD_BYTES,
@@ -53,15 +53,6 @@ from edoras_tools.io.topics.rows import (
 )
 from edoras_tools.io.topics.statistics import HOST_TOPIC, host_counters_of
 from edoras_tools.links.table import links
-from edoras_tools.model import (
-    OTHER,
-    Columns,
-    HostCounters,
-    InterfaceOutage,
-    PacketBatch,
-    SourceInfo,
-    SourceStatistics,
-)
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.crc import crc32
@@ -134,13 +125,13 @@ class McapSource(FrameSource):
         self._ahead = b""
         self._ahead_at = 0
         self._data_end = 0
-        super().__init__(SourceStatistics(total_bytes=self._size))
+        super().__init__(model.SourceStatistics(total_bytes=self._size))
         # The copy is still needed: a recording without datagrams may have topics.
         with OnFailure(self._file.close):
             self._check(whole=self._read_front())
         values = {key: item for kind in METADATA_NAMES for key, item in self._metadata.get(kind, {}).items()}
         self._flows = _flows(values.get("flows", ""))
-        self.info = SourceInfo(
+        self.info = model.SourceInfo(
             name=self._name,
             kind="mcap",
             time_resolution_ns=_positive(values, "time_resolution_ns", 1),
@@ -153,7 +144,7 @@ class McapSource(FrameSource):
             sound=values.get("sound") == "true",
         )
 
-    def batches(self) -> Iterator[PacketBatch]:
+    def batches(self) -> Iterator[model.PacketBatch]:
         """Yield the datagrams, chunk by chunk.
 
         Raises:
@@ -227,7 +218,9 @@ class McapSource(FrameSource):
         """See ``SourceDefaults``."""
         self._chosen = choice
 
-    def decoded(self, batch: PacketBatch, decode: Callable[[PacketBatch], Columns]) -> Columns:
+    def decoded(
+        self, batch: model.PacketBatch, decode: Callable[[model.PacketBatch], model.Columns]
+    ) -> model.Columns:
         """Return the columns of a batch; after ``choose`` with the recorded findings.
 
         Other datagrams, which are skipped now, may have caused these findings.
@@ -399,7 +392,7 @@ class McapSource(FrameSource):
         """Return the faults that a proxy or a replay injected, if the recording can be read."""
         return self._extras(FAULTS_TOPIC, fault_of)
 
-    def host(self) -> list[HostCounters]:
+    def host(self) -> list[model.HostCounters]:
         """Return the counters of the recording host's kernel, if the recording can be read."""
         types = TypeStore()
         return self._extras(HOST_TOPIC, lambda cdr: host_counters_of(cdr, types))
@@ -420,7 +413,7 @@ class McapSource(FrameSource):
         if self._copy is not None:
             self._copy.close()
 
-    def _batch(self, parts: list[FrameBatch]) -> Iterator[PacketBatch]:
+    def _batch(self, parts: list[FrameBatch]) -> Iterator[model.PacketBatch]:
         """Make a batch of the frames of several chunks; nothing if there are none."""
         if any(map(len, parts)):
             yield self._demuxed(joined_frames(parts))
@@ -461,7 +454,7 @@ class McapSource(FrameSource):
         )
         if self._chosen is None or not len(frames):
             return frames
-        keep = self._chosen(heads["link"], heads["msg_id"]) | (heads["link"] == OTHER)
+        keep = self._chosen(heads["link"], heads["msg_id"]) | (heads["link"] == model.OTHER)
         keep[[0, frames.time_ns.argmin(), frames.time_ns.argmax()]] = True
         rows = np.flatnonzero(keep)
         self._heads.append(heads[rows])
@@ -608,7 +601,7 @@ class McapSource(FrameSource):
             elif opcode == Opcode.METADATA:
                 record = Metadata.read(stream)
                 if record.name == OUTAGE_METADATA_NAME:
-                    self._note(InterfaceOutage.from_text(record.metadata))
+                    self._note(model.InterfaceOutage.from_text(record.metadata))
                 if record.name not in self._metadata and "kernel_drops" in record.metadata:
                     before = self.statistics.kernel_drops or 0
                     self.statistics.kernel_drops = before + int(record.metadata["kernel_drops"])
@@ -622,7 +615,7 @@ class McapSource(FrameSource):
             if warning not in self.statistics.warnings:  # there may be millions
                 self.statistics.warnings.append(warning)
 
-    def _note(self, outage: InterfaceOutage) -> None:
+    def _note(self, outage: model.InterfaceOutage) -> None:
         """Store an outage; the record of its end replaces the record of its beginning."""
         outages = {(item.interface, item.start_ns): item for item in self.statistics.outages}
         before = outages.get((outage.interface, outage.start_ns))
