@@ -12,22 +12,9 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 import zstandard
+from mcap import records as mcap
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 from msgspec.structs import replace
 
 from edoras_tools import __version__
@@ -75,13 +62,13 @@ class Summary(msgspec.Struct, eq=False):
         end_ns: largest log time.
     """
 
-    schemas: dict[int, Schema] = msgspec.field(default_factory=dict)
-    channels: dict[int, Channel] = msgspec.field(default_factory=dict)
+    schemas: dict[int, mcap.Schema] = msgspec.field(default_factory=dict)
+    channels: dict[int, mcap.Channel] = msgspec.field(default_factory=dict)
     chunks: int = 0
     chunk_bytes: int = 0
     chunk_indexes: bytearray = msgspec.field(default_factory=bytearray)
-    attachments: list[AttachmentIndex] = msgspec.field(default_factory=list)
-    metadata: list[MetadataIndex] = msgspec.field(default_factory=list)
+    attachments: list[mcap.AttachmentIndex] = msgspec.field(default_factory=list)
+    metadata: list[mcap.MetadataIndex] = msgspec.field(default_factory=list)
     counts: dict[int, int] = msgspec.field(default_factory=dict)
     start_ns: int | None = None
     end_ns: int = 0
@@ -115,9 +102,9 @@ class Summary(msgspec.Struct, eq=False):
         self.end_ns = max(self.end_ns, end_ns)
 
     @property
-    def statistics(self) -> Statistics:
+    def statistics(self) -> mcap.Statistics:
         """The Statistics record."""
-        return Statistics(
+        return mcap.Statistics(
             attachment_count=len(self.attachments),
             channel_count=len(self.channels),
             channel_message_counts=self.counts,
@@ -136,7 +123,7 @@ class Summary(msgspec.Struct, eq=False):
             position: end of the data section in the file.
             checksum: CRC-32 of all bytes before that position.
         """
-        end = record_bytes(DataEnd(checksum))
+        end = record_bytes(mcap.DataEnd(checksum))
         start = position + len(end)
         groups: list[tuple[Opcode, bytes]] = [
             (Opcode.SCHEMA, record_bytes(*self.schemas.values())),
@@ -146,16 +133,16 @@ class Summary(msgspec.Struct, eq=False):
             (Opcode.ATTACHMENT_INDEX, record_bytes(*self.attachments)),
             (Opcode.METADATA_INDEX, record_bytes(*self.metadata)),
         ]
-        offsets: list[McapRecord] = []
+        offsets: list[mcap.McapRecord] = []
         summary = b""
         for opcode, records in groups:
             if records:
-                offsets.append(SummaryOffset(opcode, start + len(summary), len(records)))
+                offsets.append(mcap.SummaryOffset(opcode, start + len(summary), len(records)))
             summary += records
         offset_start = start + len(summary)
         summary += record_bytes(*offsets)
-        unsigned = record_bytes(Footer(start, offset_start, 0))[:_FOOTER_BYTES_IN_CRC]
-        footer = Footer(start, offset_start, crc32(unsigned, crc32(summary)))
+        unsigned = record_bytes(mcap.Footer(start, offset_start, 0))[:_FOOTER_BYTES_IN_CRC]
+        footer = mcap.Footer(start, offset_start, crc32(unsigned, crc32(summary)))
         return end + summary + record_bytes(footer) + MAGIC
 
 
@@ -255,7 +242,7 @@ class McapFile:
         with os_errors(f"{path}: cannot be created"):
             self.output = OutputFile(path)
         with OnFailure(self.abandon):
-            usual = MAGIC + record_bytes(Header("ros2", f"edoras-tools {__version__}"))
+            usual = MAGIC + record_bytes(mcap.Header("ros2", f"edoras-tools {__version__}"))
             self.add_bytes(usual if header is None else header)
 
     @property
@@ -271,7 +258,7 @@ class McapFile:
     def add_schema(self, name: str, definition: str | bytes, encoding: str = "ros2msg") -> int:
         """Write a schema; return its id."""
         data = definition.encode() if isinstance(definition, str) else definition
-        schema = Schema(id=len(self.summary.schemas) + 1, data=data, encoding=encoding, name=name)
+        schema = mcap.Schema(id=len(self.summary.schemas) + 1, data=data, encoding=encoding, name=name)
         self.summary.schemas[schema.id] = schema
         self._describe(schema)
         return schema.id
@@ -281,7 +268,7 @@ class McapFile:
     ) -> int:
         """Write a channel of messages; return its id."""
         # The ros2 profile of the MCAP registry requires the key; unknown is an empty string.
-        channel = Channel(
+        channel = mcap.Channel(
             id=len(self.summary.channels) + 1,
             topic=topic,
             message_encoding=encoding,
@@ -292,26 +279,26 @@ class McapFile:
         self._describe(channel)
         return channel.id
 
-    def _describe(self, record: Schema | Channel) -> None:
+    def _describe(self, record: mcap.Schema | mcap.Channel) -> None:
         """Write a record before its first use, and repeat it in the second chunk from here on."""
         data = record_bytes(record)
         self.add_bytes(data)
-        self._described[isinstance(record, Channel)].append(data)
+        self._described[isinstance(record, mcap.Channel)].append(data)
         self._news.append(data)
         self._news_from = self.summary.chunks + 1
 
     def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Write an attachment, logged at ``time_ns``."""
         name = _text(name)
-        record = record_bytes(Attachment(0, time_ns, name, media_type, data))
-        index = AttachmentIndex(self.size, len(record), time_ns, 0, len(data), name, media_type)
+        record = record_bytes(mcap.Attachment(0, time_ns, name, media_type, data))
+        index = mcap.AttachmentIndex(self.size, len(record), time_ns, 0, len(data), name, media_type)
         self.add_bytes(record)
         self.summary.attachments.append(index)
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record."""
-        record = record_bytes(Metadata(name, {key: _text(value) for key, value in values.items()}))
-        index = MetadataIndex(self.size, len(record), name)
+        record = record_bytes(mcap.Metadata(name, {key: _text(value) for key, value in values.items()}))
+        index = mcap.MetadataIndex(self.size, len(record), name)
         self.add_bytes(record)
         self.summary.metadata.append(index)
 
@@ -420,7 +407,7 @@ def _text(name: str) -> str:
     return name.encode(errors="backslashreplace").decode()
 
 
-def record_bytes(*records: McapRecord) -> bytes:
+def record_bytes(*records: mcap.McapRecord) -> bytes:
     """Return the bytes of records, as in a file."""
     builder = RecordBuilder()
     for record in records:
