@@ -88,7 +88,6 @@ class Relay(Protocol):
     @property
     def run(self) -> Callable[..., None]:
         """Pass traffic on for ``duration_ns``; 0: until ``stop``."""
-        ...
 
     def stop(self) -> None:
         """Let ``run`` end; may be called from a signal handler."""
@@ -103,11 +102,9 @@ class SummedRelay(Protocol):
     @property
     def recorder(self) -> RelayRecorder | None:
         """The recorder of its traffic."""
-        ...
 
     def summary(self) -> dict[str, Any]:
         """Return the forwarded and the lost traffic, in the shape of JSON."""
-        ...
 
 
 def run_relay(

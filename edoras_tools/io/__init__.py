@@ -37,25 +37,14 @@ class SourceDefaults(Protocol):
         """Whether the source has no end of its own: only ``stop`` ends it."""
         return False
 
-    @property
-    def on_this_host(self) -> bool:
-        """Whether the source captures on this host now: times and drops are those of this host."""
-        return False
-
-    @property
-    def part(self) -> int:
-        """Number of the clock of the last batch; the order of events of two different clocks is unknown."""
-        return 0
-
-    @property
-    def section(self) -> int:
-        """Number of breaks before the last batch: times at which every file begun so far had ended."""
-        return 0
-
-    @property
-    def header(self) -> Mapping[str, Any]:
-        """The header of a cFE file; empty for other formats."""
-        return {}
+    on_this_host: bool = False
+    """Whether the source captures on this host now: times and drops are those of this host."""
+    part: int = 0
+    """Number of the clock of the last batch; the order of events of two different clocks is unknown."""
+    section: int = 0
+    """Number of breaks before the last batch: times at which every file begun so far had ended."""
+    header: Mapping[str, Any] = {}
+    """The header of a cFE file; empty for other formats."""
 
     def stop(self) -> None:
         """End the batches of a live source after what has arrived; for any thread or signal handler."""
@@ -142,12 +131,10 @@ class Source(SourceDefaults, Protocol):
     @property
     def info(self) -> SourceInfo:
         """Information on the source."""
-        ...
 
     @property
     def statistics(self) -> SourceStatistics:
         """The counts so far; the same object each time."""
-        ...
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams, once.
@@ -155,7 +142,6 @@ class Source(SourceDefaults, Protocol):
         Raises:
             CaptureError: the input is damaged; raised after everything that could be read.
         """
-        ...
 
     def close(self) -> None:
         """Close files and sockets; may be called at any time, and twice."""
@@ -237,8 +223,6 @@ class DisplaySink(Sink, Protocol):
     @property
     def addresses(self) -> tuple[str, str]:
         """What a browser opens: Foxglove's application, and our own page."""
-        ...
 
     def summary(self) -> dict[str, Any]:
         """Return counts of what clients were sent, in the form of ``foxglove`` in ``live --json``."""
-        ...

@@ -44,11 +44,9 @@ class ByteStream(Protocol):
     @property
     def position(self) -> int:
         """Bytes of the file consumed; compressed bytes if it is compressed."""
-        ...
 
     def ready(self) -> bool:
         """Return whether ``fill`` would return at once, without waiting for a writer."""
-        ...
 
     def fill(self, view: memoryview) -> int:
         """Write bytes into ``view`` until it is full or no more are available now; return 0 at the end.
@@ -56,11 +54,9 @@ class ByteStream(Protocol):
         Raises:
             CaptureError: the bytes cannot be read; raised after all that could be read.
         """
-        ...
 
     def close(self) -> None:
         """Close the file."""
-        ...
 
 
 class FileStream:

@@ -70,22 +70,18 @@ class FileSink(Sink, Protocol):
     @property
     def paths(self) -> Sequence[Path]:
         """The files written, or their directory."""
-        ...
 
     @property
     def output(self) -> OutputFile | None:
         """The file being written; None if this sink did not open it."""
-        ...
 
     @property
     def datagrams(self) -> int:
         """Number of datagrams that are, or will be, in the file being written."""
-        ...
 
     @property
     def complete(self) -> Sequence[tuple[OutputFile, int]]:
         """The complete files, with the number of datagrams in each."""
-        ...
 
     def forget(self, output: OutputFile) -> None:
         """Leave a complete file out of ``paths`` and ``complete``: it was deleted."""

@@ -46,36 +46,28 @@ class Wire(Protocol):
     @property
     def ends(self) -> tuple[Endpoint, Endpoint]:
         """The endpoints that datagrams are sent from and to."""
-        ...
 
     @property
     def statistics(self) -> SendStatistics:
         """The counters of sent datagrams."""
-        ...
 
     def now(self) -> int:
         """Return the time."""
-        ...
 
     def epoch_ns(self) -> int:
         """Return the offset from this time to ns since 1970."""
-        ...
 
     def wait(self, until_ns: int) -> bool:
         """Wait until ``until_ns``, or until something arrives; return whether the time was reached."""
-        ...
 
     def send(self, out: Outgoing, first: int, last: int) -> int:
         """Send datagrams ``first`` up to ``last``, not included; return how many were sent."""
-        ...
 
     def put(self, payload: bytes) -> bool:
         """Send one datagram of the caller's own; return whether it was sent."""
-        ...
 
     def receive(self) -> list[Arrival]:
         """Return the datagrams that have arrived."""
-        ...
 
 
 class UdpWire:

@@ -159,36 +159,28 @@ class LinkSession(Protocol):
     @property
     def ready(self) -> bool:
         """Whether messages may be sent."""
-        ...
 
     @property
     def next_ns(self) -> int | None:
         """Time at which ``service`` is due, ns; None for never."""
-        ...
 
     def receive_datagram(self, data: bytes, *, now: int) -> tuple[int, list[bytes]]:
         """Process a datagram; return where its space packet starts, -1 for none, and the answers."""
-        ...
 
     def service(self, *, now: int) -> list[bytes]:
         """Do the work that is due; return datagrams to send."""
-        ...
 
     def frame(self, packet: bytes) -> bytes:
         """Return the datagram that carries a packet."""
-        ...
 
     def sent(self, *, now: int) -> None:
         """Note that messages were sent."""
-        ...
 
     def goodbye(self) -> list[bytes]:
         """Return the datagrams to send at the end."""
-        ...
 
     def summary(self) -> dict[str, Any]:
         """Return the session's part of ``bridge --json``."""
-        ...
 
 
 class BridgeOptions(msgspec.Struct, frozen=True):
