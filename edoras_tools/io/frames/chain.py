@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
     from edoras_tools.wire.arrays.order import Integers
 
+    _Successor = Callable[[Integers], Integers]
+    """Returns the start of the record after each of some records."""
+
 _LANES = 16
 """Fewest parts for which one step of all of them costs less than single steps."""
 _BLOCK = 16
@@ -28,11 +31,7 @@ _BLOCK = 16
 
 
 def walk_records(
-    start: int,
-    end: int,
-    seeds: Integers,
-    successor: Callable[[Integers], Integers],
-    step: Callable[[int], int],
+    start: int, end: int, seeds: Integers, successor: _Successor, step: Callable[[int], int]
 ) -> tuple[Integers, int]:
     """Follow a chain of records from ``start`` as far as the records are complete.
 
@@ -76,7 +75,7 @@ def walk_records(
 
 
 def _march(
-    starts: Integers, limits: Integers, end: int, successor: Callable[[Integers], Integers]
+    starts: Integers, limits: Integers, end: int, successor: _Successor
 ) -> tuple[Integers, Integers, Integers]:
     """Walk every part from its start up to its limit, all at the same time.
 

@@ -46,6 +46,9 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.faults.scopes import Predicate
     from edoras_tools.wire.arrays.order import Octets
 
+    _Verdict = tuple[StreamCounter, bool, int]
+    """A rule's count for a stream, whether it strikes, and the number of the datagram in that count."""
+
 __all__ = ["HEAD_BYTES", "HOLD_BYTES", "Delivery", "FaultMachine", "FaultPlan"]
 
 _INVOLVED: Final = 1
@@ -304,9 +307,7 @@ class FaultMachine:
             self._counters[key] = counters
         return counters
 
-    def _decide_one(
-        self, payload: bytes, link: Link, to_cfs: bool, now: int, stream: int
-    ) -> list[tuple[StreamCounter, bool, int]]:
+    def _decide_one(self, payload: bytes, link: Link, to_cfs: bool, now: int, stream: int) -> list[_Verdict]:
         elapsed = self._elapsed(now)
         verdicts = []
         for counter in self._counters_of(link, to_cfs=to_cfs, stream=stream):
@@ -328,13 +329,7 @@ class FaultMachine:
         return verdicts
 
     def _act(
-        self,
-        payload: bytes,
-        link: Link,
-        to_cfs: bool,
-        now: int,
-        stream: int,
-        verdicts: list[tuple[StreamCounter, bool, int]],
+        self, payload: bytes, link: Link, to_cfs: bool, now: int, stream: int, verdicts: list[_Verdict]
     ) -> tuple[list[Delivery], list[Fault]]:
         msg_id = datagram_msg_id(payload, link, self._msg_ids)
         items = [Pending(payload, now, stream, to_cfs)]
