@@ -440,6 +440,11 @@ def test_short_stalls_are_named_and_no_rate_is_advised_against_them():
     assert "send at most" not in text
 
 
+def test_the_time_of_a_disconnection_ends_when_messages_are_sent_again():
+    (verdict,) = [item for item in examined("sbn_restarted").verdicts if item.rule == "sbn_disconnected"]
+    assert verdict.span[1] < examined("sbn_restarted").case.end_ns - SECOND
+
+
 def test_what_a_stream_lost_behind_its_last_message_is_told_by_its_msg_id():
     rows = {(row.msg_id, row.hop): row.all_lost for row in examined("bursts_at_two_pipes").balance}
     assert rows[0x828, "TO_LAB_TLM_PIPE"] == 240

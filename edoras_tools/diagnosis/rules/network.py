@@ -293,23 +293,22 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
         who, peer = sender[0], target[0]
         when = int(rows.time_ns[row])
         sent = (rows.source == rows.source[row]) & (rows.time_ns > when + SECOND)
-        back = bool((sent & (rows.sbn_msg_type == sbn.MsgType.APP)).any())
+        back_ns = rows.time_ns[sent & (rows.sbn_msg_type == sbn.MsgType.APP)]
         stops = [
             f"{item.app} was stopped: {item.witness}"
             for item in case.outages
             if item.app == facts.NAME and item.start_ns - SECOND < when < item.ended_ns + SECOND
         ]
-        restart = case.inject("es-restart-app", facts.NAME)
-        look = f"look at the events of SBN around that time; to restart it: {restart}"
+        look = "look at the events of SBN around that time; to restart it: "
         yield verdict(
-            Severity.WARNING if back else Severity.ERROR,
+            Severity.WARNING if len(back_ns) else Severity.ERROR,
             f"{who} disconnected from its SBN peer {peer or 'there'} at {case.at(when)}"
-            + ("" if back else ", and sent no application message to anybody after that"),
+            + ("" if len(back_ns) else ", and sent no application message to anybody after that"),
             f"packet {rows.number[row]}: DISCONNECT from {who}",
             *(stops or sent_before(case, when)),
             place=("sbn", f"SBN peer {peer}"),
-            span=(when, case.end_ns),
-            remedy=revival(case, facts.NAME) if stops else look,
+            span=(when, int(back_ns.min(initial=case.end_ns))),
+            remedy=revival(case, facts.NAME) if stops else look + case.inject("es-restart-app", facts.NAME),
         )
 
 
