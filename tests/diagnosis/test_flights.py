@@ -142,6 +142,7 @@ RANGES = {
     "poses_taken_off_the_table": 31,
     "network_overload_restart": 52,
     "two_cfs_of_one_name": 71,
+    "bridge_for_each_robot": 221,
 }
 
 

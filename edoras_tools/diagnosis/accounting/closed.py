@@ -729,7 +729,7 @@ def _newest(fate: Fate, hop: Hop, wake_ns: int) -> Mask:
     times, out_ns = fate.stream.time_ns, out.time_ns
     steps = np.diff(out_ns) // (out.missing[:-1] + 1)
     steps = steps[steps <= 2 * np.median(steps)] if len(steps) >= _LEAST_ROUNDS else steps[:0]
-    period = int(max(np.median(steps), (steps.sum() + wake_ns) / len(steps))) if len(steps) else 0
+    period = int(steps.sum() + wake_ns) // len(steps) if len(steps) else 0
     newest = np.ones(len(times), bool)
     if fate.newer.any() and period >= _FASTER * float(np.median(np.diff(times))):
         read = out_ns - _delay(times, out_ns, hop)
