@@ -123,6 +123,7 @@ FLIGHTS = {
     "robot_ends_after_its_commands": (0, {}),
     "two_robots_cut_at_96_bytes": (0, {}),
     "limit_forgotten_by_a_restart": (229, {"limit": 217, "overflow": 12}),
+    "hops_in_turn": (999, {"limit": 586, "overflow": 411, "port_closed": 2}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -444,6 +445,14 @@ def test_short_stalls_are_named_and_no_rate_is_advised_against_them():
 def test_the_time_of_a_disconnection_ends_when_messages_are_sent_again():
     (verdict,) = [item for item in examined("sbn_restarted").verdicts if item.rule == "sbn_disconnected"]
     assert verdict.span[1] < examined("sbn_restarted").case.end_ns - SECOND
+
+
+def test_a_pipe_is_not_full_of_what_two_msg_ids_leave_in_it():
+    """The peer's pipe keeps 8 of a MsgId and holds 32: only Telemetry Output's pipe was full."""
+    rows = {(row.msg_id, row.hop): row.lost for row in examined("hops_in_turn").balance}
+    assert rows[0x82A, "SBN_3_66_Pipe"] == {"limit": 143}
+    assert rows[0x82B, "SBN_3_66_Pipe"]["limit"] >= 300
+    assert rows[0x82E, "TO_LAB_TLM_PIPE"]["overflow"] >= 290
 
 
 def test_what_a_stream_lost_behind_its_last_message_is_told_by_its_msg_id():

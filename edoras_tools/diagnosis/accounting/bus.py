@@ -305,7 +305,7 @@ class Telemetry:
         low, high = gaps.low_ns, gaps.high_ns
         part.outside = int(gaps.number[(low <= counts.times[0]) | (high > counts.times[-1])].sum())
         part.watched = 2 * part.outside <= part.missing
-        kinds = (*part.kinds, *(kind for kind in [*COUNTERS][::-1] if kind not in part.kinds))
+        kinds = part.kinds or tuple(COUNTERS)[::-1]
         rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, part.stream
         for members in claimed_alike([counts], low, high):
             span, number = (int(low[members[0]]), int(high[members[0]])), int(gaps.number[members].sum())

@@ -303,7 +303,7 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
         times = case.rows.time_ns[sent]
         # Part of the pipe's traffic may not be captured: half its depth is taken as full.
         most_ns = _full(times, period, min(queue.depth // 2, measured_depth(times, period)))
-        return _beside(most_ns, own[at] - period, own[at + 1] + period, missing[at])
+        return _beside(most_ns, own[at] - period // 2, own[at + 1], missing[at])
     rounds, clean, times = case.rounds(stream, span), limit, case.times(stream)
     if not full and rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
         clean, limit = rounds.most, max(limit, rounds.most)
