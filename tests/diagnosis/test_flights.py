@@ -124,6 +124,7 @@ FLIGHTS = {
     "two_robots_cut_at_96_bytes": (0, {}),
     "limit_forgotten_by_a_restart": (229, {"limit": 217, "overflow": 12}),
     "hops_in_turn": (999, {"limit": 586, "overflow": 411, "port_closed": 2}),
+    "floods_of_poses": (979, {"limit": 926, "disabled": 29, "sbn_peer_restart": 24}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -453,6 +454,12 @@ def test_a_pipe_is_not_full_of_what_two_msg_ids_leave_in_it():
     assert rows[0x82A, "SBN_3_66_Pipe"] == {"limit": 143}
     assert rows[0x82B, "SBN_3_66_Pipe"]["limit"] >= 300
     assert rows[0x82E, "TO_LAB_TLM_PIPE"]["overflow"] >= 290
+
+
+def test_a_message_that_surely_did_not_come_out_gets_a_count_before_those_that_gave_way():
+    rows = {(row.msg_id, row.hop): row for row in examined("floods_of_poses").balance}
+    assert rows[0x182A, "software bus"].lost == {"limit": 1}
+    assert rows[0x182A, "application"].unaccounted == 0
 
 
 def test_what_a_stream_lost_behind_its_last_message_is_told_by_its_msg_id():

@@ -267,8 +267,9 @@ def settle_known(
         The counts that several kinds of traffic share.
     """
     missing = {Rank.NOT_TAKEN, Rank.PRESSED, Rank.ABSENT, Rank.CLOSED}
-    with_own, quiet = missing | {Rank.OWN_PACKETS}, {Rank.QUIET, Rank.INTO_STOP}
-    for ranks, slack_ns in ((missing, _APART_NS), (with_own, 0), (quiet, 0)):
+    with_own = missing | {Rank.OWN_PACKETS}
+    quiet, into_stop = with_own | {Rank.QUIET}, {Rank.INTO_STOP}
+    for ranks, slack_ns in ((missing, _APART_NS), (with_own, 0), (quiet, 0), (into_stop, 0)):
         sure = [claim for claim in claims if claim.rank in ranks]
         settle(counts, sure)
         settle(counts, sure, slack_ns)
