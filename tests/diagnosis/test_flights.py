@@ -462,6 +462,28 @@ def test_a_message_that_surely_did_not_come_out_gets_a_count_before_those_that_g
     assert rows[0x182A, "application"].unaccounted == 0
 
 
+def test_a_peer_that_gave_its_peer_up_did_not_start_again():
+    """66:1 sends 66:2 nothing from 56.3 to 59.7 s, because 66:2 stood still for longer than its time-out."""
+    found = examined("peer_killed_and_stopped")
+    assert not [item for item in found.verdicts if item.rule == "sbn_peer_restart"]
+    restarts = {peer: item.restarts for (peer, _), item in found.case.network.connections.items()}
+    assert not any(restarts.values())
+
+
+def test_a_cfs_without_output_that_its_counts_show_started_again_and_then_stood_still():
+    """Its Telemetry Output is not enabled again, and its clock goes on: SBN shows both."""
+    found = examined("peer_killed_and_stopped")
+    seen = [
+        (item.rule, item.span[0] - found.case.start_ns, item.span[1] - found.case.start_ns)
+        for item in found.verdicts
+        if item.rule in {"cfs_restart", "cfs_stalled"}
+    ]
+    assert [(rule, round(start / SECOND), round(end / SECOND)) for rule, start, end in seen] == [
+        ("cfs_restart", 16, 35),
+        ("cfs_stalled", 45, 60),
+    ]
+
+
 def test_what_a_stream_lost_behind_its_last_message_is_told_by_its_msg_id():
     rows = {(row.msg_id, row.hop): row.all_lost for row in examined("bursts_at_two_pipes").balance}
     assert rows[0x828, "TO_LAB_TLM_PIPE"] == 240

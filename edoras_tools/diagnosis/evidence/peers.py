@@ -9,12 +9,15 @@ Rules:
 4. If the observer stopped sending and then subscribed again, it had timed the peer out, though the capture
    shows no silence.
 5. A peer restarted if it was silent while messages were sent to it, and then subscribed again.
+6. An observer that had sent nothing itself, not even a heartbeat, was given up by the peer, which is silent
+   for that: then rules 3 and 5 do not hold.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections import Counter
+from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
@@ -211,15 +214,17 @@ class Network:
             if peer[0] and observer[0] in flight_software and peer != observer:
                 heard = network[np.isin(way, ways[peer, observer])]
                 sent = network[np.isin(way, ways.get((observer, peer), []))]
-                signs = sent if len(sent) else heard
                 app = sent[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
-                alive_ns = int(rows.time_ns[signs[0]])
+                alive_ns = int(rows.time_ns[sent[0] if len(sent) else heard[0]])
                 changes = self._changes(rows, heard, alive_ns, end_ns, _disconnect_spans(rows, sent))
                 changes = _believed(changes, rows.time_ns[app])
                 changes = _with_unseen(changes, rows, sent, app)
-                self.connections[peer, observer] = Connection(
-                    peer[0], observer[0], changes, rows.time_ns[app], _restarts(rows, heard, sent, changes)
-                )
+                restarts = _restarts(rows, heard, sent, changes)
+                spoke = partial(self._spoke, rows.time_ns[sent])
+                changes = [item for item in changes if item.why != UNSEEN or spoke(item.time_ns)]
+                restarts = [item for item in restarts if spoke(item.last_ns)]
+                ends = peer[0], observer[0]
+                self.connections[peer, observer] = Connection(*ends, changes, rows.time_ns[app], restarts)
 
     def _changes(
         self, rows: Rows, heard: Places, alive_ns: int, end_ns: int, farewells: list[tuple[int, int]]
@@ -278,6 +283,11 @@ class Network:
             text = f"nothing from it since, {(end_ns - last) / SECOND:.1f} s to the end of the capture"
             changes.append(PeerChange(last, "silent", text))
         return changes
+
+    def _spoke(self, sent_ns: Integers, until_ns: int) -> bool:
+        """Return whether an observer sent something before a time, a heartbeat at least (rule 6)."""
+        since_ns = until_ns - (self._profile.sbn_heartbeat_s + 1) * SECOND
+        return bool(np.ptp(np.searchsorted(sent_ns, (since_ns, until_ns))))
 
     def _away(self, start_ns: int, end_ns: int) -> int:
         """Return how much of a span, ns, nothing could be captured."""

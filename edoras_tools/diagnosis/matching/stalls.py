@@ -5,7 +5,8 @@ Rules, all of which must hold:
 1. The capture has no packet of this cFS in that time, although it sent steadily before and after.
 2. Its streams miss almost no sequence counts there, so it published nothing.
 3. The first packets behind were made after that time, so no network delayed them.
-4. Telemetry Output was not switched off, cFS did not boot, and the capture had no outage.
+4. Nothing else explains the silence of these streams: cFS did not boot, what sends them was not switched off,
+   and the capture had no outage.
 """
 
 from __future__ import annotations
@@ -14,9 +15,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import executive_services, telemetry_output
+from edoras_tools.cfs.executive_services import SCHEDULERS
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
-from edoras_tools.diagnosis.evidence.timeline.table import EVERY, Change, StateOwner, Timeline
+from edoras_tools.diagnosis.evidence.timeline.table import (
+    NOT_RUNNING,
+    Change,
+    StateOwner,
+    Timeline,
+    Way,
+    reasons_for,
+)
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -36,15 +44,6 @@ _EDGE: Final = 8
 _BEHIND: Final = 8
 """Number of messages, from the last one before the pause on, whose mission times are checked."""
 _CFS: Final = StateOwner("cfs")
-_OFF: Final = (
-    (StateOwner("output"), ("disabled", "suppressed")),
-    (StateOwner("entry"), ("unsubscribed", "as at the start")),
-    (_CFS, ("down",)),
-    *(
-        (StateOwner("app", name), ("stopped", "restarting", "failed"))
-        for name in (*telemetry_output.NAMES, *executive_services.SCHEDULERS)
-    ),
-)
 
 
 def stalls(
@@ -57,6 +56,7 @@ def stalls(
     """
     whose = np.array([*instances.systems, NOBODY])[instances.of_row]
     robot = rows.on(lambda link: link.last_hop)
+    asleep = [item for item in timeline.every(*NOT_RUNNING) if item.change.subject.name in SCHEDULERS]
     for system in sorted(set(instances.systems)):
         # Datagrams to a robot may come from any of the cFS.
         times = rows.time_ns[(whose == system) | robot]
@@ -67,26 +67,19 @@ def stalls(
         usual_ns = int(np.quantile(pauses, 0.9)) if len(pauses) else 0
         for at in np.flatnonzero(steps > max(_LEAST_NS, _FACTOR * usual_ns)).tolist():
             start_ns, end_ns = times[at : at + 2].tolist()
-            if _switched_off(timeline, system, start_ns, end_ns):
+            if any(span.change.system == system and span.overlaps(start_ns, end_ns) for span in asleep):
                 continue
             own = [
                 item
                 for item in streams
                 if item.instance != NOBODY and instances.systems[item.instance] == system and item.counted
+                if not reasons_for(timeline, Way(item.msg_id, item.link, system), start_ns, end_ns, str)
             ]
             if _published_nothing(instances, own, (start_ns, end_ns), usual_ns):
                 text = f"nothing came of it for {(end_ns - start_ns) / SECOND:.1f} s"
                 text += ", no count is missing, and it went on as before"
                 yield Change(system, _CFS, "stalled", start_ns, start_ns + usual_ns, text)
                 yield Change(system, _CFS, "running", end_ns - usual_ns, end_ns, "it sends again")
-
-
-def _switched_off(timeline: Timeline, system: int, start_ns: int, end_ns: int) -> bool:
-    away = timeline.spans(StateOwner("capture"), "away", EVERY)
-    spans = [
-        span for owner, states in _OFF for state in states for span in timeline.spans(owner, state, system)
-    ]
-    return any(span.overlaps(start_ns, end_ns) for span in (*spans, *away))
 
 
 def _published_nothing(

@@ -172,14 +172,16 @@ class Reset(NamedTuple):
 def find_resets(rows: Rows, streams: Sequence[Stream]) -> list[Reset]:
     """Return every restart of a cFS after which its clock went on.
 
-    Telemetry Output then sends from another port, and most sequence counts fall. If only Telemetry Output had
-    restarted, the counts would go on. Each MsgId gives an interval; overlapping ones are one restart.
+    Most sequence counts fall then, where Telemetry Output sends from another port, or on SBN. If only
+    Telemetry Output had restarted, the counts would go on. Each MsgId gives an interval; overlapping ones are
+    one restart.
     """
     spans: dict[int, list[tuple[int, int, bool]]] = {}
     for stream in streams:
-        if stream.link.only_from_cfs and stream.counted:
+        if not stream.link.only_to_cfs and stream.counted:
             count = rows.sequence_count[stream.rows].astype(np.int64)
-            for at in np.flatnonzero(np.diff(rows.source[stream.rows])).tolist():
+            began = (np.diff(rows.source[stream.rows]) != 0) | (rows.restarts[stream.rows[1:]] > 0)
+            for at in np.flatnonzero(began).tolist():
                 start, end = stream.time_ns[at : at + 2].tolist()
                 if start < end:
                     fell = (count[at + 1] - count[at]) % MODULUS >= FORWARD

@@ -42,7 +42,7 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
             case,
             case.label(reset.instance),
             (reset.start_ns, reset.end_ns),
-            "its clock went on, as after a processor reset: counts begin lower, and come from another port",
+            "its clock went on, as after a processor reset: counts begin lower",
         )
     items = case.instances.items
     for before, index, boot_ns in boots(case):
