@@ -125,6 +125,7 @@ FLIGHTS = {
     "limit_forgotten_by_a_restart": (229, {"limit": 217, "overflow": 12}),
     "hops_in_turn": (999, {"limit": 586, "overflow": 411, "port_closed": 2}),
     "floods_of_poses": (979, {"limit": 926, "disabled": 29, "sbn_peer_restart": 24}),
+    "losing_network_one_side": (39, {"network": 9, "limit": 15, "after": 15}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {

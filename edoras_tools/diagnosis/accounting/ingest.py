@@ -352,7 +352,7 @@ class _Counted:
             account: the account for a network without delay.
         """
         every = [self.account(ns + _APART_NS, ns) for ns in range(0, _UNDER_WAY_NS, _APART_NS)]
-        least = min(every, key=lambda item: (item.before > 0, item.lost_on_network))
+        least = min(every, key=lambda item: (item.before > 0, item.not_captured, item.lost_on_network))
         return replace(least, unsure=least.unsure + max(0, account.lost - least.lost))
 
     def account(self, under_way_ns: int = 0, least_ns: int = 0) -> Ingest:
