@@ -28,7 +28,7 @@ Applications and links that did not run:
 11. Messages from or to SBN are lost while SBN was stopped, and while their peer was away or had not
     subscribed to them. If the application keeps only the newest, that is one message a round.
 12. Messages that an application was to send by Telemetry Output are lost while that sent nothing until it was
-    enabled, and after it was stopped for good.
+    enabled, and after it was stopped or started again, if it sent nothing from then on.
 """
 
 from __future__ import annotations
@@ -619,8 +619,7 @@ class Stops:
         if not (track and out.counted and case.rows.sequence_count[out.rows[0]] == 1 and len(before)):
             return newest
         number = track.growth("no_subscribers", int(fate.stream.time_ns[0]), first_ns)
-        others = track.growth("no_subscribers", first_ns + _STOPS_NS)
-        if not others and 0 < number < len(before):
+        if 0 < number < len(before) and not track.growth("no_subscribers", first_ns + _STOPS_NS):
             newest[before] = False
             newest[before[np.linspace(0, len(before) - 1, number).round().astype(int)]] = True
         return newest
@@ -659,11 +658,11 @@ class Stops:
             inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
             self.mark(fate, inside, "disabled", telemetry_output.NAME, text)
         last_ns = max((int(_sent_by(case, out.sender)[-1]) for out in outs), default=NEVER)
-        ended = [item for item in case.outages if item.app in telemetry_output.NAMES and item.end_ns is None]
-        for item in ended:
+        for item in (item for item in case.outages if item.app in telemetry_output.NAMES):
+            # Where it was started again, nobody enabled it since.
             if case.into_system(fate.stream, item.system) and last_ns < item.ended_ns + TAIL_NS:
                 inside = fate.open & (fate.stop < 0) & (times > max(item.start_ns, last_ns))
-                self.mark(fate, inside, "stopped", item.app, item.witness)
+                self.mark(fate, inside, "disabled" if item.end_ns else "stopped", item.app, item.witness)
 
     def _mark_beside(self, fate: Fate) -> None:
         """Mark the messages that a second cFS got, of which none came out since it was started."""
