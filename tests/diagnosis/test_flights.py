@@ -487,6 +487,16 @@ def test_a_cfs_without_output_that_its_counts_show_started_again_and_then_stood_
     ]
 
 
+def test_a_bridge_that_answers_late_had_stood_still_and_lost_nothing():
+    """It repeats its subscriptions: only its answers show that it was not started again."""
+    found = examined("bridge_stood_still")
+    (connection,) = found.case.network.connections.values()
+    silences = [item for item in connection.silences(found.case.end_ns) if item.given_up]
+    assert [item.stood_still for item in silences] == [True, False]
+    assert by_cause(found)["sbn_timeout"] == 44
+    assert found.lost + found.unaccounted <= 213
+
+
 def test_what_a_stream_lost_behind_its_last_message_is_told_by_its_msg_id():
     rows = {(row.msg_id, row.hop): row.all_lost for row in examined("bursts_at_two_pipes").balance}
     assert rows[0x828, "TO_LAB_TLM_PIPE"] == 240

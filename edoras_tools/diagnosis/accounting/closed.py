@@ -273,11 +273,12 @@ def unheard(case: Case) -> dict[Stream, Unheard]:
                 inside = np.flatnonzero((times > silence.start_ns) & (times < silence.until_ns)).tolist()
                 if silence.given_up:
                     # It may have received messages until an ICMP error says that its port was closed. A peer
-                    # that stood still reads later what its socket holds.
+                    # that stood still reads later what its socket holds, and did so where it answers all.
                     shut = (row for row in inside if closed[stream.rows[row]])
                     first = next(shut, len(times) if silence.stood_still else 0)
                     item.lost += [row for row in inside if row >= first]
-                    item.uncertain += sum(row < first for row in inside)
+                    if len(connection.sent_in(silence)) > silence.answers:
+                        item.uncertain += sum(row < first for row in inside)
                 else:
                     item.unaccounted += int((~closed[stream.rows[inside]]).sum())
             for restart in connection.restarts:

@@ -77,7 +77,9 @@ class PeerSilence(NamedTuple):
         until_ns: time of its next one, or the end of the capture.
         given_up: whether the observer timed the peer out.
         change: index of the silence in the connection's changes.
-        stood_still: whether the peer went on without a new subscription, so that it had not restarted.
+        stood_still: whether the peer went on without a new subscription, or answered what it had been sent
+            meanwhile, so that it had not restarted.
+        answers: number of its answers then to what it had been sent meanwhile.
     """
 
     start_ns: int
@@ -85,6 +87,7 @@ class PeerSilence(NamedTuple):
     given_up: bool
     change: int
     stood_still: bool
+    answers: int
 
 
 class PeerRestart(NamedTuple):
@@ -114,6 +117,7 @@ class Connection(msgspec.Struct):
         changes: states of the peer, in order of time.
         sent_ns: i64, capture times of application messages that the observer sent to it.
         restarts: restarts of the peer before a time-out, in order.
+        late: time of a change, ns, to the number of answers then to what the peer had been sent before.
     """
 
     peer: str
@@ -121,6 +125,7 @@ class Connection(msgspec.Struct):
     changes: list[PeerChange]
     sent_ns: Integers
     restarts: list[PeerRestart]
+    late: dict[int, int]
 
     def silences(self, end_ns: int) -> Iterator[PeerSilence]:
         """Yield every silence with a time-out, and one that lasts to the end of the capture."""
@@ -131,8 +136,9 @@ class Connection(msgspec.Struct):
             backs = (item for item in later if item.state == "connected")
             back = next(backs, PeerChange(end_ns, "silent", ""))
             given_up = bool(later) and later[0].state == "timed_out"
-            still = back.why.startswith("its ") and back.why not in _BEGAN
-            yield PeerSilence(change.time_ns, back.time_ns, given_up, at, still)
+            answers = self.late.get(back.time_ns, 0)
+            still = answers > _LEAST_ROWS or (back.why.startswith("its ") and back.why not in _BEGAN)
+            yield PeerSilence(change.time_ns, back.time_ns, given_up, at, still, answers)
 
     def sent_in(self, silence: PeerSilence) -> Integers:
         """Return the times, i64 ns, of application messages that were sent to it in a silence."""
@@ -140,11 +146,8 @@ class Connection(msgspec.Struct):
 
     def as_json(self) -> dict[str, Any]:
         """Return the connection in the shape of ``doctor --json``."""
-        return {
-            "peer": self.peer,
-            "observer": self.observer,
-            "states": [change._asdict() for change in self.changes],
-        }
+        states = [change._asdict() for change in self.changes]
+        return {"peer": self.peer, "observer": self.observer, "states": states}
 
 
 class Network:
@@ -217,14 +220,15 @@ class Network:
                 app = sent[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
                 alive_ns = int(rows.time_ns[sent[0] if len(sent) else heard[0]])
                 changes = self._changes(rows, heard, alive_ns, end_ns, _disconnect_spans(rows, sent))
-                changes = _believed(changes, rows.time_ns[app])
+                app_ns = rows.time_ns[app]
+                changes = _believed(changes, app_ns)
                 changes = _with_unseen(changes, rows, sent, app)
-                restarts = _restarts(rows, heard, sent, changes)
                 spoke = partial(self._spoke, rows.time_ns[sent])
                 changes = [item for item in changes if item.why != UNSEEN or spoke(item.time_ns)]
-                restarts = [item for item in restarts if spoke(item.last_ns)]
+                restarts = [item for item in _restarts(rows, heard, sent, changes) if spoke(item.last_ns)]
+                late = {item.time_ns: _late_answers(rows, heard, sent, item.time_ns) for item in changes}
                 ends = peer[0], observer[0]
-                self.connections[peer, observer] = Connection(*ends, changes, rows.time_ns[app], restarts)
+                self.connections[peer, observer] = Connection(*ends, changes, app_ns, restarts, late)
 
     def _changes(
         self, rows: Rows, heard: Places, alive_ns: int, end_ns: int, farewells: list[tuple[int, int]]
@@ -387,13 +391,17 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
         if followed or not number or not len(again):
             continue
         if repeats:
-            beyond = [
-                ((answers > end_ns) & (answers < until)).sum()
-                - ((sent_ns > end_ns) & (sent_ns < until)).sum()
-                for until in (end_ns + _ANSWERS_NS, end_ns + _STILL_NS)
-            ]
-            if not answering or max(beyond) > number // 2 or len(answers) + number > len(sent_ns):
+            late = _late_answers(rows, heard, sent, end_ns)
+            if not answering or late > number // 2 or len(answers) + number > len(sent_ns):
                 continue
         around = int(heard[place]), int(heard[again[0]])
         restarts.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around, read_ns))
     return restarts
+
+
+def _late_answers(rows: Rows, heard: Places, sent: Places, back_ns: int) -> int:
+    """Return how many answers of a peer that is back are to what it had been sent before."""
+    answers = rows.time_ns[heard[rows.sbn_msg_type[heard] == sbn.MsgType.PROTO]]
+    ends = [(back_ns, back_ns + span_ns) for span_ns in (_ANSWERS_NS, _STILL_NS)]
+    both = (np.diff(np.searchsorted(times, ends), axis=1) for times in (answers, rows.time_ns[sent]))
+    return int(np.subtract(*both).max())

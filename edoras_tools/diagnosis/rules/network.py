@@ -80,11 +80,10 @@ def _unseen(case: Case, connection: Connection, silent: PeerChange) -> Verdict:
 def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
     """Say that a peer is silent when the capture ends: nobody knows whether it is there."""
     sent = connection.sent_in(silence)
-    seconds = (case.end_ns - silence.start_ns) / SECOND
     return warning(
-        f"SBN peer {connection.peer} is silent since {case.at(silence.start_ns)}, {seconds:.1f} s to the "
-        f"end of the capture; {connection.observer} sent it {plural(len(sent), 'message')} since, and "
-        "nothing shows whether they were heard",
+        f"SBN peer {connection.peer} is silent since {case.at(silence.start_ns)}, "
+        f"{(case.end_ns - silence.start_ns) / SECOND:.1f} s to the end of the capture; {connection.observer} "
+        f"sent it {plural(len(sent), 'message')} since, and nothing shows whether they were heard",
         f"last datagram of {connection.peer} at {case.at(silence.start_ns)}",
         place=("sbn", f"SBN peer {connection.peer}"),
         of=len(sent) or None,
@@ -115,12 +114,12 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
         if connection.peer in record.message
         and any(event.phrase in record.message for event in (facts.TIMED_OUT, facts.DISCONNECTED))
     ]
-    back = f"back after {(until - silent.start_ns) / SECOND:.1f} s"
-    returned = back if until < case.end_ns else "not back in this capture"
+    away_s = (until - silent.start_ns) / SECOND
+    returned = f"back after {away_s:.1f} s" if until < case.end_ns else "not back in this capture"
     why = "It was killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent"
     remedy = "restart the peer: its first SUB or PROTO connects it. Send DISCONNECT before a planned stop"
     if silent.stood_still:
-        why = "It did not subscribe anew: it stood still, or was cut off, and may read late what it was sent"
+        why = "It was not started anew: it stood still, or was cut off, and may read late what it was sent"
         remedy = "look at the load of its host, at who may stop its process, and at the network"
     return verdict(
         Severity.ERROR if len(sent) else Severity.WARNING,
