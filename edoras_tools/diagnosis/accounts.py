@@ -43,7 +43,8 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
     unreached = sum(item.number for item in case.unreached if item.stream is stream)
     to_cfs = route.to_cfs if route else stream.is_command
     clean_hz, told_by = clean_rate(case, stream)
-    rounds = comb(times)
+    rounds, tasks = comb(times), (case.profile.to_wake_ns, case.profile.sbn_wake_ns)
+    is_task = any(abs(rounds.period_ns - period) < period // _ROUND for period in tasks)
     behind = stream.link.only_to_cfs or (stream.link.peers and to_cfs)
     return {
         "topic": source.topic if source else None,
@@ -66,7 +67,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "reordered": stream.reordered,
         "restarts": stream.restarts,
         "bytes_max": int(rows.length[own].max()),
-        "comb_ms": round(rounds.period_ns / 1e6, 1) if _is_task(case, rounds.period_ns) else None,
+        "comb_ms": round(rounds.period_ns / 1e6, 1) if is_task else None,
         "delay": _json(_delay(case, stream)),
         "to_robot": next(
             (_json(hop.latency) for hop in case.hops if hop.into is stream and hop.out.link.last_hop), None
@@ -122,13 +123,6 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
     elif stream.link.peers:
         names = ("sbn_wake_ns", "app_msg_limit" if to_cfs else "sbn_msg_limit")
     return assumed_hz, "measured" if case.origin(*names) == "told" else "assumed"
-
-
-def _is_task(case: Case, period_ns: int) -> bool:
-    """Return whether a period is that of Telemetry Output or SBN."""
-    return any(
-        abs(period_ns - own) < own // _ROUND for own in (case.profile.to_wake_ns, case.profile.sbn_wake_ns)
-    )
 
 
 def _delay(case: Case, stream: Stream) -> Latency | None:

@@ -23,15 +23,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, queues, telemetry_output
-from edoras_tools.diagnosis.accounting.claims import (
-    Rank,
-    settle_doubted,
-    settle_first,
-    settle_known,
-    settle_rest,
-    share_open,
-    shares,
-)
+from edoras_tools.diagnosis.accounting import claims
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, UDP_PORT, Stops, containing
 from edoras_tools.diagnosis.accounting.ingest import BeforeCi
 from edoras_tools.diagnosis.accounting.losses import (
@@ -124,21 +116,23 @@ class Commands:
             self._not_taken(fate, stops)
             self._pass_on(fate)
             pipes.claim(fate)
-        counts, claims = case.loss_counts, [*telemetry.claims, *pipes.claims]
-        hold_back(case, claims)
+        counts, every = case.loss_counts, [*telemetry.claims, *pipes.claims]
+        hold_back(case, every)
         # All claims on the counters are settled together: first surely missing messages, then possible ones.
         leftover = Leftover(case, self.fates, pipes)
         leftover.take_reported()
         if case.quality.lacks_answered:
             leftover.leave_away()
-        shared = settle_known(counts, claims, leftover.rivals())
+        shared = claims.settle_known(counts, every, leftover.rivals())
         if case.quality.lacks_answered:  # a missing message may be lost, or only missed by the capture
-            shared += share_open(counts, claims)
+            shared += claims.share_open(counts, every)
         open_ = Counter[Hashable]()
-        for claim in claims:
+        for claim in every:
             open_[claim.flow] += claim.open
-        settle_first(counts, claims, most_missed(case, open_))
-        self._tails = {item.flow: sum(item.taken.values()) for item in claims if item.rank == Rank.POSSIBLE}
+        claims.settle_first(counts, every, most_missed(case, open_))
+        self._tails = {
+            item.flow: sum(item.taken.values()) for item in every if item.rank == claims.Rank.POSSIBLE
+        }
         # The counts become losses. What is still missing may be lost where no counter is, or before CI.
         pipes.make_losses()
         stops.make_losses()
@@ -153,8 +147,8 @@ class Commands:
         for account in case.ingests:
             before_ci.outnumbered(account)
         leftover.share(shared)
-        settle_rest(counts, claims)
-        settle_doubted(counts, claims)
+        claims.settle_rest(counts, every)
+        claims.settle_doubted(counts, every)
         leftover.doubt_gaps(telemetry.claims)
         telemetry.make_losses()
         self._name([item for item in case.refused if item.by_type])
@@ -714,18 +708,18 @@ def _in_order(hop: Hop) -> tuple[Places, Places]:
     return np.sort(into[near]), hop.out_rows[near]
 
 
-def hold_back(case: Case, claims: Sequence[Claim]) -> None:
+def hold_back(case: Case, every: Sequence[Claim]) -> None:
     """Remove from claims the messages that the capture may have missed, and keep them as ``doubted``.
 
     This concerns gaps that no event names and where no pipe was full. If the capture surely missed frames,
     messages sent while nobody received them are served before all others, because they are lost in any case.
     """
     groups: dict[Hashable, list[Claim]] = {}
-    for claim in claims:
-        if claim.rank == Rank.MISSING:
+    for claim in every:
+        if claim.rank == claims.Rank.MISSING:
             groups.setdefault(claim.flow, []).append(claim)
-        elif claim.rank in {Rank.CLOSED, Rank.INTO_STOP} and case.quality.lacks_answered:
-            claim.rank = Rank.NOT_TAKEN
+        elif claim.rank in {claims.Rank.CLOSED, claims.Rank.INTO_STOP} and case.quality.lacks_answered:
+            claim.rank = claims.Rank.NOT_TAKEN
     missing = sum(claim.number for own in groups.values() for claim in own)
     # In streams without sequence counts a frame missed by the capture leaves no gap.
     came = sum(len(stream) for stream in case.streams if stream.counted)
@@ -740,7 +734,7 @@ def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
     """Return how many messages of each gap of a stream the capture may have missed."""
     frames = case.frames(stream) if numbers else 0  # one missed frame is enough to lose a datagram
     most = case.quality.may_have_missed(frames * (len(stream) + int(stream.missing.sum())), case.confidence)
-    return shares(min(sum(numbers), most), numbers, numbers)
+    return claims.shares(min(sum(numbers), most), numbers, numbers)
 
 
 def _spans(fates: Sequence[Fate]) -> Integers:

@@ -107,7 +107,8 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
         sole = hop.sole[hop.out_rows[whole]]
         inverted[place] = sole & (sent_ns[place] < np.maximum.accumulate(sent_ns[place]))
         late[place] = sole & (when[place] > _expected(case, hop)[hop.in_rows[whole]])
-    late &= ~inverted & ~_stood_still(case, sent_ns, when)
+    stops = [(span.start_lo, span.end_hi) for span in case.timeline.every(*NOT_RUNNING)]
+    late &= ~inverted & ~case.overlaps_outage(sent_ns, when) & ~overlapping(sent_ns, when, stops)
     others = not robot and 2 * late.sum() > (sent_ns >= 0).sum()
     if others or case.quality.missing > _LACKING * case.quality.checked:
         late[:] = False  # other messages had the same values, or the queue before them was not captured
@@ -292,9 +293,3 @@ def _expected(case: Case, hop: Hop) -> Integers:
         arrived[head] = max(arrived[head], read_ns - every[0])
     read = np.maximum.accumulate(arrived - place) + place
     return np.asarray(read[own].astype(np.int64) + every[0] + waits_ns + _SLACK_NS)
-
-
-def _stood_still(case: Case, sent_ns: Integers, when: Integers) -> Mask:
-    """Return which messages were under way while cFS, an application or the interface was down: a mask."""
-    spans = [(span.start_lo, span.end_hi) for span in case.timeline.every(*NOT_RUNNING)]
-    return case.overlaps_outage(sent_ns, when) | overlapping(sent_ns, when, spans)

@@ -22,13 +22,7 @@ import numpy as np
 from msgspec.structs import asdict, replace
 
 from edoras_tools.decode.conversations import LEFT_OUT, ConversationKind, Flow
-from edoras_tools.diagnosis.evidence.copies import (
-    BY_CAPTURE,
-    BY_NETWORK,
-    find_copies,
-    find_damaged,
-    who_doubled,
-)
+from edoras_tools.diagnosis.evidence import copies
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
 from edoras_tools.diagnosis.evidence.relays import before_proxy, find_relayed, one_name
 from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, followed, number_hosts
@@ -127,7 +121,7 @@ def prepare(
     if (names != np.arange(len(names))).any():
         ends = {name: names[getattr(rest.rows, name)] for name in ("source", "destination")}
         rest.rows = followed(replace(rest.rows, **ends))
-    lost, standing = find_damaged(rest.rows, number_hosts(endpoints), shared=shared)
+    lost, standing = copies.find_damaged(rest.rows, number_hosts(endpoints), shared=shared)
     damaged = rest.rows.take(standing)
     if lost.any():
         rest.keep(~lost)
@@ -239,14 +233,14 @@ def _doubled(
     Args:
         sources: i32, endpoint that sent each sample of CI's counts.
     """
-    copies = find_copies(rows.time_ns, rows.identification, rows.way(), rows.tap, rows.bytes_print)
-    if not copies.duplicate.any():
-        return copies.copy, copies.duplicate, copies.duplicate, *copies[3:]
-    who = who_doubled(rows, copies, payloads.ingest, sources, endpoints)
+    pairs = copies.find_copies(rows.time_ns, rows.identification, rows.way(), rows.tap, rows.bytes_print)
+    if not pairs.duplicate.any():
+        return pairs.copy, pairs.duplicate, pairs.duplicate, *pairs[3:]
+    who = copies.who_doubled(rows, pairs, payloads.ingest, sources, endpoints)
     if any(item.doubled for item in proxied.values()):
-        who[copies.duplicate & (who == 0)] = BY_NETWORK  # the proxy's log shows repeated datagrams
-    perhaps = copies.duplicate & (who == 0)
-    return copies.copy | perhaps | (who == BY_CAPTURE), who == BY_NETWORK, perhaps, *copies[3:]
+        who[pairs.duplicate & (who == 0)] = copies.BY_NETWORK  # the proxy's log shows repeated datagrams
+    perhaps = pairs.duplicate & (who == 0)
+    return pairs.copy | perhaps | (who == copies.BY_CAPTURE), who == copies.BY_NETWORK, perhaps, *pairs[3:]
 
 
 def in_time_order(recorder: Recorder) -> tuple[Rows, Payloads, int]:

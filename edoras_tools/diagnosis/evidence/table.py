@@ -10,13 +10,7 @@ import numpy as np
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.conversations import Conversations
 from edoras_tools.decode.filters.rows import ColumnRows
-from edoras_tools.diagnosis.evidence.fingerprint import (
-    SharedFields,
-    of_values,
-    robot_commands,
-    robot_prints,
-    with_garbled,
-)
+from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.diagnosis.evidence.payloads import Payloads, StateRecorder
 from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder
 from edoras_tools.io.frames.linklayer import network_headers
@@ -215,7 +209,7 @@ class Recorder:
         self.states = StateRecorder()
         self.samples: dict[tuple[int, int], dict[int, bytes]] = {}
         self._index: dict[tuple[int, str, int], int] = {}
-        self._shared = SharedFields(context)
+        self._shared = fingerprint.SharedFields(context)
         self._times: list[Integers] = []
         self._parts: list[Rows] = []
         self._sequences = SequenceCounts()
@@ -242,9 +236,9 @@ class Recorder:
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Record a batch; datagrams without a packet are left out, except commands to a robot."""
-        columns = with_garbled(columns, batch)
+        columns = fingerprint.with_garbled(columns, batch)
         self.conversations.add(batch, columns)
-        commands = robot_commands(columns, batch, self.context.structs)
+        commands = fingerprint.robot_commands(columns, batch, self.context.structs)
         own = np.flatnonzero(among(columns.link, lambda link: link.packets) | commands)
         beside = among(columns.link, lambda link: link.quotes)
         self.left_out += len(batch) - len(own) - int(beside.sum())
@@ -265,7 +259,7 @@ class Recorder:
         Either all of its datagrams hold a packet or a command, or all are errors or other datagrams.
         """
         beside = among(columns.link, lambda link: link.quotes or link.last_hop) | (columns.link == OTHER)
-        if beside.all() and not robot_commands(columns, batch, self.context.structs).any():
+        if beside.all() and not fingerprint.robot_commands(columns, batch, self.context.structs).any():
             self.errors.add(batch, columns)
             self.states.add_states(batch)
             return
@@ -404,10 +398,12 @@ class Recorder:
             name = routes[index].type if index != NO_ROUTE else ""
             if name and types is not None and types.has(name):
                 rows = own[columns.route[own] == index]
-                plain[rows], stamped[rows] = of_values(types, name, batch.data, offset[rows], length[rows])
+                plain[rows], stamped[rows] = fingerprint.of_values(
+                    types, name, batch.data, offset[rows], length[rows]
+                )
         robot = np.flatnonzero(among(columns.link, lambda item: item.last_hop))
         if len(robot):
-            body[robot], stamped[robot] = robot_prints(batch, robot, types)
+            body[robot], stamped[robot] = fingerprint.robot_prints(batch, robot, types)
             plain[robot] = body[robot]
         return body, plain, stamped
 

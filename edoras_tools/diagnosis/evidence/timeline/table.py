@@ -159,7 +159,7 @@ def _follow(before: list[Change], change: Change) -> None:
     elif change.sure and not last.sure:
         # An answer to the command: the state had begun by then.
         before[-1] = _joined(last, change)
-    elif last.sure and not change.sure and len(last.rows) == 1 and _meet(last, change):
+    elif last.sure and not change.sure and len(last.rows) == 1 and change.not_before_ns <= last.not_after_ns:
         # The command that an event answers: the event's time is known only to one round.
         before[-1] = _joined(change, last)
     if len(before) > 1 and before[-1].sure:
@@ -167,10 +167,6 @@ def _follow(before: list[Change], change: Change) -> None:
         last, change = before[-2:]
         high = max(last.not_before_ns, min(last.not_after_ns, change.not_after_ns))
         before[-2:] = replace(last, not_after_ns=high), _behind(replace(last, not_after_ns=high), change)
-
-
-def _meet(one: Change, other: Change) -> bool:
-    return one.not_before_ns <= other.not_after_ns and other.not_before_ns <= one.not_after_ns
 
 
 def _joined(command: Change, answer: Change) -> Change:
