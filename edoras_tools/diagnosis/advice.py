@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from ipaddress import ip_address
-from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -144,6 +143,12 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
         lower = commanded is not None and commanded < rounds.most  # for a part of the time
         if near and not lower and rounds.share >= _FULL and full_where_lacking(*lacking):
             return replace(queue, round_ns=rounds.period_ns), rounds.most, True
+    if (
+        commanded is None
+        and output
+        and case.timeline.entry(loss.msg_id, case.instances.system(loss.instance))
+    ):
+        queue = queues.telemetry_pipe(case.assumed)  # what was learned may hold for another time
     return queue, queue.limit(loss.msg_id) if commanded is None else commanded, False
 
 
@@ -155,8 +160,7 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
     changes = case.timeline.entry(loss.msg_id, case.instances.system(loss.instance))
     last = next((item for item in reversed(changes) if item.not_before_ns <= times[0] + SECOND), None)
     low = _limit_of(last) or queues.telemetry_pipe(case.profile).limit(loss.msg_id)
-    again = [item for old, item in pairwise(changes) if old.state == "unsubscribed"]  # else its limit stays
-    within = [item for item in again if times[0] + SECOND < item.not_before_ns < times[1]]
+    within = [item for item in changes if times[0] + SECOND < item.not_before_ns < times[1]]
     lower = [item for item in reversed(within) if (_limit_of(item) or low) < low]  # others set none
     return min(lower, key=lambda item: _limit_of(item) or low, default=last)
 

@@ -335,7 +335,7 @@ def check_ci_counts(
     samples = payloads.ingest
     whose = instances.of_row[samples["row"]]
     own = np.flatnonzero(whose != NOBODY)
-    systems = np.array([*instances.systems, NOBODY])[whose[own]]
+    systems = instances.system_of_row[samples["row"][own]]
     host_of = np.array([*(item.host for item in instances.items), NOBODY])[whose[own]]
     for host, places in by_value(host_of):
         mine = to_ci[instances.hosts[rows.destination[to_ci]] == host]

@@ -115,6 +115,9 @@ FLIGHTS = {
     "telemetry_sent_as_commands": (19, {"limit": 19}),
     "flood_of_a_stranger": (38, {"socket": 25, "limit": 9, "unaccounted": 4}),
     "captured_in_two_parts": (43, {"limit": 43}),
+    "clock_set_and_back": (171, {"restart": 37, "restart_failed": 95, "stopped": 39}),
+    "started_twice": (169, {"stopped": 169}),
+    "added_while_there": (72, {"limit": 72}),
     "processor_restarted_twice": (22, {"down": 22}),
     "ci_restarted_without_a_count": (76, {"restart": 29, "limit": 47}),
     "first_fragments_vanish": (40, {"after": 40}),
@@ -1266,3 +1269,15 @@ def test_what_the_bus_lost_while_nothing_was_captured_is_no_loss_of_captured_com
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
     proven = found.lost + found.unaccounted
     assert proven <= FLIGHTS["captured_in_two_parts"][0] <= proven + found.uncertain
+
+
+def test_a_clock_that_is_set_back_leaves_one_cfs():
+    found = examined("clock_set_and_back")
+    assert [item.rule for item in found.verdicts].count("clock_jump") == 2
+    assert not {"cfs_stalled", "unattributed_loss"} & {item.rule for item in found.verdicts}
+
+
+def test_an_entry_that_is_added_without_a_removal_keeps_its_limit():
+    text = first_screen(examined("added_while_there"))
+    assert "TO keeps 4 of this MsgId" in text
+    assert "set at" not in text

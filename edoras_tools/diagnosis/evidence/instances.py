@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections import Counter
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -95,7 +96,8 @@ class Instances:
         ranked = np.sort(offset)
         begins = ranked[1:][np.diff(ranked) > BOOT_APART_NS]
         says = {event.row: event.sender for event in events}
-        for _, part in by_value(np.searchsorted(begins, offset, side="right")):
+        group = _part_returns(rows, timed, np.searchsorted(begins, offset, side="right"), self.hosts)
+        for _, part in by_value(group):
             for members in _publishers(rows, timed[part], says, self.hosts):
                 if len(members) and (index := self._waited(rows, members)) != NOBODY:
                     self.of_row[members] = index
@@ -150,6 +152,11 @@ class Instances:
         followed = _in_turn(whose, [(item.first_ns, item.last_ns) for item in self.items])
         index: dict[tuple[int, str, int], int] = {}
         return [index.setdefault((*who, turn), len(index)) for who, turn in zip(whose, followed, strict=True)]
+
+    @cached_property
+    def system_of_row(self) -> Integers:
+        """The number of the cFS that made each row: i64 (rows,); ``NOBODY`` if unknown."""
+        return np.array([*self.systems, NOBODY])[self.of_row]
 
     def system(self, instance: int) -> int:
         """Return the number of the cFS of an instance; 0 for ``NOBODY``."""
@@ -277,6 +284,28 @@ class Instances:
         if instance != NOBODY:
             return instance
         return self.named(event.sender, event.time_ns, int(self._source[event.row]))
+
+
+def _part_returns(rows: Rows, timed: Places, group: Places, hosts: NDArray[np.int32]) -> Places:
+    """Return the groups of rows, with a group parted where another one took its place for a time.
+
+    Then a clock was set, and set back: two cFS would send at the same time.
+
+    Args:
+        rows: table of datagrams.
+        timed: rows with a mission time.
+        group: number of the group of each of these, by offset.
+        hosts: number of the address of each endpoint.
+    """
+    for _, own in by_value(hosts[rows.source[timed]] if group.any() else timed[:0]):
+        begin, times = np.flatnonzero(np.diff(group[own], prepend=-1)), rows.time_ns[timed[own]]
+        begin = begin[np.diff(times[begin], append=times[-1]) > BOOT_APART_NS]
+        for before, after in pairwise(begin.tolist()):
+            again = group[own[after]]
+            if again != group[own[before]] and (group[own[:before]] == again).any():
+                later = own[(before + after) // 2 :]
+                group[later[group[later] == again]] = group.max() + 1
+    return group
 
 
 def _in_turn(whose: Sequence[Hashable], spans: Sequence[tuple[int, int]]) -> list[int]:

@@ -54,7 +54,7 @@ def stalls(
     Args:
         timeline: all other states of cFS, applications and capture.
     """
-    whose = np.array([*instances.systems, NOBODY])[instances.of_row]
+    whose = instances.system_of_row
     robot = rows.on(lambda link: link.last_hop)
     asleep = [item for item in timeline.every(*NOT_RUNNING) if item.change.subject.name in SCHEDULERS]
     for system in sorted(set(instances.systems)):

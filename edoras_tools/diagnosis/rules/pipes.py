@@ -448,7 +448,7 @@ def app_outage(case: Case) -> Iterator[Verdict]:
         ):
             continue
         since = f"stopped {case.end_of(item)}" if item.start_ns >= case.start_ns else "not running"
-        until = "" if item.end_ns is None else f" and started again at {case.at(item.end_ns)}"
+        until = "" if item.end_ns is None else f" and started at {case.at(item.end_ns)}"
         event = f"restarted {case.end_of(item)}" if item.restarted else since + until
         reason = f"{item.app} was {event}; what it lost, if anything, cannot be seen here"
         span, remedy = (start_ns, end_ns), revival(case, item.app, restarts=item.restarted)

@@ -28,7 +28,6 @@ from msgspec.structs import replace
 from edoras_tools.cfs import executive_services, sbn, software_bus, telemetry_output, time_services
 from edoras_tools.cfs.arguments import SB_MSG_ID, TIME_MSG_ID
 from edoras_tools.cfs.names import MSG_ID_NAMES
-from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE, Connection, Network, SbnParty
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
 from edoras_tools.units import SECOND
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.diagnosis.evidence.clocks.steady import Jump
+    from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.payloads import CommandRecord, EventRecord, Payloads
     from edoras_tools.diagnosis.evidence.table import Rows
 
@@ -50,12 +50,10 @@ _CLOCK: Final = StateOwner("clock")
 _OUTPUT: Final = StateOwner("output")
 _ALL_ENTRIES: Final = StateOwner("entry")
 _APP_EVENTS: Final = (
-    (executive_services.STARTED, "running", re.compile(r"Started (\S+) from")),
-    (executive_services.STOPPED, "stopped", re.compile(r"Stop Application (\S+) Completed")),
-    # The application ended, but cFS could not clean up all its resources.
-    (37, "stopped", re.compile(r"Stop Application (\S+) Failed: CleanUpApp")),
-    (executive_services.RESTARTED, "running", re.compile(r"Restart Application (\S+) Completed")),
-    (executive_services.RELOADED, "running", re.compile(r"Reload Application (\S+) Completed")),
+    ("running", re.compile(r"Started (\S+) from")),
+    # An application may end by itself; and cFS may be unable to clean up all its resources.
+    ("stopped", re.compile(r"(?:Stop|Exit) Application (\S+) (?:Completed|Failed: CleanUpApp)")),
+    ("restarting", re.compile(r"(?:Restart|Reload) Application (\S+) Completed")),
 )
 _APP_STATES: Final = {
     executive_services.START_APP: "running",
@@ -110,7 +108,9 @@ class SoftwareChanges(msgspec.Struct, dict=True):
             if code == telemetry_output.ENABLE:
                 yield change(_OUTPUT, "enabled", values["address"])
             elif code == telemetry_output.ADD_PACKET:
-                yield change(entry, "subscribed", values["limit"])
+                # What is subscribed already keeps its limit.
+                if not self._answered(command, f"Duplicate Subscription,MsgId 0x{command.entry:x} "):
+                    yield change(entry, "subscribed", values["limit"])
             elif code == telemetry_output.REMOVE_PACKET:
                 yield change(entry, "unsubscribed")
             elif code == telemetry_output.REMOVE_ALL:
@@ -121,12 +121,16 @@ class SoftwareChanges(msgspec.Struct, dict=True):
         elif command.msg_id == TIME_MSG_ID and code in time_services.SETS:
             yield self._clock(command, change(_CLOCK, "set"))
 
+    def _answered(self, command: CommandRecord, words: str) -> bool:
+        """Return whether an event soon after a command contains some words."""
+        near = (item for item in self._payloads.events if 0 <= item.time_ns - command.time_ns < _SLACK_NS)
+        return any(words in item.message for item in near)
+
     def _executive(self, command: CommandRecord, pattern: Change) -> Iterator[Change]:
         state = _APP_STATES.get(command.function_code)
         app = command.app
-        sent_ns, words = pattern.not_before_ns, f"0x{command.msg_id:04X},  CC = {command.function_code}, Len"
-        texts = (item.message for item in self._payloads.events if 0 <= item.time_ns - sent_ns < _SLACK_NS)
-        if state is None or not app or any(words in text for text in texts):  # wrong length
+        words = f"0x{command.msg_id:04X},  CC = {command.function_code}, Len"
+        if state is None or not app or self._answered(command, words):  # wrong length
             return
         change = replace(pattern, subject=StateOwner("app", app), state=state)
         is_output = app in telemetry_output.NAMES
@@ -147,23 +151,18 @@ class SoftwareChanges(msgspec.Struct, dict=True):
 
         That is 10 s before, or directly behind its last earlier command or housekeeping packet.
         """
-        names = MSG_ID_NAMES.items()
+        names, systems = MSG_ID_NAMES.items(), self._instances.system_of_row
         own = [number for number, name in names if name[-3:] == "_HK" and f"{app}_".startswith(name[:-2])]
-        made_ns = self._instances.made_ns[np.isin(self._rows.known_id, own) & (self._whose == system)]
+        made_ns = self._instances.made_ns[np.isin(self._rows.known_id, own) & (systems == system)]
         times = [item.time_ns for item in self._payloads.about_apps() if item.app == app]
         times += made_ns[made_ns < ended_ns - _ROUND_NS].tolist()
         return max([ended_ns - _ENDS_NS, *(when + 1 for when in times if when < ended_ns)])
-
-    @cached_property
-    def _whose(self) -> Integers:
-        """The number of each row's cFS: i64 (rows,), ``NOBODY`` for rows without a time."""
-        return np.array([*self._instances.systems, NOBODY])[self._instances.of_row]
 
     def _silenced(self, change: Change) -> Change:
         """Return the change of an ended Telemetry Output, from its last packet on if it fell silent."""
         rows, told_ns = self._rows, change.not_before_ns
         own = rows.on(lambda link: link.only_from_cfs) & (rows.time_ns > told_ns - _ROUND_NS)
-        times = np.append(rows.time_ns[own & (self._whose == change.system)], NEVER)
+        times = np.append(rows.time_ns[own & (self._instances.system_of_row == change.system)], NEVER)
         quiet = times[:-1][np.diff(times) > _SLACK_NS]
         if not len(quiet) or quiet[0] >= told_ns + _ENDS_NS:
             return change
@@ -194,17 +193,15 @@ class SoftwareChanges(msgspec.Struct, dict=True):
             return Change(system, subject, state, made_ns - _ROUND_NS, made_ns, witness, (event.row,), value)
 
         if event.app == executive_services.NAME:
-            for number, state, pattern in _APP_EVENTS:
-                if event.event_id == number and (match := pattern.search(event.message)):
+            for state, pattern in _APP_EVENTS:
+                if match := pattern.search(event.message):
                     result = change(StateOwner("app", match[1]), state)
                     # An application reads no more for some time before it is said to have ended.
                     asked_ns = self._asked_ns(match[1], made_ns, system)
-                    if state == "stopped":
-                        result = replace(result, not_before_ns=asked_ns)
-                    elif number != executive_services.STARTED:
-                        yield replace(result, state="restarting", not_before_ns=asked_ns)
-                        result = replace(result, not_before_ns=max(result.not_before_ns, asked_ns))
-                    yield result
+                    yield result if state == "running" else replace(result, not_before_ns=asked_ns)
+                    if state == "restarting":
+                        low_ns = max(result.not_before_ns, asked_ns)
+                        yield replace(result, state="running", not_before_ns=low_ns)
         elif enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):
             yield change(_OUTPUT, "enabled", enabled["address"])
         elif added := telemetry_output.ADDED.pattern.fullmatch(event.message):
