@@ -231,6 +231,7 @@ def test_what_nothing_counts_is_a_narrow_range(name, lost):
         ("errors_seconds_apart", 54),
         ("killed_on_a_losing_network", 75),
         ("bursts_around_a_restart", 31),
+        ("stopped_out_of_sight", 134),
     ],
 )
 def test_what_witnesses_leave_to_several_places_is_a_range(name, lost):
@@ -522,6 +523,7 @@ MOST = {
     "ci_and_sbn_restarted": {0x182C: {"restart": 16, "stopped": 13}, 0x82D: {"limit": 41}},
     "restarted_without_events": {0x1828: {"stopped": 11, "limit": 1}, 0x182A: {"stopped": 16}},
     "all_restarted": {0x1806: {}, 0x1827: {"limit": 3, "stopped": 36}},
+    "stopped_out_of_sight": {0x1827: {"stopped": 134}},
 }
 
 

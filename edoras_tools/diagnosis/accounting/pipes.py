@@ -519,7 +519,9 @@ class Leftover:
             is_stopped = events[item.instance, kind] >= STOPS_AFTER - 2
             end_ns = NEVER if is_stopped else report.last_ns + TAIL_NS
             out.append(Rival(item, item.instance, kind, report.first_ns - TAIL_NS, end_ns))
-        for outage, end_ns in self._ticked():  # its wake-ups fill the pipe while nobody reads it
+        for outage in (item for item in self._case.outages if item.app in TICKS):
+            # Its wake-ups, one a second, fill the pipe while nobody reads it.
+            end_ns = self._case.end_ns if outage.end_ns is None else outage.end_ns
             most = ceil((end_ns - outage.start_ns) / SECOND) - self._case.profile.app_msg_limit
             own = [at for at in self._counts if self._case.instances.systems[at] == outage.system]
             out += [Rival(outage, at, "limit", outage.start_ns, end_ns, most) for at in own if most > 0]
@@ -547,12 +549,6 @@ class Leftover:
             alone = at in self._counts and same[stream.sender, stream.msg_id] == 1
             if alone and len(_full(stream.time_ns[-limit:], pipe.round_ns, limit)):
                 yield Rival(stream, at, "limit", last_ns, last_ns + LATE_NS)
-
-    def _ticked(self) -> Iterator[tuple[Outage, int]]:
-        """Yield the outages of applications that are woken once a second, each with its end."""
-        for item in self._case.outages:
-            if item.app in TICKS:
-                yield item, self._case.end_ns if item.end_ns is None else item.end_ns
 
     def doubt_gaps(self, claims: Sequence[Claim]) -> None:
         """Count messages as uncertain that may have caused the counts which gaps were given.
@@ -600,13 +596,14 @@ class Leftover:
     def _leftover(self, instance: int, counts: Counts, kind: PipeKind) -> None:
         candidates, rest, old = self._candidates(instance, kind), counts.left[kind], self._old(instance)
         self._leave_earlier(candidates, counts, kind, old)
-        groups: dict[tuple[tuple[int, range], ...], list[int]] = {}
+        groups: dict[tuple[Outage | None, tuple[tuple[int, range], ...]], list[int]] = {}
         for second in np.flatnonzero(rest).tolist():
             times = counts.span([second])
             own = [(index, item) for index, item in enumerate(candidates) if item.events or not old[second]]
-            active = ((index, item.active(*times)) for index, item in own)
-            groups.setdefault(tuple((index, spans) for index, spans in active if spans), []).append(second)
-        for active_, seconds in groups.items():
+            active = tuple((index, spans) for index, item in own if (spans := item.active(*times)))
+            pipe = candidates[active[0][0]].pipe if len(active) == 1 else ""
+            groups.setdefault((self._ended(instance, times[0], pipe), active), []).append(second)
+        for (_, active_), seconds in groups.items():
             number, times = int(rest[seconds].sum()), counts.span(seconds)
             rivals = [candidates[index] for index, _ in active_]
             most = sum(item.most(spans) for item, (_, spans) in zip(rivals, active_, strict=True))
@@ -746,26 +743,37 @@ class Leftover:
         loss.evidence, loss.rivals = [text], tuple(sorted(rivals))
         self._losses.append(loss)
 
+    def _ended(self, instance: int, time_ns: int, pipe: str) -> Outage | None:
+        """Return the outage in whose time nobody read the pipe of an application, if there is one."""
+        system = self._case.instances.systems[instance]
+        own = (item for item in self._case.outages if item.system == system and pipe.startswith(item.app))
+        return next((item for item in own if item.start_ns <= time_ns < item.ended_ns), None)
+
     def _blame(
         self, item: _Candidate, spans: range, at: tuple[int, PipeKind], number: int, times: tuple[int, int]
     ) -> None:
         instance, kind = at
         cut = item.spans[spans[-1]] if item.spans else None
-        among = None
+        among, ended = None, self._ended(instance, times[0], item.pipe) if cut is not None else None
         if cut is not None and item.stream is not None:  # the messages of the span without a fate
             rows, fate = np.arange(cut.first, cut.last + 1), self._fates.get(item.stream)
             if fate is not None and fate.undecidable is not None and len(spans) == 1:
-                fate.followed += number * bool(fate.undecidable[rows].all())
+                sent_ns = item.stream.time_ns[rows]
+                rows = rows[(sent_ns > times[0] - item.counted_ns) & (sent_ns <= times[1])]
+                fate.followed += max(0, number - int((~fate.undecidable[rows]).sum()))
             among = Among(item.stream, rows if fate is None else rows[fate.open[rows]])
-            if item.events is not None:
+            if item.events is not None and not ended:
                 self._pipes.lose(item.stream, cut, kind, number, instance, among.rows)
                 return
         text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
         evidence = [text, "no event names it: suppressed, filtered, or lost itself"]
         if item.events is not None:
             evidence = [item.events.text(item.events.count), text]
-        start_ns, end_ns = (cut.start_ns, cut.end_ns) if cut else times
+        start_ns, end_ns = (cut.start_ns, cut.end_ns) if cut and not ended else times
         loss = Loss(kind, item.pipe, number, start_ns, end_ns, "medium", instance, item.msg_id)
+        if ended:
+            evidence = [ended.witness, f"0x803 counted {number:,} of them: nobody read the pipe"]
+            loss.kind, loss.hop = "stopped", ended.app
         loss.stream, loss.span, loss.of = item.lost_from, cut, cut.count if cut else None
         loss.evidence, loss.sender, loss.among = evidence, item.sender, among
         self._add(loss)
