@@ -232,6 +232,7 @@ def test_what_nothing_counts_is_a_narrow_range(name, lost):
         ("killed_on_a_losing_network", 75),
         ("bursts_around_a_restart", 31),
         ("stopped_out_of_sight", 134),
+        ("restarted_with_backlog_of_two", 196),
     ],
 )
 def test_what_witnesses_leave_to_several_places_is_a_range(name, lost):
@@ -523,6 +524,7 @@ MOST = {
     "ci_and_sbn_restarted": {0x182C: {"restart": 16, "stopped": 13}, 0x82D: {"limit": 41}},
     "restarted_without_events": {0x1828: {"stopped": 11, "limit": 1}, 0x182A: {"stopped": 16}},
     "all_restarted": {0x1806: {}, 0x1827: {"limit": 3, "stopped": 36}},
+    "restarted_with_backlog_of_two": {0x1827: {"restart": 130, "limit": 10}, 0x1828: {"restart": 60}},
     "stopped_out_of_sight": {0x1827: {"stopped": 134}},
 }
 
@@ -1283,3 +1285,10 @@ def test_an_entry_that_is_added_without_a_removal_keeps_its_limit():
     text = first_screen(examined("added_while_there"))
     assert "TO keeps 4 of this MsgId" in text
     assert "set at" not in text
+
+
+def test_of_what_was_sent_while_ci_was_restarted_at_the_begin_nothing_is_taken_for_read():
+    (row,) = (
+        row for row in examined("begins_in_a_restart").balance if row.hop == "CI" and row.msg_id == 0x1827
+    )
+    assert row.uncertain >= 20

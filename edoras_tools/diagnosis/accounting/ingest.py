@@ -403,8 +403,6 @@ class _Counted:
             high = high - before if first else np.minimum(high - before, sent[part])
             run = _Run(self._seen[part], low - before, high, drained, busy, 2 * most, full, unread)
             lost = _follow(account, run, lost, begin, room)
-            if begin[0] in _OUTAGES:
-                self._end_with_outage(account, begin)
             if not first and before and unread is None and account.losses and not busy[1:2].any():
                 account.unsure += max(0, before - self._surely_sent(int(emptied_ns[0])) + own[0].count)
             account.waiting = max(0, int(run.high[-1]) - lost)
@@ -469,14 +467,6 @@ class _Counted:
         stops = (item for item in self._outages() if not item.restarted and item.start_ns < later_ns)
         ended: Cause = "ci_stopped" if any((item.end_ns or 0) > sooner_ns for item in stops) else "restart"
         return "down" if self._restarts[first] else ended
-
-    def _end_with_outage(self, account: Ingest, begin: tuple[Cause, int]) -> None:
-        """Shorten the losses of an outage to the last datagram that can be one: CI read all later ones."""
-        for at, item in enumerate(account.losses):
-            if (item.cause, item.start_ns) == begin:
-                last = int(self._sent_until(item.start_ns)) + item.lost + item.more - 1
-                end_ns = int(self._sent_ns[last]) + self._case.unsteady_ns
-                account.losses[at] = replace(item, end_ns=min(item.end_ns, end_ns))
 
     def _restarts_ns(self, start_ns: int, end_ns: int) -> list[int]:
         """Return the times of commands between two times that restart its cFS."""
@@ -792,6 +782,9 @@ class BeforeCi:
                 fate.ends["crowded"] += fate.claim(inside)
         for before in account.losses:
             self._before_ci(account, before)
+        outages = [item for item in self._case.outages if item.app in command_ingest.NAMES]
+        if any(item.start_ns < account.first_ns for item in outages) and not any(item.seen for item in fates):
+            account.unsure += max(0, account.before)  # sent while it was restarted, or just before
         self._make_uncertain([(fate, fate.open) for fate in fates], account.unsure)
 
     @staticmethod
@@ -814,11 +807,20 @@ class BeforeCi:
         seen = [fate for fate in fates if fate.refused or (fate.seen and not fate.keeps_newest)]
         evidence = _evidence(account, before)
         bounded = before.said or before.cause in _OUTAGES
+        surely: list[_May] = []
         if before.cause in _OUTAGES:
             closed, may = self._case.unreachable.closed, self._open(fates, before, before.since_ns)
             rest = max(rest, sum(int((own & closed[fate.stream.rows]).sum()) for fate, own in may))
-            rest -= self._answered(may)
+            # CI reads in order: the latest of what waited when it ended is lost, and the first sent later.
+            sent_ns = self._case.rows.time_ns[account.rows]
+            sent_ns = sent_ns[(sent_ns > before.since_ns) & (sent_ns <= before.end_ns)]
+            waited = any(item.start_ns == before.end_ns for item in account.losses)
+            lost_ns = sent_ns[-before.lost :] if waited else sent_ns[: before.lost]
+            until = replace(before, end_ns=int(lost_ns.max(initial=0)))
+            surely = self._open(fates, until, int(lost_ns.min(initial=before.end_ns)) - 1)
+            rest -= self._answered(surely)
         if before.said:
+            surely = []
             for fate in fates:  # CI was stopped: what waits will never be read
                 never = fate.waits & (fate.stream.time_ns > before.since_ns)
                 fate.open |= never
@@ -839,6 +841,8 @@ class BeforeCi:
             rest -= theirs
             at = account.losses.index(before)
             account.losses[at] = before = replace(before, more=before.more + theirs)
+        surely = [(fate, own & fate.open) for fate, own in surely]
+        rest -= self._spread(surely, before, rest, evidence)
         for those, since_ns in spans:
             rest -= self._spread(self._open(those, before, since_ns), before, rest, evidence)
         # Datagrams of no stream, such as those without a MsgId. Others that are left were read by another
