@@ -118,6 +118,7 @@ FLIGHTS = {
     "clock_set_and_back": (171, {"restart": 37, "restart_failed": 95, "stopped": 39}),
     "started_twice": (169, {"stopped": 169}),
     "added_while_there": (72, {"limit": 72}),
+    "answers_to_questions": (0, {}),
     "processor_restarted_twice": (22, {"down": 22}),
     "ci_restarted_without_a_count": (76, {"restart": 29, "limit": 47}),
     "first_fragments_vanish": (40, {"after": 40}),
@@ -1285,6 +1286,10 @@ def test_an_entry_that_is_added_without_a_removal_keeps_its_limit():
     text = first_screen(examined("added_while_there"))
     assert "TO keeps 4 of this MsgId" in text
     assert "set at" not in text
+
+
+def test_what_a_ground_station_asked_for_is_not_silent_when_it_asks_no_more():
+    assert "topic_silent" not in {item.rule for item in examined("answers_to_questions").verdicts}
 
 
 def test_of_what_was_sent_while_ci_was_restarted_at_the_begin_nothing_is_taken_for_read():

@@ -15,7 +15,6 @@ from edoras_tools.diagnosis.rules.about import sent_before
 from edoras_tools.diagnosis.rules.pipes import START_AGAIN, revival
 from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
 from edoras_tools.units import SECOND
-from edoras_tools.wire import cfe
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:
@@ -31,8 +30,8 @@ _LEAST: Final = 5
 _WAIT_NS: Final = 5 * SECOND
 _WAIT_PERIODS: Final = 6
 _NEAR_NS: Final = 3 * SECOND
-_EVENTS: Final = frozenset({cfe.EVENT_MSG_ID, cfe.SHORT_EVENT_MSG_ID})
-"""They come as there is something to say, and no more of one kind once cFS has said it 16 times."""
+_NOT_STEADY: Final = frozenset(number for number, name in MSG_ID_NAMES.items() if name[-3:] != "_HK")
+"""Events come as there is something to say, cFS's other telemetry as answers to commands."""
 
 
 _IRREGULAR: Final = 3
@@ -118,7 +117,8 @@ def _every(case: Case) -> list[Silence]:
         # Of packets without a time nothing tells whether their cFS ran on.
         dated = stream.instance != NOBODY or not (stream.counted or stream.known_id in MSG_ID_NAMES)
         dated &= "undecided" not in case.telemetry.ends[stream]
-        if published and dated and len(stream) >= _LEAST and stream.known_id not in _EVENTS:
+        dated &= stream.is_command or stream.known_id not in _NOT_STEADY
+        if published and dated and len(stream) >= _LEAST:
             silences += _silences(case, stream)
     return silences
 
