@@ -299,10 +299,15 @@ def _part_returns(rows: Rows, timed: Places, group: Places, hosts: NDArray[np.in
     """
     for _, own in by_value(hosts[rows.source[timed]] if group.any() else timed[:0]):
         begin, times = np.flatnonzero(np.diff(group[own], prepend=-1)), rows.time_ns[timed[own]]
-        begin = begin[np.diff(times[begin], append=times[-1]) > BOOT_APART_NS]
-        for before, after in pairwise(begin.tolist()):
-            again = group[own[after]]
-            if again != group[own[before]] and (group[own[:before]] == again).any():
+        end_ns = np.append(times[begin[1:]], times[-1])
+        is_long = end_ns - times[begin] > BOOT_APART_NS
+        begin, end_ns = begin[is_long], end_ns[is_long]
+        at_once = times[begin[1:]] - end_ns[:-1] < BOOT_APART_NS  # else two cFS sent in turns meanwhile
+        past = set[int]()
+        for (before, after), follows in zip(pairwise(begin.tolist()), at_once.tolist(), strict=True):
+            past = {*past, int(group[own[before]])} if follows else set()
+            again = int(group[own[after]])
+            if again != group[own[before]] and again in past:
                 later = own[(before + after) // 2 :]
                 group[later[group[later] == again]] = group.max() + 1
     return group
