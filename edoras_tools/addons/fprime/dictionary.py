@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import contextmanager
 from math import prod
 from typing import TYPE_CHECKING, Any, Final
 
@@ -41,7 +42,11 @@ if TYPE_CHECKING:
 
 PACKAGE: Final = "fprime_msgs"
 _TYPES: Final = "typeDefinitions"
-_SECTIONS: Final = ("commands", "telemetryChannels", "events")
+_SECTIONS: Final = {
+    "commands": PacketType.COMMAND,
+    "telemetryChannels": PacketType.TELEMETRY,
+    "events": PacketType.EVENT,
+}
 _PLAIN: Final = {
     **{
         f"{letter}{bits}": f"{kind}{bits}"
@@ -137,12 +142,12 @@ def read_dictionary(data: bytes, name: str) -> StructLayout:
         name: name of the file in messages.
 
     Raises:
-        ConfigError: it has mistakes: all of them, one line each.
+        ConfigError: it has mistakes: the first of each entry, one line each.
     """
     reader = _DictionaryReader(plain_values(data, name), name)
     layout = reader.layout()
     if reader.mistakes:
-        raise ConfigError(*dict.fromkeys(reader.mistakes))
+        raise ConfigError(*dict.fromkeys(map(str, reader.mistakes)))
     return layout
 
 
@@ -150,35 +155,33 @@ DICTIONARIES: Final = Database(is_dictionary, read_dictionary)
 
 
 class _DictionaryReader(msgspec.Struct):
+    """Reads the sections one by one; the first mistake of each entry is kept."""
+
     raw: Mapping[str, Any]
     name: str
-    mistakes: list[str] = msgspec.field(default_factory=list)
+    mistakes: list[ConfigError] = msgspec.field(default_factory=list)
     enums: dict[str, Enumeration] = msgspec.field(default_factory=dict)
     structs: dict[str, Struct] = msgspec.field(default_factory=dict)
-    types: dict[str, _Type | None] = msgspec.field(default_factory=dict)
+    types: dict[str, _Type] = msgspec.field(default_factory=dict)
     entries: dict[tuple[int, int], tuple[Entry, Struct]] = msgspec.field(default_factory=dict)
     definitions: dict[str, tuple[str, Any]] = msgspec.field(default_factory=dict)
+    channels: dict[str, Wanted | None] = msgspec.field(default_factory=dict)
 
     def layout(self) -> StructLayout:
         self.enums[_TIME_BASE.name], self.structs[TIME.name] = _TIME_BASE, TIME
-        self.definitions = {
-            item["qualifiedName"]: (where, item)
-            for where, item in self._items(_TYPES, self.raw.get(_TYPES))
-            if self._text(where, item, "qualifiedName")
-        }
+        for where, item in self._items("", self.raw, _TYPES):
+            with self._noting():
+                self.definitions[self._text(where, item, "qualifiedName")] = where, item
         self._configuration()
-        for where, item in self._items("commands", self.raw.get("commands", [])):
-            self._entry(where, item, PacketType.COMMAND, "opcode", self._parameters(where, item))
-        channels: dict[str, Wanted | None] = {}
-        for where, item in self._items("telemetryChannels", self.raw.get("telemetryChannels", [])):
-            value = self._value(where, item, "value")
-            channels[str(item.get("name"))] = value
-            self._entry(where, item, PacketType.TELEMETRY, "id", [value])
-        for where, item in self._items("events", self.raw.get("events", [])):
-            self._entry(where, item, PacketType.EVENT, "id", self._parameters(where, item))
-        for where, item in self._items("telemetryPacketSets", self.raw.get("telemetryPacketSets", [])):
-            for place, packet in self._items(f"{where}.members", item.get("members", [])):
-                self._packet(place, packet, channels)
+        for section, kind in _SECTIONS.items():
+            for where, item in self._items("", self.raw, section):
+                with self._noting():
+                    self._entry(where, item, kind, self._values(where, item, kind))
+        for where, item in self._items("", self.raw, "telemetryPacketSets"):
+            for place, packet in self._items(where, item, "members"):
+                with self._noting():
+                    kind = PacketType.PACKETIZED_TELEMETRY
+                    self._entry(place, packet, kind, self._packet(place, packet))
         pairs = sorted(self.entries.items())
         keys = [Key(ENTRY_KEY + rank, 0) for rank in range(len(pairs))]
         self.structs |= {struct.name: struct for _, (_, struct) in pairs}
@@ -198,175 +201,150 @@ class _DictionaryReader(msgspec.Struct):
             where, item = self.definitions.get(name, ("", {}))
             for _ in range(len(self.definitions)):
                 under = item.get("underlyingType")
-                under = under.get("name") if isinstance(under, dict) else None
+                under = str(under.get("name")) if isinstance(under, dict) else None
                 if item.get("kind") != "alias" or under == usual:
                     break
                 if under in _PLAIN or under not in self.definitions:
-                    self._mistake(where, f"{name} is {under}; only {usual}, the default, can be read")
+                    text = f"{name} is {under}; only {usual}, the default, can be read"
+                    self.mistakes.append(self._mistake(where, text))
                     break
                 item = self.definitions[under][1]
         where, item = self.definitions.get("ComCfg.Apid", ("", {}))
-        constants = item.get("enumeratedConstants", [])
-        for place, constant in self._items(f"{where}.enumeratedConstants", constants):
+        for place, constant in self._items(where, item, "enumeratedConstants"):
             expected = _APIDS.get(str(constant.get("name")))
             if expected is not None and constant.get("value") != expected:
                 text = f"{constant['name']} is {_short(constant.get('value'))}"
-                self._mistake(place, f"{text}; only {int(expected)}, the default, can be read")
+                text += f"; only {int(expected)}, the default, can be read"
+                self.mistakes.append(self._mistake(place, text))
 
-    def _entry(
-        self, where: str, item: Mapping[str, Any], kind: PacketType, id_name: str, values: list[Wanted | None]
-    ) -> None:
+    def _entry(self, where: str, item: Mapping[str, Any], kind: PacketType, values: list[Wanted]) -> None:
         """Store the contents of packets of one id."""
-        name = self._text(where, item, "name")
+        name, id_name = self._text(where, item, "name"), "opcode" if kind is PacketType.COMMAND else "id"
         number = self._number(where, item, id_name, most=fprime.ENTRY_HEADERS[kind].slots[0].mask)
         severity = EventSeverity.of(item.get("severity")) if kind is PacketType.EVENT else None
         if kind is PacketType.EVENT and severity is None:
-            self._mistake(
-                where,
-                f"severity {item.get('severity')!r} is not one of {', '.join(EventSeverity.__members__)}",
-            )
+            choices = ", ".join(EventSeverity.__members__)
+            raise self._mistake(where, f"severity {item.get('severity')!r} is not one of {choices}")
         form = item.get("format", "")
         if not isinstance(form, str):
-            self._mistake(where, f"format {form!r} is not text")
-        if not name or number is None or None in values:
-            return
+            raise self._mistake(where, f"format {form!r} is not text")
         other = self.entries.get((kind, number))
         if other is not None:
-            self._mistake(where, f"{id_name} {number:#x} of {name} is that of {other[0].name}, too")
-            return
-        entry = Entry(kind, number, name, severity, str(form))
-        readable = [item for item in values if item is not None]
+            raise self._mistake(where, f"{id_name} {number:#x} of {name} is that of {other[0].name}, too")
+        entry = Entry(kind, number, name, severity, form)
         time = Wanted(Member("time", TIME.name, 0), TIME.size, 1, placed=False)
-        members, size, _ = arrange([*[time] * entry.timed, *readable], packed=True)
-        if size > _LARGEST:
-            self._mistake(where, f"{size} bytes are more than any packet holds")
-            return
-        struct = Struct(f"{entry.word}_{_plain(name)}", size, tuple(members), doc=self._doc(item))
+        struct = self._arranged(where, item, f"{entry.word}_{_plain(name)}", [*[time] * entry.timed, *values])
         self.entries[kind, number] = entry, struct
 
-    def _packet(self, where: str, item: Mapping[str, Any], channels: Mapping[str, Wanted | None]) -> None:
-        """Store a packet of channels, whose values have fixed positions."""
-        names = item.get("members")
-        values: list[Wanted | None] = []
-        for name in names if isinstance(names, list) else ():
-            if not isinstance(name, str) or name not in channels:
-                self._mistake(where, f"there is no channel {name!r}")
-                values.append(None)
-                continue
-            value = channels[name]
-            values.append(value and replace(value, member=replace(value.member, name=_plain(name))))
-        if not isinstance(names, list):
-            self._mistake(where, "members: expected a list of channels")
-        self._entry(where, item, PacketType.PACKETIZED_TELEMETRY, "id", values)
-
-    def _parameters(self, where: str, item: Mapping[str, Any]) -> list[Wanted | None]:
+    def _values(self, where: str, item: Mapping[str, Any], kind: PacketType) -> list[Wanted]:
+        """Return the parameters of a command or an event, or the value of a channel."""
+        if kind is PacketType.TELEMETRY:
+            name = str(item.get("name"))
+            self.channels[name] = None
+            self.channels[name] = value = self._value(where, item, "value")
+            return [value]
         return [
-            self._value(place, one, str(one.get("name")))
-            for place, one in self._items(f"{where}.formalParams", item.get("formalParams", []))
-            if self._text(place, one, "name")
+            self._value(place, one, self._text(place, one, "name"))
+            for place, one in self._items(where, item, "formalParams")
         ]
 
-    def _value(self, where: str, item: Mapping[str, Any], name: str) -> Wanted | None:
-        kind = self._type(f"{where}.type", item.get("type"), ())
-        return None if kind is None else kind.member(name, self._doc(item))
+    def _packet(self, where: str, item: Mapping[str, Any]) -> list[Wanted]:
+        """Return the channels of a packet, whose values have fixed positions."""
+        names, values = item.get("members"), []
+        if not isinstance(names, list):
+            raise self._mistake(where, "members: expected a list of channels")
+        for name in names:
+            if not isinstance(name, str) or name not in self.channels:
+                raise self._mistake(where, f"there is no channel {name!r}")
+            if value := self.channels[name]:  # else the channel has a mistake of its own
+                values.append(replace(value, member=replace(value.member, name=_plain(name))))
+        return values
 
-    def _type(self, where: str, raw: Any, within: tuple[str, ...]) -> _Type | None:
-        """Return the type that is named where it is used; None after a mistake."""
+    def _value(self, where: str, item: Mapping[str, Any], name: str) -> Wanted:
+        return self._type(f"{where}.type", item.get("type"), ()).member(name, _doc(item))
+
+    def _type(self, where: str, raw: Any, within: tuple[str, ...]) -> _Type:
+        """Return the type that is named where it is used."""
         name = raw.get("name") if isinstance(raw, dict) else None
         if not isinstance(name, str):
-            self._mistake(where, f"{_short(raw)} is not a type as {{'name': 'U32', ...}}")
-            return None
+            raise self._mistake(where, f"{_short(raw)} is not a type as {{'name': 'U32', ...}}")
         if name in _PLAIN:
             basic = BASIC[_PLAIN[name]]
             return _Type(basic, basic.size)
         if name == "string":
             size = self._number(where, raw, "size", 1, _LARGEST)
-            return None if size is None else _Type(BASIC["char"], size, (), size)
-        if name in self.types:
-            return self.types[name]
-        if name not in self.definitions:
-            self._mistake(where, f"there is no type {name!r} in typeDefinitions")
-        elif name in within or len(within) > 64:
-            self._mistake(self.definitions[name][0], f"{name} contains itself")
-        else:
+            return _Type(BASIC["char"], size, (), size)
+        if name not in self.types:
+            if name not in self.definitions:
+                raise self._mistake(where, f"there is no type {name!r} in typeDefinitions")
+            if name in within or len(within) > 64:
+                raise self._mistake(self.definitions[name][0], f"{name} contains itself")
             self.types[name] = self._definition(*self.definitions[name], name, (*within, name))
-        return self.types.setdefault(name, None)
+        return self.types[name]
 
-    def _definition(
-        self, where: str, item: Mapping[str, Any], name: str, within: tuple[str, ...]
-    ) -> _Type | None:
+    def _definition(self, where: str, item: Mapping[str, Any], name: str, within: tuple[str, ...]) -> _Type:
         """Return a type of ``typeDefinitions``."""
         kind = item.get("kind")
         if kind == "alias":
             return self._type(f"{where}.underlyingType", item.get("underlyingType"), within)
         if kind == "array":
-            return self._array(
-                where, self._type(f"{where}.elementType", item.get("elementType"), within), item
-            )
+            element = self._type(f"{where}.elementType", item.get("elementType"), within)
+            return self._array(where, element, item)
         if kind == "enum":
             return self._enum(where, item, name)
         if kind == "struct":
             return self._struct(where, item, name, within)
-        self._mistake(where, f"kind {kind!r} is not alias, array, enum or struct")
-        return None
+        raise self._mistake(where, f"kind {kind!r} is not alias, array, enum or struct")
 
-    def _array(self, where: str, element: _Type | None, item: Mapping[str, Any]) -> _Type | None:
+    def _array(self, where: str, element: _Type, item: Mapping[str, Any]) -> _Type:
         size = self._number(where, item, "size", 1, _LARGEST)
-        if element is None or size is None:
-            return None
-        if size * element.bytes > _LARGEST:
-            self._mistake(where, f"{size * element.bytes} bytes are more than any packet holds")
-            return None
+        self._check_size(where, size * element.bytes)
         return _Type(element.base, element.size, (size, *element.dims), element.text)
 
-    def _enum(self, where: str, item: Mapping[str, Any], name: str) -> _Type | None:
+    def _enum(self, where: str, item: Mapping[str, Any], name: str) -> _Type:
         base = self._type(f"{where}.representationType", item.get("representationType"), ())
-        if base is None or not isinstance(base.base, Basic) or "int" not in str(base.base) or base.dims:
-            self._mistake(where, f"{name} is not represented by an integer")
-            return None
+        if not isinstance(base.base, Basic) or "int" not in str(base.base) or base.dims:
+            raise self._mistake(where, f"{name} is not represented by an integer")
         names: dict[int, str] = {}
-        for place, one in self._items(f"{where}.enumeratedConstants", item.get("enumeratedConstants", [])):
+        for place, one in self._items(where, item, "enumeratedConstants"):
             label, value = self._text(place, one, "name"), one.get("value")
             if isinstance(value, bool) or not isinstance(value, int) or not base.base.holds(value):
-                self._mistake(place, f"value {_short(value)} does not fit {base.base}")
-            elif label:
-                names.setdefault(value, label)
+                raise self._mistake(place, f"value {_short(value)} does not fit {base.base}")
+            names.setdefault(value, label)
         plain = self._free(name)
         self.enums[plain] = Enumeration(plain, base.base, names)
         return _Type(plain, base.size)
 
-    def _struct(
-        self, where: str, item: Mapping[str, Any], name: str, within: tuple[str, ...]
-    ) -> _Type | None:
+    def _struct(self, where: str, item: Mapping[str, Any], name: str, within: tuple[str, ...]) -> _Type:
         raw = item.get("members")
         if not isinstance(raw, dict) or not raw:
-            self._mistake(where, f"members of {name}: expected {{NAME: {{type: ..., index: ...}}}}")
-            return None
-        by_index: dict[int, Wanted | None] = {}
+            raise self._mistake(where, f"members of {name}: expected {{NAME: {{type: ..., index: ...}}}}")
+        by_index: dict[int, Wanted] = {}
         for label, one in raw.items():
             place = f"{where}.members.{label}"
             if not isinstance(one, dict) or not _NAME.fullmatch(label):
-                self._mistake(place, f"{_short(one)} is not a member")
-                return None
+                raise self._mistake(place, f"{_short(one)} is not a member")
             kind = self._type(f"{place}.type", one.get("type"), within)
             if one.get("size") is not None:
                 kind = self._array(place, kind, one)
             index = self._number(place, one, "index")
             if index in by_index:
-                self._mistake(place, f"index {index} is there twice")
-            by_index[-1 if index is None else index] = (
-                None if kind is None else kind.member(label, self._doc(one))
-            )
-        ordered = [by_index[index] for index in sorted(by_index)]
-        if None in ordered:
-            return None
-        members, size, _ = arrange([one for one in ordered if one is not None], packed=True)
-        if size > _LARGEST:
-            self._mistake(where, f"{size} bytes are more than any packet holds")
-            return None
+                raise self._mistake(place, f"index {index} is there twice")
+            by_index[index] = kind.member(label, _doc(one))
         plain = self._free(name)
-        self.structs[plain] = Struct(plain, size, tuple(members), doc=self._doc(item))
-        return _Type(plain, size)
+        struct = self._arranged(where, item, plain, [by_index[index] for index in sorted(by_index)])
+        self.structs[plain] = struct
+        return _Type(plain, struct.size)
+
+    def _arranged(self, where: str, item: Mapping[str, Any], name: str, values: list[Wanted]) -> Struct:
+        """Return a struct of values that follow each other without padding."""
+        members, size, _ = arrange(values, packed=True)
+        self._check_size(where, size)
+        return Struct(name, size, tuple(members), doc=_doc(item))
+
+    def _check_size(self, where: str, size: int) -> None:
+        if size > _LARGEST:
+            raise self._mistake(where, f"{size} bytes are more than any packet holds")
 
     def _free(self, name: str) -> str:
         """Return the name of a type without dots; a different one if it is already used."""
@@ -375,38 +353,51 @@ class _DictionaryReader(msgspec.Struct):
             plain += "_"
         return plain
 
-    def _items(self, where: str, raw: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    def _items(
+        self, where: str, item: Mapping[str, Any], key: str
+    ) -> Iterator[tuple[str, Mapping[str, Any]]]:
+        """Yield the objects of a list with their places."""
+        raw, where = item.get(key, []), f"{where}.{key}".lstrip(".")
         if not isinstance(raw, list):
-            self._mistake(where, f"{_short(raw)} is not a list")
+            self.mistakes.append(self._mistake(where, f"{_short(raw)} is not a list"))
             return
-        for index, item in enumerate(raw):
-            if isinstance(item, dict):
-                yield f"{where}[{index}]", item
+        for index, one in enumerate(raw):
+            place = f"{where}[{index}]"
+            if isinstance(one, dict):
+                yield place, one
             else:
-                self._mistake(f"{where}[{index}]", f"{_short(item)} is not an object")
+                self.mistakes.append(self._mistake(place, f"{_short(one)} is not an object"))
 
     def _text(self, where: str, item: Mapping[str, Any], key: str) -> str:
         value = item.get(key)
         if isinstance(value, str) and _NAME.fullmatch(value):
             return value
-        self._mistake(where, f"{key} is missing" if value is None else f"{key} {_short(value)} is not a name")
-        return ""
+        text = f"{key} is missing" if value is None else f"{key} {_short(value)} is not a name"
+        raise self._mistake(where, text)
 
     def _number(
         self, where: str, item: Mapping[str, Any], key: str, least: int = 0, most: int = _HIGHEST
-    ) -> int | None:
+    ) -> int:
         value = item.get(key)
         if isinstance(value, int) and not isinstance(value, bool) and least <= value <= most:
             return value
         text = f"{key} is missing" if value is None else f"{key} {_short(value)}"
-        self._mistake(where, f"{text}; expected a number of {least} to {most}")
-        return None
+        raise self._mistake(where, f"{text}; expected a number of {least} to {most}")
 
-    def _doc(self, item: Mapping[str, Any]) -> str:
-        return " ".join(str(item.get("annotation") or "").split())
+    def _mistake(self, where: str, text: str) -> ConfigError:
+        return ConfigError(f"{self.name}: {where + ': ' if where else ''}{text}")
 
-    def _mistake(self, where: str, text: str) -> None:
-        self.mistakes.append(f"{self.name}: {where + ': ' if where else ''}{text}")
+    @contextmanager
+    def _noting(self) -> Iterator[None]:
+        """Keep the mistake of an entry, and go on with the next one."""
+        try:
+            yield
+        except ConfigError as error:
+            self.mistakes.append(error)
+
+
+def _doc(item: Mapping[str, Any]) -> str:
+    return " ".join(str(item.get("annotation") or "").split())
 
 
 def _plain(name: str) -> str:

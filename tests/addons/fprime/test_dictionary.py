@@ -149,6 +149,10 @@ MISTAKES = {
         changed("typeDefinitions", ID, "underlyingType", "name", to="U16"),
         f"typeDefinitions[{OPCODE}]: FwOpcodeType is U16; only U32, the default, can be read",
     ),
+    "a width that is no name": (
+        changed("typeDefinitions", ID, "underlyingType", "name", to=["U32"]),
+        f"typeDefinitions[{OPCODE}]: FwOpcodeType is ['U32']; only U32, the default, can be read",
+    ),
     "another packet type": (
         changed("typeDefinitions", APID, "enumeratedConstants", 1, "value", to=9),
         f"typeDefinitions[{APID}].enumeratedConstants[1]: FW_PACKET_TELEM is 9; {ONLY}",
