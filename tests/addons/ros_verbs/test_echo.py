@@ -7,7 +7,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.addons.ros_verbs.echo import EchoFormat
+from edoras_tools.addons.ros_verbs.echo import TextOptions
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.ros import TypeStore
 
@@ -26,22 +26,22 @@ VALUES = {
     ("form", "text"),
     [
         (
-            EchoFormat(),
+            TextOptions(),
             (
                 "header:\n  stamp:\n    sec: 7\n    nanosec: 8\n  frame_id: base\nname:\n- a\n- b\n"
                 "position:\n- 0.5\n- 1.0\nvelocity: []\neffort:\n- 2.0\n"
             ),
         ),
-        (EchoFormat(field="header.stamp"), "sec: 7\nnanosec: 8\n"),
-        (EchoFormat(field="header.frame_id"), "base\n"),
-        (EchoFormat(field="position", flow=True), "[0.5, 1.0]\n"),
-        (EchoFormat(field="name", length=1), "- a\n- '...'\n"),
-        (EchoFormat(field="header", csv=True), "7,8,base\n"),
-        (EchoFormat(csv=True), "7,8,base,a,b,0.5,1.0,2.0\n"),
-        (EchoFormat(field="header.frame_id", length=2), "ba...\n"),
-        (EchoFormat(field="header.frame_id", no_strings=True), "'<string length: <4>>'\n"),
+        (TextOptions(field="header.stamp"), "sec: 7\nnanosec: 8\n"),
+        (TextOptions(field="header.frame_id"), "base\n"),
+        (TextOptions(field="position", flow_style=True), "[0.5, 1.0]\n"),
+        (TextOptions(field="name", truncate_length=1), "- a\n- '...'\n"),
+        (TextOptions(field="header", csv=True), "7,8,base\n"),
+        (TextOptions(csv=True), "7,8,base,a,b,0.5,1.0,2.0\n"),
+        (TextOptions(field="header.frame_id", truncate_length=2), "ba...\n"),
+        (TextOptions(field="header.frame_id", no_str=True), "'<string length: <4>>'\n"),
         (
-            EchoFormat(no_arrays=True, csv=True),
+            TextOptions(no_arr=True, csv=True),
             (
                 "7,8,base,<sequence type: string, length: 2>,<sequence type: double, length: 2>,"
                 "<sequence type: double, length: 0>,<sequence type: double, length: 1>\n"
@@ -59,16 +59,16 @@ def test_how_a_message_is_written(form, text):
 )
 def test_a_field_that_there_is_not(field, why):
     with pytest.raises(ConfigError, match=why):
-        EchoFormat(field=field).text(TYPES, JOINTS, TYPES.encode(JOINTS, VALUES))
+        TextOptions(field=field).text(TYPES, JOINTS, TYPES.encode(JOINTS, VALUES))
 
 
 @given(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40))
 def test_yaml_reads_the_text_again(data):
-    text = EchoFormat(length=0).text(TYPES, STRING, TYPES.encode(STRING, {"data": data}))
+    text = TextOptions(full_length=True).text(TYPES, STRING, TYPES.encode(STRING, {"data": data}))
     assert yaml.safe_load(text) == {"data": data}
 
 
 @given(st.binary(max_size=40))
 def test_garbage_is_refused_by_the_documented_error(cdr):
     with suppress(WireError):
-        EchoFormat().text(TYPES, STRING, cdr)
+        TextOptions().text(TYPES, STRING, cdr)

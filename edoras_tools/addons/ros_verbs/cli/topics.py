@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from msgspec.structs import replace
 from typer import Argument, BadParameter, Option
 
+from edoras_tools.addons.ros_verbs.echo import TextOptions
 from edoras_tools.cli import options
 from edoras_tools.cli.bridge import RosOptions
 from edoras_tools.cli.declare import grouped
@@ -26,7 +27,6 @@ from edoras_tools.io.formats.table import READ_PACKED
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.addons.ros_verbs.echo import EchoFormat
     from edoras_tools.addons.ros_verbs.endpoints import GraphEndpoint
     from edoras_tools.addons.ros_verbs.messages import Kind, MessageBlock
     from edoras_tools.addons.ros_verbs.source import GraphRequest
@@ -135,31 +135,6 @@ Verbose = Annotated[bool, Option("--verbose", "-v", help="Publishers and subscri
 _EVERY_NS = 1_000_000_000
 
 
-class TextOptions(NamedTuple):
-    """Form and length of a printed message."""
-
-    field: Annotated[str | None, Option(help="Only this part, e.g. pose.position.")] = None
-    csv: Annotated[bool, Option("--csv", help="Values alone, with commas.")] = False
-    full_length: Annotated[bool, Option("--full-length", "-f", help="Long values whole.")] = False
-    truncate_length: Annotated[
-        int | None, Option("--truncate-length", "-l", parser=options.count, help="Cut them here; 128.")
-    ] = None
-    no_arr: Annotated[bool, Option("--no-arr", help="Name arrays, without values.")] = False
-    no_str: Annotated[bool, Option("--no-str", help="Give the length of strings alone.")] = False
-    flow_style: Annotated[bool, Option("--flow-style", help="YAML in one line.")] = False
-    raw: Annotated[bool, Option("--raw", help="The bytes, as Python writes them.")] = False
-    message_info: Annotated[
-        bool, Option("--include-message-info", help="Also times, and the publisher's number.")
-    ] = False
-
-    def form(self) -> EchoFormat:
-        """Return these options as an ``EchoFormat``."""
-        from edoras_tools.addons.ros_verbs.echo import USUAL_LENGTH, EchoFormat
-
-        length = 0 if self.full_length else self.truncate_length or USUAL_LENGTH
-        return EchoFormat(self.field or "", length, self.no_arr, self.no_str, self.flow_style, self.csv)
-
-
 @grouped
 def echo(
     *,
@@ -178,7 +153,7 @@ def echo(
     """
     from edoras_tools.addons.ros_verbs.messages import read_topics
 
-    words, form, before = Words.of(arguments), texts.form(), 0
+    words, before = Words.of(arguments), 0
     topic = words.topic("echo")
     opened, bench = source.open(words, decoding, qos)
     for blocks in read_topics(opened, bench, (topic,), where or "", source.duration or 0):
@@ -190,13 +165,13 @@ def echo(
             )
         for block in blocks:
             for index in range(1 if once else len(block.time_ns)):
-                sys.stdout.write(_message(block, index, texts, form, bench))
+                sys.stdout.write(_message(block, index, texts, bench))
         sys.stdout.flush()
         if once and blocks:
             return
 
 
-def _message(block: MessageBlock, index: int, texts: TextOptions, form: EchoFormat, bench: Workbench) -> str:
+def _message(block: MessageBlock, index: int, texts: TextOptions, bench: Workbench) -> str:
     """Return one message as text, with its separator from the next one."""
     cdr, before, end = block.cdr(index), "", "" if texts.csv else "---\n"
     if texts.message_info:
@@ -210,7 +185,7 @@ def _message(block: MessageBlock, index: int, texts: TextOptions, form: EchoForm
         before = "".join(f"{name}: {value}\n" for name, value in values.items()) + end
         before = ",".join(map(str, info.values())) + "," if texts.csv else before
     try:
-        text = f"{cdr!r}\n" if texts.raw else form.text(bench.types, block.type, cdr)
+        text = f"{cdr!r}\n" if texts.raw else texts.text(bench.types, block.type, cdr)
     except WireError as error:
         text = f"{block.topic}: not a valid {block.type}: {error}\n"
     return f"{before}{text}{end}"
