@@ -8,9 +8,9 @@ fifo.
 from __future__ import annotations
 
 import select
+from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final
 
-import msgspec
 import numpy as np
 from msgspec.structs import replace
 
@@ -27,8 +27,8 @@ from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
+    from argparse import Namespace
+    from collections.abc import Callable
 
     from edoras_tools.io.capture.device import DeviceSource
     from edoras_tools.model import Link
@@ -41,24 +41,6 @@ _OPTIONS: Final = (
     ("ports", "More ports", "string", "Ports of this link besides the standard ones, e.g. 5010,5011"),
     ("config", "Mission", "fileselect", "EDORAS bridge YAML, which names ports and addresses"),
 )
-
-
-class CaptureRequest(msgspec.Struct, frozen=True):
-    """The user's choices in Wireshark's dialogue.
-
-    Attributes:
-        link: the link to capture.
-        interface: network interface of a live capture.
-        listen: UDP endpoints to bind instead, ``[HOST:]PORT``; Wireshark is then the receiver.
-        configs: mission files, which name ports and addresses.
-        ports: more UDP ports of the link.
-    """
-
-    link: Link
-    interface: str = "any"
-    listen: Sequence[str] = ()
-    configs: Sequence[Path] = ()
-    ports: Sequence[int] = ()
 
 
 def interfaces_answer() -> list[str]:
@@ -101,32 +83,35 @@ def options() -> list[str]:
     return lines
 
 
-def capture(wish: CaptureRequest, fifo: Path) -> None:
+def capture(link: Link, choices: Namespace) -> None:
     """Write the link's datagrams as pcapng until the reader closes the fifo, SIGTERM or Ctrl-C.
 
     Args:
-        wish: the user's choices.
-        fifo: pipe to write to; opening it waits for the reader.
+        link: the link to capture.
+        choices: the user's choices in Wireshark's dialogue, as text: ``interface`` of a live capture, UDP
+            endpoints to ``listen`` at instead, more ``ports`` of the link, the mission file ``config``; and
+            the ``fifo`` to write to, whose opening waits for the reader.
 
     Raises:
         ConfigError: the mission or an endpoint has errors.
         CaptureError: the capture or the fifo cannot be opened.
     """
-    bound = [parse_endpoint(item, "--listen") for item in wish.listen]
-    ports = [*wish.ports, *(item.port for item in bound)]
-    settings = Settings(configs=wish.configs)
-    decoding = replace(settings.options, ports=tuple((wish.link, port) for port in ports))
+    ports = [_port(word) for word in _words(choices.ports)]
+    bound = [parse_endpoint(item, "--listen") for item in _words(choices.listen)]
+    ports += [item.port for item in bound]
+    settings = Settings(configs=[Path(choices.config)] if choices.config else [])
+    decoding = replace(settings.options, ports=tuple((link, port) for port in ports))
     bench = replace(settings, options=decoding).workbench()
     context = bench.columns.context
-    ports = np.flatnonzero(context.ports[wish.link]).tolist()
-    streams = np.flatnonzero(context.stream_links == wish.link).tolist()
+    ports = np.flatnonzero(context.ports[link]).tolist()
+    streams = np.flatnonzero(context.stream_links == link).tolist()
     source: DeviceSource = (
-        UdpSource(bound) if bound else open_live(wish.interface, ports or [_NO_PORT], streams=streams)
+        UdpSource(bound) if bound else open_live(choices.interface, ports or [_NO_PORT], streams=streams)
     )
     try:
         # Wireshark also needs the handshake, which belongs to no link.
-        selection = Selection(links=(wish.link,)) if wish.link.transport.udp else Selection()
-        with _opened(fifo) as file, reading(source, bench, selection, patient=True) as loop:
+        selection = Selection(links=(link,)) if link.transport.udp else Selection()
+        with _opened(choices.fifo) as file, reading(source, bench, selection, patient=True) as loop:
             reader_left = _watch(file)
             sink = PcapngSink(file)
             sink.flush()
@@ -142,6 +127,16 @@ def capture(wish: CaptureRequest, fifo: Path) -> None:
         raise
     finally:
         source.close()
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def _port(text: str) -> int:
+    if not text.isdigit() or not 0 < int(text) < 65536:
+        raise ConfigError(f"--ports {text}: not a UDP port from 1 to 65535")
+    return int(text)
 
 
 def _opened(fifo: Path) -> BinaryIO:

@@ -54,25 +54,12 @@ def _answer(request: argparse.Namespace) -> list[str]:
         raise ConfigError(
             "this program is for Wireshark; to capture on the command line: edoras sniff -i IFACE"
         )
-    configs = [Path(request.config)] if request.config else []
-    listen, ports = _words(request.listen), [_port(word) for word in _words(request.ports)]
-    wish = extcap.CaptureRequest(link, request.interface, listen, configs, ports)
-    extcap.capture(wish, request.fifo)
+    extcap.capture(link, request)
     return []
 
 
 def _end(_signal: int, _frame: FrameType | None) -> None:
     os._exit(0)
-
-
-def _words(text: str) -> list[str]:
-    return [word.strip() for word in text.split(",") if word.strip()]
-
-
-def _port(text: str) -> int:
-    if not text.isdigit() or not 0 < int(text) < 65536:
-        raise ConfigError(f"--ports {text}: not a UDP port from 1 to 65535")
-    return int(text)
 
 
 if __name__ == "__main__":
