@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from functools import reduce
-from operator import or_
 from typing import TYPE_CHECKING, Any
 
-from edoras_tools.addons.snapshot.sink import SnapshotPlan, record_snapshots
+from edoras_tools.addons.snapshot.sink import record_snapshots
 from edoras_tools.addons.snapshot.triggers import ask, listening
 from edoras_tools.cli.endings import finish
 from edoras_tools.cli.output import print_json, watcher
-from edoras_tools.model import Finding
 from edoras_tools.pipelines.interrupt import Keys
-from edoras_tools.render.severity import NOTABLE
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -32,22 +28,6 @@ if TYPE_CHECKING:
 def fire(path: Path) -> str:
     """Ask the recorder at a socket for a snapshot; return its answer."""
     return ask(path)
-
-
-def plan(request: SnapshotOptions) -> SnapshotPlan:
-    """Return the options in the form that the sink takes."""
-    triggers, before, usual = request.trigger or [], dict(request.before or ()), SnapshotPlan()
-    labels = {"": NOTABLE, **{item.label: item for item in Finding}}
-    kinds = {name: [rest for kind, rest in triggers if kind == name] for name in ("finding", "where", "rule")}
-    return SnapshotPlan(
-        before.get("time", usual.before_ns),
-        usual.after_ns if request.after is None else request.after,
-        request.before_size or before.get("size", usual.before_bytes),
-        reduce(or_, (int(labels[rest]) for rest in kinds["finding"]), 0),
-        tuple(kinds["where"]),
-        frozenset(filter(None, kinds["rule"])),
-        "" in kinds["rule"],
-    )
 
 
 def record(
@@ -73,7 +53,7 @@ def record(
         quiet = printing.quiet or printing.json
         watch = stack.enter_context(watcher(source, None, quiet=quiet, live=source.live))
         how: dict[str, Any] = {"selection": selection, "limits": limits, "watcher": watch}
-        report, sink = record_snapshots(source, bench, target, plan(request), triggers=triggers, **how)
+        report, sink = record_snapshots(source, bench, target, request, triggers=triggers, **how)
     if printing.json:
         print_json(
             {

@@ -16,6 +16,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from functools import reduce
+from operator import or_
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -32,6 +34,7 @@ from edoras_tools.model import Columns, Finding, PacketBatch, SourceStatistics
 from edoras_tools.pipelines.capture.flushing import ROW_BYTES, compact
 from edoras_tools.pipelines.capture.record import CaptureReport, Target, open_sink, pour
 from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.render.severity import NOTABLE
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.words import plural
 
@@ -39,6 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from edoras_tools.cli.record import SnapshotOptions
     from edoras_tools.decode.context import Context
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
@@ -51,28 +55,6 @@ _QUIET_NS: Final = SECOND
 _APART_NS: Final = 100 * MILLISECOND
 """Step in which datagrams that fire a trigger are examined."""
 _MOST_REASONS: Final = 10
-
-
-class SnapshotPlan(msgspec.Struct, frozen=True):
-    """The triggers of snapshots, and the period around a trigger that is written.
-
-    Attributes:
-        before_ns: time before a trigger.
-        after_ns: time after it.
-        before_bytes: approximate limit in bytes of the datagrams kept in memory.
-        findings: bits of the findings that fire.
-        where: filters; a packet that passes one fires.
-        rules: rules of the doctor; a verdict of one fires.
-        any_rule: whether any verdict that is an error fires.
-    """
-
-    before_ns: int = 30 * SECOND
-    after_ns: int = 10 * SECOND
-    before_bytes: int = 512 << 20
-    findings: int = 0
-    where: tuple[str, ...] = ()
-    rules: frozenset[str] = frozenset()
-    any_rule: bool = False
 
 
 class Snapshot(msgspec.Struct):
@@ -125,6 +107,8 @@ class SnapshotSink(Sink):
     """A sink that keeps datagrams, and writes those that triggers request.
 
     Args:
+        request: what fires, and how much is kept before and after it; unless stated, 30 s and at most 512 MiB
+            before, and 10 s after.
         source: the source that is read; a live one is read on while files are written.
         target: the output; the name of each file gets the trigger's time.
         begin: opens a sink at a path.
@@ -143,7 +127,7 @@ class SnapshotSink(Sink):
 
     def __init__(
         self,
-        plan: SnapshotPlan,
+        request: SnapshotOptions,
         source: Source,
         context: Context,
         target: Target,
@@ -156,12 +140,22 @@ class SnapshotSink(Sink):
         self.losses: list[OutputLoss] = []
         self.keep = Keep(target.keep_files, target.keep_bytes)
         self.dropped = 0
-        self._plan, self._target, self._begin = plan, target, begin
+        self._target, self._begin = target, begin
+        before = dict(request.before or ())
+        self._before_ns = before.get("time", 30 * SECOND)
+        self._before_bytes = request.before_size or before.get("size", 512 << 20)
+        self._after_ns = 10 * SECOND if request.after is None else request.after
         self._triggers = triggers or Triggers()
         self._live, self._clock = source.on_this_host, clock
         self._statistics = source.statistics
-        self._where = [Where(text, context) for text in plan.where]
-        self._rules = RuleTrigger(context, plan.rules, any_error=plan.any_rule, apart=self._live)
+        fires: dict[str, list[str]] = {"finding": [], "where": [], "rule": []}
+        for kind, rest in request.trigger or ():
+            fires[kind].append(rest)
+        labels = {"": NOTABLE, **{item.label: item for item in Finding}}
+        self._findings = reduce(or_, (int(labels[rest]) for rest in fires["finding"]), 0)
+        self._where = [Where(text, context) for text in fires["where"]]
+        rules, any_rule = frozenset(filter(None, fires["rule"])), "" in fires["rule"]
+        self._rules = RuleTrigger(context, rules, any_error=any_rule, apart=self._live)
         self._pieces: deque[_Piece] = deque()
         self._first = 0  # number of the oldest kept batch
         self._size = 0
@@ -204,15 +198,14 @@ class SnapshotSink(Sink):
 
     def fire(self, time_ns: int, reason: str) -> None:
         """Request the datagrams around a time; within the period of the last snapshot, extend that one."""
-        plan = self._plan
         last = self._open[-1] if self._open else None
         if last is not None and time_ns <= last.until_ns:
-            last.until_ns = max(last.until_ns, time_ns + plan.after_ns)
+            last.until_ns = max(last.until_ns, time_ns + self._after_ns)
             if reason not in last.reasons and len(last.reasons) < _MOST_REASONS:
                 last.reasons.append(reason)
             return
-        start_ns = time_ns - plan.before_ns
-        self._open.append(Snapshot([reason], time_ns, start_ns, time_ns + plan.after_ns, next=self._first))
+        start_ns, until_ns = time_ns - self._before_ns, time_ns + self._after_ns
+        self._open.append(Snapshot([reason], time_ns, start_ns, until_ns, next=self._first))
 
     def close(self, statistics: SourceStatistics) -> None:
         """Write all requested datagrams that have arrived.
@@ -233,8 +226,8 @@ class SnapshotSink(Sink):
     def _finding_hits(self, piece: _Piece) -> Iterator[tuple[int, str]]:
         """Yield the times at which datagrams of a batch fire, with the reasons."""
         hits = []
-        if self._plan.findings:
-            bits = piece.columns.findings & np.uint32(self._plan.findings)
+        if self._findings:
+            bits = piece.columns.findings & np.uint32(self._findings)
             if bits.any():
                 findings = Finding(int(np.bitwise_or.reduce(bits)))
                 hits.append((bits != 0, f"finding {', '.join(item.label for item in findings)}"))
@@ -308,7 +301,7 @@ class SnapshotSink(Sink):
             return
         sink.close(self._statistics)
         self.losses += sink.losses
-        self._target.on_warning(snapshot_line(one, self._plan))
+        self._target.on_warning(snapshot_line(one, self._before_ns))
         self._delete_oldest()
 
     def _delete_oldest(self) -> None:
@@ -329,9 +322,9 @@ class SnapshotSink(Sink):
 
     def _forget(self) -> None:
         """Drop batches that are too old, or exceed the size."""
-        horizon = self._newest_ns - self._plan.before_ns
+        horizon = self._newest_ns - self._before_ns
         while self._pieces:
-            oldest, excess = self._pieces[0], self._size > self._plan.before_bytes
+            oldest, excess = self._pieces[0], self._size > self._before_bytes
             if oldest.last_ns >= horizon and not excess:
                 return
             if any(one.next <= self._first and oldest.last_ns >= one.start_ns for one in self._open):
@@ -349,18 +342,22 @@ class SnapshotSink(Sink):
         if not self.dropped:
             holds = (self._newest_ns - oldest.first_ns) / SECOND
             self._target.on_warning(
-                f"--before {self._plan.before_bytes >> 20}MiB holds the last {holds:.1f} s of this "
-                f"traffic, not {self._plan.before_ns / SECOND:g} s; older datagrams are dropped first"
+                f"--before {self._before_bytes >> 20}MiB holds the last {holds:.1f} s of this "
+                f"traffic, not {self._before_ns / SECOND:g} s; older datagrams are dropped first"
             )
         self.dropped += len(oldest.batch)
         self._dropped_ns = max(self._dropped_ns, oldest.last_ns)
 
 
-def snapshot_line(one: Snapshot, plan: SnapshotPlan) -> str:
-    """Return the line that states the content of a file and the reason for it."""
+def snapshot_line(one: Snapshot, before_ns: int) -> str:
+    """Return the line that states the content of a file and the reason for it.
+
+    Args:
+        before_ns: time that was requested before the trigger, ns.
+    """
     more = f" and {len(one.reasons) - 1} more" if len(one.reasons) > 1 else ""
     after = (one.until_ns - one.trigger_ns) / SECOND
-    less = f" (--before held no more of the {plan.before_ns / SECOND:g} s)" if one.cut else ""
+    less = f" (--before held no more of the {before_ns / SECOND:g} s)" if one.cut else ""
     return (
         f"snapshot {one.path}: {plural(one.datagrams, 'datagram')}, from {one.before_ns / SECOND:.1f} s "
         f"before{less} to {after:.1f} s after: {one.reasons[0]}{more}"
@@ -371,7 +368,7 @@ def record_snapshots(
     source: Source,
     bench: Workbench,
     target: Target,
-    plan: SnapshotPlan,
+    request: SnapshotOptions,
     *,
     selection: Selection | None = None,
     limits: Limits = Limits(),  # noqa: B008  frozen
@@ -383,6 +380,7 @@ def record_snapshots(
     Args:
         source: source of the datagrams; it is closed.
         target: the output; its name gets the time of the trigger.
+        request: see ``SnapshotSink``.
         selection: datagrams that are kept and can fire; all by default.
         watcher: called with the report after every batch.
         triggers: triggers of this machine; the caller, who opened them, closes them.
@@ -402,7 +400,7 @@ def record_snapshots(
             # Kept batches must not lie in memory that the source reuses.
             return open_sink(replace(target, path=path, jobs=1), source, bench, selection=about)
 
-        sink = SnapshotSink(plan, source, bench.columns.context, target, begin, triggers=triggers)
+        sink = SnapshotSink(request, source, bench.columns.context, target, begin, triggers=triggers)
         report = pour(loop, sink, watcher=watcher)
     report.outputs, report.losses, report.keep = sink.paths, sink.losses, sink.keep
     return report, sink

@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from places import ROOT
 
-from edoras_tools.addons.snapshot.sink import SnapshotPlan, SnapshotSink, record_snapshots
+from edoras_tools.addons.snapshot.sink import SnapshotSink, record_snapshots
 from edoras_tools.addons.snapshot.triggers import Triggers
+from edoras_tools.cli.record import SnapshotOptions
 from edoras_tools.errors import ConfigError
 from edoras_tools.io import Sink
 from edoras_tools.io.formats.watched import Keep
-from edoras_tools.model import SourceInfo, SourceStatistics
+from edoras_tools.model import Finding, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.record import Target, check_output
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.recorder import PushedSource
@@ -56,12 +57,12 @@ class File(Sink):
 class Recorder:
     """A snapshot sink over such files."""
 
-    def __init__(self, folder, *, live=False, target=None, triggers=None, **plan):
+    def __init__(self, folder, *, live=False, target=None, triggers=None, **options):
         self.files, self.said = [], []
         target = replace(target or Target(folder / "a.pcap"), on_warning=self.said.append)
         source = PushedSource(SourceInfo("", ""), SourceStatistics())
         self.sink = SnapshotSink(
-            SnapshotPlan(**plan), source, BENCH.columns.context, target, self.begin, triggers=triggers
+            SnapshotOptions(**options), source, BENCH.columns.context, target, self.begin, triggers=triggers
         )
         self.sink._live = live
 
@@ -104,7 +105,7 @@ def test_files_hold_what_triggers_asked_for(tmp_path_factory, steps, fired, befo
     folder = tmp_path_factory.mktemp("snapshots")
     ends = np.cumsum([item for step in steps for item in step])
     times = [part.tolist() for part in np.split(ends, np.cumsum([len(step) for step in steps])[:-1])]
-    recorder = Recorder(folder, live=live, before_ns=before, after_ns=after)
+    recorder = Recorder(folder, live=live, before=[("time", before)], after=after)
     asked = []
     for part in times:
         for time_ns in sorted(item for item in set(fired) if part[0] <= item <= part[-1]):
@@ -120,7 +121,7 @@ def test_files_hold_what_triggers_asked_for(tmp_path_factory, steps, fired, befo
 
 
 def test_what_does_not_fit_is_dropped_oldest_first_and_said(tmp_path):
-    recorder = Recorder(tmp_path, before_bytes=1_000_000)
+    recorder = Recorder(tmp_path, before_size=1_000_000)
     for second in range(100):
         recorder.sink.write(*made(second * SECOND + np.arange(0, SECOND, SECOND // 1000)))
         assert recorder.sink._size <= 1_000_000
@@ -137,7 +138,9 @@ def test_what_does_not_fit_is_dropped_oldest_first_and_said(tmp_path):
 
 
 def test_a_window_larger_than_the_memory_is_written_whole_once_it_was_asked_for(tmp_path):
-    recorder = Recorder(tmp_path, live=True, before_bytes=1_000_000, before_ns=SECOND, after_ns=50 * SECOND)
+    recorder = Recorder(
+        tmp_path, live=True, before=[("size", 1_000_000), ("time", SECOND)], after=50 * SECOND
+    )
     recorder.sink._clock = iter(
         range(0, 1 << 62, SECOND)
     ).__next__  # each look at the clock is a second later
@@ -166,7 +169,7 @@ def test_no_trigger_no_file(tmp_path):
 
 def test_names_are_free_and_only_so_many_are_kept(tmp_path):
     recorder = Recorder(
-        tmp_path, target=Target(tmp_path / "a.pcap", keep_files=2), before_ns=0, after_ns=SECOND // 10
+        tmp_path, target=Target(tmp_path / "a.pcap", keep_files=2), before=[("time", 0)], after=SECOND // 10
     )
     for tenth in range(0, 40, 5):
         recorder.sink.write(*made([tenth * SECOND // 10]))
@@ -212,20 +215,20 @@ def test_answers_are_given_when_the_file_is_begun(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("plan", "reason", "count"),
+    ("trigger", "reason", "count"),
     [
-        ({"where": ("sbn.msg_type == DISCONNECT",)}, "sbn.msg_type == DISCONNECT", 1),
-        ({"findings": 1 << 40}, "", 0),
-        ({"rules": frozenset({"sbn_timeout"})}, "rule sbn_timeout: ", 1),
-        ({"any_rule": True}, "rule ", 1),
+        (("where", "sbn.msg_type == DISCONNECT"), "sbn.msg_type == DISCONNECT", 1),
+        (("finding", "cdr_trailing"), "", 0),
+        (("rule", "sbn_timeout"), "rule sbn_timeout: ", 1),
+        (("rule", ""), "rule ", 1),
     ],
 )
-def test_what_fires(plan, reason, count, tmp_path):
-    plan["findings"] = plan.get("findings", 0) & 0xFFFFFFFF
+def test_what_fires(trigger, reason, count, tmp_path):
     said = []
     source = open_files([CAPTURE])
     target = Target(tmp_path / "a.mcap", on_warning=said.append)
-    report, sink = record_snapshots(source, Settings().workbench(source.info), target, SnapshotPlan(**plan))
+    request = SnapshotOptions(trigger=[trigger])
+    report, sink = record_snapshots(source, Settings().workbench(source.info), target, request)
     assert report.ledger.datagrams == 1544
     assert len(report.outputs) == len(sink.snapshots) == count
     for one in sink.snapshots:
@@ -245,8 +248,10 @@ def test_findings_are_named(tmp_path):
         (bit for bit in range(32) if (columns.findings >> bit & 1).any()),
         key=lambda bit: (columns.findings >> bit & 1).sum(),
     )
-    plan = SnapshotPlan(SECOND, SECOND, findings=1 << rare)
-    _, sink = record_snapshots(source, bench, Target(tmp_path / "a.pcap"), plan, limits=Limits())
+    request = SnapshotOptions(
+        before=[("time", SECOND)], after=SECOND, trigger=[("finding", Finding(1 << rare).label)]
+    )
+    _, sink = record_snapshots(source, bench, Target(tmp_path / "a.pcap"), request, limits=Limits())
     assert sink.snapshots
     assert all(one.reasons[0].startswith("finding ") for one in sink.snapshots)
 
