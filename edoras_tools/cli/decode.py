@@ -45,8 +45,7 @@ def decode(
     number = options.count(last)
     source, bench = open_input(InputOptions(FileOptions(paths)), decoding.settings(), messages=True)
     decoded = decode_packet(Followed(source, quiet=json), bench, number)
-    for note in bench.columns.context.notes:
-        tell(note)
+    tell(*bench.columns.context.notes)
     if json:
         print_json(as_json(decoded))
         return

@@ -98,8 +98,7 @@ def doctor(
     else:
         diagnosis = _examine(settings, scope, inputs, duration or 0, printing, jobs or 0, verbose=verbose)
         reasons = [] if task.max_loss is None else diagnosis.beyond(task.max_loss, strict=task.strict)
-        for reason in reasons:
-            tell(reason)
+        tell(*reasons)
         if reasons or (task.max_loss is None and (diagnosis.bad or (task.strict and diagnosis.uncertain))):
             raise Exit(LOST)
 
@@ -157,8 +156,7 @@ def _examine(
         print_json(findings.summary())
     elif source.statistics.datagrams:
         print_diagnosis(findings.diagnosis, source.info.name, quiet=quiet, verbose=verbose)
-    for warning in (*bench.mission.warnings, *findings.diagnosis.capture.warnings):
-        tell(warning)
+    tell(*bench.mission.warnings, *findings.warnings)
     if findings.failure is not None:
         raise findings.failure
     if not live:
@@ -213,8 +211,7 @@ def _list_lost(
         )
     else:
         print_csv([item.as_json() for item in losses])
-    for warning in findings.diagnosis.capture.warnings:
-        tell(warning)
+    tell(*findings.warnings)
     if findings.failure is not None:
         raise findings.failure
     if findings.diagnosis.bad:

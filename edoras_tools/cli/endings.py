@@ -52,8 +52,7 @@ def nothing_shown(source: Source, count: int, context: Context, *, live: bool, e
     """
     if not count and not live:
         no_datagrams(source)
-    for note in context.notes:
-        tell(note)
+    tell(*context.notes)
     if not count:
         _none_chosen(source, "" if every else "; -a shows every link")
     lost(source)
@@ -78,22 +77,21 @@ def lost(source: Source) -> None:
         from edoras_tools.render.capture.host import outage_lines
 
         lines = [*lines, *outage_lines(statistics.outages)]
-    for line in lines:
-        tell(line)
+    tell(*lines)
     if drops := statistics.kernel_drops:
         tell(f"the capture itself lost {drops:,} packets; it was too slow for them")
         raise typer.Exit(LOST)
 
 
-def say(line: str) -> None:
-    """Print a line on standard error, without the program's name."""
-    sys.stderr.write(f"{line}\n")
+def say(*lines: str) -> None:
+    """Print lines on standard error, without the program's name."""
+    sys.stderr.writelines(f"{line}\n" for line in lines)
     sys.stderr.flush()
 
 
-def tell(line: str) -> None:
-    """Print a line on standard error while a command runs."""
-    say(f"edoras: {line}")
+def tell(*lines: str) -> None:
+    """Print lines on standard error while a command runs."""
+    say(*(f"edoras: {line}" for line in lines))
 
 
 def tell_reach(endpoint: Endpoint, may: str, **words: str) -> None:
@@ -110,8 +108,7 @@ def lost_outputs(losses: Sequence[OutputLoss]) -> None:
     Raises:
         typer.Exit: with code 3, if there are any.
     """
-    for item in losses:
-        tell(str(item))
+    tell(*map(str, losses))
     if losses:
         raise typer.Exit(LOST)
 
@@ -123,8 +120,7 @@ def topics_read(source: TopicSource) -> None:
         EdorasError: the input ended early, or contained no UDP at all.
         typer.Exit: with code 3, if the capture lost packets, or traffic of a link was left out.
     """
-    for note in source.notes:
-        tell(note)
+    tell(*source.notes)
     if source.left_out:
         tell(f"{source.left_out:,} messages are incomplete and were left out")
     if source.failure is not None:
@@ -156,18 +152,15 @@ def finish(report: CaptureReport, *, live: bool) -> None:
         EdorasError: the source ended early, or contained no UDP at all.
         typer.Exit: with code 3, if the capture lost packets, or traffic of a link was left out.
     """
-    recorded = bool(report.ledger.mission.recorded)
-    for line in report.ledger.unfit():
-        tell(line)
-    for warning in (*report.ledger.mission.warnings, *report.notes, *report.ledger.unread):
-        tell(warning)
+    ledger = report.ledger
+    tell(*ledger.unfit(), *ledger.mission.warnings, *report.notes, *ledger.unread)
     if report.failure is not None:
         raise report.failure
-    if recorded:
-        no_messages(report.source, report.ledger.datagrams)
+    if ledger.mission.recorded:
+        no_messages(report.source, ledger.datagrams)
     elif not live:
         no_datagrams(report.source)
-        if not report.ledger.datagrams:
+        if not ledger.datagrams:
             _none_chosen(report.source)
     if report.losses:
         with suppress(typer.Exit):

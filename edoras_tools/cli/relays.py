@@ -174,8 +174,8 @@ def finish_relay(
     elif not quiet:
         console = error_console()
         console.print(show(summary, console.width, output))
-        for line in doors.part("display").served(display) if display else ():
-            say(line)
+        if display:
+            say(*doors.part("display").served(display))
     if json or quiet:
         for line in notes(summary):
             tell(clean(line))  # it may contain text that a peer sent

@@ -257,8 +257,7 @@ def carry_out(
         raise report.failure
     lost_outputs(report.losses)
     reasons = [*report.beyond(send_options.max_loss), *unlike]
-    for reason in reasons:
-        tell(reason)
+    tell(*reasons)
     if reasons or (send_options.max_loss is None and report.lost):
         raise Exit(LOST)
     if report.signalled and transmission.total:

@@ -152,8 +152,7 @@ def index_captures(
         print_json(summary)
     elif not quiet:
         sys.stderr.writelines(f"{line}\n" for line in update_lines(summary, str(index)))
-        for line in report.bad[:_MOST_TOLD]:
-            tell(line)
+        tell(*report.bad[:_MOST_TOLD])
         if (rest := len(report.bad) - _MOST_TOLD) > 0:
             tell(f"and {rest:,} more that are not whole; 'edoras archive list' has them all")
     if report.interrupted:

@@ -73,12 +73,10 @@ def structs(
     out = sys.stdout
     if not names and not bindings and output is None:
         out.writelines(f"{line}\n" for line in listing(source.list(), source.bound()))
-        for line in source.warnings:
-            tell(line)
+        tell(*source.warnings)
         return
     part = writing.take(source, names, bindings, package)
-    for line in source.warnings:
-        tell(line)
+    tell(*source.warnings)
     if output is None:
         for place, (name, message) in enumerate(part.types.items()):
             out.write("\n" if place else "")

@@ -174,8 +174,7 @@ def live(
     if json:
         print_json(summary)
     elif not quiet:
-        for line in served(summary["foxglove"]):
-            say(line)
+        say(*served(summary["foxglove"]))
     if failure is not None:
         raise failure
     if report is not None:

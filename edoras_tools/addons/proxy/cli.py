@@ -167,8 +167,7 @@ def _relay_streams(
     if json:
         print_json(relay.summary())
     elif not quiet:
-        for line in stream_lines(relay.summary()):
-            say(line)
+        say(*stream_lines(relay.summary()))
 
 
 def _begin(relay: Proxy | StreamProxy) -> None:

@@ -60,10 +60,7 @@ def report(
             outcome = "nothing was examined"
         verdicts = plural(len(group_verdicts(findings.diagnosis.verdicts)), "verdict")
         sys.stderr.write(f"{path}: {outcome}, {verdicts}, {size / 1024:.0f} KiB\n")
-    for warning in findings.diagnosis.capture.warnings:
-        tell(warning)
-    for item in findings.diagnosis.unnamed:
-        tell(str(item))
+    tell(*findings.warnings, *map(str, findings.unnamed))
     if findings.failure is not None:
         raise findings.failure
     if findings.diagnosis.bad:

@@ -96,8 +96,7 @@ def export_by_recording(
         lines.append(f"{plural(len(without), 'recording')} without a message of these: {listed(without, 3)}")
     summary = {"source": listed([*map(str, files)], 3), "left_out": left_out, "warnings": lines}
     tell_written({**summary, "files": written if printing.json else by_topic(written)}, printing)
-    for line in lines:
-        tell(line)
+    tell(*lines)
     if failed:
         raise CaptureError(f"{failed:,} of {plural(len(paths), 'recording')} could not be read whole")
 

@@ -89,8 +89,7 @@ def trace(
         print_json({"source": source.info.name, "zero_ns": zero_ns, **whole, **where})
     elif output is None:
         _print(tracing, zero_ns)
-    for warning in findings.diagnosis.capture.warnings:
-        tell(warning)
+    tell(*findings.warnings)
     if tracing.trace is not None and tracing.trace.ended.ending in {"lost", "unaccounted"}:
         raise Exit(LOST)
 
@@ -256,8 +255,7 @@ def _hop_rates(
         no_datagrams(source)
     tracing.check()
     _print_rates(tracing, source.info.name, printing, is_whole=topic is not None)
-    for warning in findings.diagnosis.capture.warnings:
-        tell(warning)
+    tell(*findings.warnings)
     if findings.failure is not None:
         raise findings.failure
 

@@ -42,8 +42,7 @@ def xtce(
     result = describe_packets(decoding.settings().workbench(), system, for_cosmos=form is GroundForm.COSMOS)
     recordings.put_text(result.text.decode(), output)
     if not quiet:
-        for note in result.notes:
-            tell(note)
+        tell(*result.notes)
         if output is not None:
             counts = f"{plural(result.telemetry, 'telemetry packet')}, {plural(result.commands, 'command')}"
             tell(f"{output}: {counts}")

@@ -97,8 +97,7 @@ def play(
             f"published {report.sent:,} messages in {summary['duration_s']:.1f} s, late by {late} us\n"
         )
     errors = (f"{count:,} not published: {why}" for why, count in report.errors.items())
-    for note in (*summary["notes"], *errors):
-        tell(note)
+    tell(*summary["notes"], *errors)
     if report.failure is not None:
         raise report.failure
     if report.errors or (report.signalled and report.total):

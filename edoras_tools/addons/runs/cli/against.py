@@ -87,8 +87,8 @@ def bags(
         print_json({**whole, "diagnosis": judged.summary() if judged else None})
     else:
         _print_bags(comparisons, ways, ", ".join(map(str, files or others[:1])))
-    for warning in judged.warnings if judged else ():
-        tell(warning)
+    if judged:
+        tell(*judged.warnings)
     if lost or (judged and judged.diagnosis.bad):
         raise Exit(LOST)
 

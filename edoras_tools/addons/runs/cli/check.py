@@ -138,11 +138,10 @@ def _draft(
             _end(source, runs[-1].findings, live=False)
     draft = Draft(runs)
     recordings.put_text(draft.text, path)
-    for note in draft.notes if not printing.quiet else ():
-        tell(note)
+    if not printing.quiet:
+        tell(*draft.notes)
     unexamined = [str(item) for run in runs for item in run.findings.unnamed]
-    for line in dict.fromkeys(unexamined):
-        tell(line)
+    tell(*dict.fromkeys(unexamined))
     if unexamined:
         raise Exit(LOST)
 
@@ -154,8 +153,7 @@ def _update(path: Path, expected: Expectations, report: CheckReport, run: Run) -
     update = ExpectationUpdate(path.read_text(encoding="utf-8"), expected, report, run)
     if update.notes:
         recordings.write_page(update.text, path)
-    for note in update.notes or ["this run meets all expectations: nothing was widened"]:
-        tell(note)
+    tell(*(update.notes or ["this run meets all expectations: nothing was widened"]))
 
 
 def _check_whole(findings: Examined) -> None:
@@ -165,8 +163,7 @@ def _check_whole(findings: Examined) -> None:
 
 
 def _end(source: Source, findings: Examined, *, live: bool) -> None:
-    for warning in findings.warnings:
-        tell(warning)
+    tell(*findings.warnings)
     if findings.failure is not None:
         raise findings.failure
     if not live:

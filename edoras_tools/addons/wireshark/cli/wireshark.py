@@ -25,8 +25,7 @@ def _dissector(decoding: options.DecodingOptions) -> str:
     from edoras_tools.addons.wireshark.lua import dissector
 
     text, warnings = dissector(decoding.settings())
-    for warning in warnings:
-        tell(warning)
+    tell(*warnings)
     return text
 
 
