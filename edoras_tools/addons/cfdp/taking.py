@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,8 +25,6 @@ from edoras_tools.io.outputs import check_folder, check_links, lock_older
 from edoras_tools.pipelines.reading import Limits, reading
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
-
     from edoras_tools.io import Source
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
@@ -159,7 +157,7 @@ def take_out(
     return report
 
 
-class _Spool:
+class _Spool(AbstractContextManager["_Spool"]):
     """Writes the files below a folder.
 
     Args:
@@ -183,9 +181,6 @@ class _Spool:
                 leftover.unlink()
         except OSError as error:
             raise self._failed(error) from error
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         shutil.rmtree(self._open, ignore_errors=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import socket
 from collections import Counter
+from contextlib import AbstractContextManager
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any, Final
 
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
-    from typing_extensions import Self
 
     from edoras_tools.addons.rtps.wire.parameters import Announcement
     from edoras_tools.links.site import Site
@@ -112,7 +112,7 @@ class Subscribers(SendingSession):
         return self._notes
 
 
-class WritersTransmitter:
+class WritersTransmitter(AbstractContextManager["WritersTransmitter"]):
     """Writers in a domain, with the interface of a ``Transmitter``. It is a context manager.
 
     Args:
@@ -165,9 +165,6 @@ class WritersTransmitter:
         except BaseException:
             self.graph.close()
             raise
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.graph.close()

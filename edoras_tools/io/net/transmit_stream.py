@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import select
 import socket
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import CaptureError
@@ -21,7 +22,6 @@ from edoras_tools.io.net.transmit import SendStatistics
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-    from typing_extensions import Self
 
     from edoras_tools.links.framing import Framing
     from edoras_tools.model import Endpoint
@@ -32,7 +32,7 @@ ANSWER_WITHIN_S: Final = 5.0
 _AT_ONCE: Final = 1 << 16
 
 
-class StreamTransmitter:
+class StreamTransmitter(AbstractContextManager["StreamTransmitter"]):
     """A connection; it is a context manager.
 
     Args:
@@ -60,9 +60,6 @@ class StreamTransmitter:
             self._socket.close()
             raise CaptureError(f"{self._name}: {_refusal(error)}") from error
         self.target, self.local = address.endpoint, local_endpoint(self._socket)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()

@@ -5,13 +5,10 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import AbstractContextManager, nullcontext
-from typing import TYPE_CHECKING, Final, Protocol, TextIO
+from typing import Final, Protocol, TextIO
 
 from edoras_tools.render import units
 from edoras_tools.render.terminal.terminal import detect_terminal
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 _REFRESH_S: Final = 0.2
 _KEYS: Final = "space pauses, n next, q ends"
@@ -28,7 +25,7 @@ class _Sending(Protocol):
         ...
 
 
-class StatusLine:
+class StatusLine(AbstractContextManager["StatusLine"]):
     """One line on standard error that shows the progress; nothing if standard error is not a terminal.
 
     Args:
@@ -41,9 +38,6 @@ class StatusLine:
         self._total = total
         self._keys = keys
         self._drawn = time.monotonic()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._out.write("\r\x1b[K")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Final
 
 from rich.progress import BarColumn, Progress, TextColumn
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rich.console import Console
-    from typing_extensions import Self
 
     from edoras_tools.io import Source
     from edoras_tools.model import SourceStatistics
@@ -26,7 +26,7 @@ _PATIENCE_S: Final = 0.3
 _LABEL: Final = 32
 
 
-class FileProgress:
+class FileProgress(AbstractContextManager["FileProgress"]):
     """Shows the progress of reading and judging; a context manager whose methods are cheap to call.
 
     It draws from the caller's thread, at most ten times a second, and nothing if the console is no terminal
@@ -63,9 +63,6 @@ class FileProgress:
             )
             label = clip_left(clean(label), min(_LABEL, console.width // 4))
             self._task = self._progress.add_task(label, total=None, figures="")
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         if self._progress:

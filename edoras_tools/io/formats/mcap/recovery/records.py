@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from typing_extensions import Self
 
 _KINDS: Final[dict[int, Any]] = {
     Opcode.HEADER: records.Header,
@@ -62,7 +61,7 @@ def parse(opcode: int, content: bytes) -> Any:
     return None
 
 
-class FileBytes:
+class FileBytes(AbstractContextManager["FileBytes"]):
     """Random access to a file whose size must not change meanwhile.
 
     Attributes:
@@ -81,9 +80,6 @@ class FileBytes:
             raise self._failure(error) from error
         self._number = self._file.fileno()
         self.size = os.fstat(self._number).st_size
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._file.close()
