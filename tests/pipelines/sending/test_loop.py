@@ -390,8 +390,8 @@ def follow(simulation, out, **options):
 def test_listening_goes_on_until_ci_has_read_everything():
     simulation = booted("rover")
     report = follow(simulation, plain(100), wait_for=("to-enabled",))
-    assert simulation.apps.ci.socket.socket_drops == 0
-    assert len(simulation.apps.ci.socket) == 0
+    assert simulation.apps.ci.socket_drops == 0
+    assert len(simulation.apps.ci.queue) == 0
     assert report.responses.ingest.summary() == {"state": "all", "sent": 100, "read": 100, "missing": 0}
     assert 4 * SECOND < simulation.now - report.last_ns < 8 * SECOND  # 100 at 11 each half second
 
@@ -406,7 +406,7 @@ def test_ci_may_report_each_four_seconds_as_cfs_comes():
 def test_what_never_came_to_ci_is_counted():
     simulation = booted("rover")
     report = follow(simulation, plain(400), wait_for=("to-enabled",))
-    dropped = simulation.apps.ci.socket.socket_drops
+    dropped = simulation.apps.ci.socket_drops
     assert dropped > 100
     summary = report.responses.ingest.summary()
     assert summary == {"state": "missing", "sent": 400, "read": 400 - dropped, "missing": dropped}

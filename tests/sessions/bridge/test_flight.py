@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from bare_cfs import BareCfs
 from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnNode
-from edoras_tools.addons.lab.emulator.services.software_bus import SoftwareBus
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.model import Peer
+from edoras_tools.model import Endpoint, Peer
 from edoras_tools.sessions.bridge.flight import FlightSession
 from edoras_tools.sessions.bridge.packets import PacketWriter
 from edoras_tools.units import MILLISECOND, SECOND
@@ -205,21 +205,26 @@ class Meeting:
         self.boot()
 
     def boot(self):
-        bus = SoftwareBus(self.profile)
+        self.cfs = BareCfs(self.profile).at(self.now)
+        bus = self.cfs.bus
         bus.subscribe(bus.create_pipe("EDORAS_APP_PIPE", 32), 0x1829, 4)
-        self.node = SbnNode(self.profile, bus, now=self.now)
+        self.node = SbnNode(self.cfs)
 
     def send(self, datagrams):
         """Ours to cFS, and what it answers."""
         self.ours += [(self.now, word) for word in said(datagrams)]
         for data in datagrams:
             if not self.cut:
-                self.give(self.node.receive_datagram(data, now=self.now).sends)
+                self.cfs.at(self.now)
+                self.node.receive_datagram(data)
+                self.give()
 
-    def give(self, sends):
-        for item in sends:
-            if item.peer.peer == US and not self.cut:
-                self.send(self.session.receive_datagram(item.data, now=self.now)[1])
+    def give(self):
+        """What cFS has sent to us."""
+        to_us = [Endpoint(item.address, item.port) for item in self.profile.sbn_peers if item.peer == US]
+        for to, data in self.cfs.take_sent():
+            if to in to_us and not self.cut:
+                self.send(self.session.receive_datagram(data, now=self.now)[1])
 
     def run(self, seconds, rate_hz=0):
         """Let time pass; publish at a rate."""
@@ -233,7 +238,9 @@ class Meeting:
                 self.send([self.session.frame(PACKET)])
                 self.session.sent(now=self.now)
             if self.now % self.profile.sbn_wake_ns == 0:
-                self.give(self.node.service(now=self.now).sends)
+                self.cfs.at(self.now)
+                self.node.service()
+                self.give()
             self.now += step
 
     def count(self, word, since=0):

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from bare_cfs import BareCfs
 
 from edoras_tools.addons.lab.emulator.apps.telemetry_output import TelemetryOutput
-from edoras_tools.addons.lab.emulator.services.software_bus import SoftwareBus
-from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.pipelines.sending.wait_for import enable_output
 from edoras_tools.sessions.bridge.ground import ASK_NS, SILENCE_NS, STEP_NS, GroundSession
 from edoras_tools.sessions.bridge.packets import PacketWriter
@@ -53,15 +52,16 @@ def test_who_never_answers_is_told_of_once(session):
 
 
 def test_what_the_mission_wants_in_the_table_is_added_and_real_to_takes_it():
-    profile = SimProfile()
-    output = TelemetryOutput(profile, SoftwareBus(profile))
-    output.subscribe([0x828])
+    cfs = BareCfs()
+    output = TelemetryOutput(cfs, [0x828])
+    cfs.said()
     session = GroundSession(PacketWriter(checksum=True, sequence=True), "10.0.0.7", {0x828: 255}, now=0)
-    said = [event.message for packet in session.service(now=0) for event in output.command(packet).events]
-    assert said == [
-        "TO telemetry output enabled for IP 10.0.0.7",
-        "L497 TO RemovePkt 0x828",
-        "L473 TO AddPkt 0x828, QoS 0.0, limit 255",
+    for packet in session.service(now=0):
+        output.command(packet)
+    assert cfs.said() == [
+        "TO_LAB_APP 3: TO telemetry output enabled for IP 10.0.0.7",
+        "TO_LAB_APP 16: L497 TO RemovePkt 0x828",
+        "TO_LAB_APP 15: L473 TO AddPkt 0x828, QoS 0.0, limit 255",
     ]
     assert output.pipe.limits[0x828] == 255
 

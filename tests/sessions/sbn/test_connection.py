@@ -5,13 +5,12 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
+from bare_cfs import BareCfs
 from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnNode
-from edoras_tools.addons.lab.emulator.services.software_bus import SoftwareBus
-from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.model import Peer
+from edoras_tools.model import Endpoint, Peer
 from edoras_tools.sessions.sbn.connection import SbnConnection
 from edoras_tools.sessions.sbn.events import (
     TRANSITIONS,
@@ -203,20 +202,24 @@ def test_the_public_bridge_drops_or_answers_any_datagram(datagrams):
 
 @pytest.mark.parametrize("habits", [CLIENT, BRIDGE, PUBLIC_BRIDGE])
 def test_all_kinds_shake_hands_with_the_flight_side(habits):
-    profile = SimProfile()
-    bus = SoftwareBus(profile)
+    cfs = BareCfs()
+    profile, bus = cfs.profile, cfs.bus
     pipe = bus.create_pipe("EDORAS_APP_PIPE", 32)
     bus.subscribe(pipe, 0x1829, 4)
-    node = SbnNode(profile, bus, now=0)
+    node = SbnNode(cfs)
+    to_us = next(Endpoint(item.address, item.port) for item in profile.sbn_peers if item.peer == US)
     ours = SbnConnection(US, [0x82A], habits=habits, now=0)
     for now in range(0, 3 * SECOND, profile.sbn_wake_ns):
         waiting = list(ours.service(now=now).datagrams)
+        cfs.at(now)
         while waiting:
-            for item in node.receive_datagram(waiting.pop(0), now=now).sends:
-                waiting += ours.receive_datagram(item.data, now=now).datagrams
-        for item in node.service(now=now).sends:
-            if item.peer.peer == US:
-                ours.receive_datagram(item.data, now=now)
+            node.receive_datagram(waiting.pop(0))
+            for _, data in cfs.take_sent():
+                waiting += ours.receive_datagram(data, now=now).datagrams
+        node.service()
+        for to, data in cfs.take_sent():
+            if to == to_us:
+                ours.receive_datagram(data, now=now)
     assert node.peers[US].connected
     assert 0x82A in node.peers[US].pipe.limits
     assert ours.answered == profile.peer

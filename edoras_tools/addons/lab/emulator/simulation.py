@@ -7,12 +7,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.addons.lab.emulator.apps import generator
-from edoras_tools.addons.lab.emulator.apps.command_ingest import CiLab
+from edoras_tools.addons.lab.emulator.apps.command_ingest import CommandIngest
 from edoras_tools.addons.lab.emulator.apps.core import SCHEDULER, start_core, start_scheduler
 from edoras_tools.addons.lab.emulator.apps.edoras import EdorasApp, SingleRobotApp, TwoRobotApp
 from edoras_tools.addons.lab.emulator.apps.generator import Generator
 from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnApp
-from edoras_tools.addons.lab.emulator.apps.telemetry_output import start_output
+from edoras_tools.addons.lab.emulator.apps.telemetry_output import TelemetryOutput
 from edoras_tools.addons.lab.emulator.bridges import FlightBridge, GroundBridge
 from edoras_tools.addons.lab.emulator.cfs import Cfs
 from edoras_tools.addons.lab.emulator.robots import robot_of
@@ -41,7 +41,7 @@ class Apps:
 
     def __init__(self, cfs: Cfs, edoras: EdorasApp) -> None:
         self.sbn: SbnApp
-        self.ci: CiLab
+        self.ci: CommandIngest
         self.edoras = edoras
         self._cfs = cfs
         cfs.begin = self._start
@@ -53,7 +53,7 @@ class Apps:
         for name, file, begin in (
             (sbn.NAME, "sbn", self._sbn),
             (command_ingest.NAME, "ci_lab", self._ci),
-            (telemetry_output.NAME, "to_lab", lambda: start_output(cfs, self.edoras.telemetry)),
+            (telemetry_output.NAME, "to_lab", lambda: TelemetryOutput(cfs, self.edoras.telemetry)),
             (edoras_app.NAME, "edoras_app", lambda: self.edoras.start(cfs)),
             *[(generator.NAME, "edoras_gen", lambda: Generator(cfs))] * bool(cfs.profile.generator_msg_id),
             (SCHEDULER, "sch_lab", lambda: start_scheduler(cfs, self.edoras)),
@@ -64,7 +64,7 @@ class Apps:
         self.sbn = SbnApp(self._cfs)
 
     def _ci(self) -> None:
-        self.ci = CiLab(self._cfs)
+        self.ci = CommandIngest(self._cfs)
 
 
 SCENARIOS: Final[tuple[Scenario, ...]] = ("rover", "arm", "two-rovers", "two-arms")

@@ -35,8 +35,8 @@ def test_its_sums_are_the_counters_of_the_emulator(flight):
     up = sum(item.destination == cfs.ci_endpoint for item in sent)
     assert sum(number for (hop, _), number in ends.items() if hop == ci) == up
     if not any(b"CI_LAB" in payload for *_, payload in flight.commands):
-        assert ends[ci, QueueEnd.PIPE_OVERFLOW] == simulation.apps.ci.socket.socket_drops
-        assert ends[ci, QueueEnd.WAITING] == len(simulation.apps.ci.socket)
+        assert ends[ci, QueueEnd.PIPE_OVERFLOW] == simulation.apps.ci.socket_drops
+        assert ends[ci, QueueEnd.WAITING] == len(simulation.apps.ci.queue)
     for name, pipe in cfs.bus.pipes.items():
         assert ends[name, QueueEnd.WAITING] == len(pipe)
     assert all(

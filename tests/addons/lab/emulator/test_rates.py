@@ -121,4 +121,4 @@ def test_command_ingest_reads_about_22_datagrams_a_second():
         simulation.feed(SECOND, simulation.cfs.ci_endpoint, nobody)
     list(simulation.run(6 * SECOND))
     # Two wake-ups a second; where a housekeeping request beats the time-out a third is possible.
-    assert 5 * 22 - 11 <= simulation.apps.ci.socket.ingest_packets <= 5 * 22 + 22
+    assert 5 * 22 - 11 <= simulation.apps.ci.ingest_packets <= 5 * 22 + 22

@@ -21,7 +21,6 @@ from edoras_tools.addons.lab.emulator.messages import (
     whole_packet,
 )
 from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
-from edoras_tools.addons.lab.emulator.services.events import Event
 from edoras_tools.cfs import sbn as facts
 from edoras_tools.cfs import table_services
 from edoras_tools.cfs.profile import SbnPeerConfig
@@ -48,9 +47,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.lab.emulator.cfs import Cfs
     from edoras_tools.addons.lab.emulator.scheduler import Task
-    from edoras_tools.addons.lab.emulator.services.software_bus import Pipe, SoftwareBus
+    from edoras_tools.addons.lab.emulator.services.software_bus import Pipe
     from edoras_tools.cfs.event_services import EventText
-    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.sessions.sbn.events import ConnectionEvent as SbnEvent
 
 NOT_REPORTED: Final = frozenset({cfe.EVENT_MSG_ID, facts.COMMAND_MSG_ID, facts.HOUSEKEEPING_MSG_ID})
@@ -58,39 +56,6 @@ NOT_REPORTED: Final = frozenset({cfe.EVENT_MSG_ID, facts.COMMAND_MSG_ID, facts.H
 _BUFFER_BYTES: Final = 65536
 _HEARTBEATS: Final = 4
 """Heartbeats that the TCP module sends at each wake-up while nothing else is sent."""
-
-
-class PeerDatagram(msgspec.Struct, frozen=True):
-    """A datagram for a peer."""
-
-    peer: SbnPeerConfig
-    data: bytes
-
-
-class Actions(msgspec.Struct):
-    """Actions that a call requests from its caller, each list in order.
-
-    Attributes:
-        sends: datagrams to send.
-        publish: packets for the software bus, from sender ``SBN``, not stamped.
-        events: events to report.
-        failed: the receive task ends after this datagram; the next :meth:`SbnNode.service` starts it again.
-    """
-
-    sends: list[PeerDatagram] = msgspec.field(default_factory=list)
-    publish: list[bytes] = msgspec.field(default_factory=list)
-    events: list[Event] = msgspec.field(default_factory=list)
-    failed: bool = False
-
-    def say(self, event: EventText, **values: object) -> None:
-        """Add an event."""
-        self.events.append(Event.of(event, **values))
-
-    def fail(self, event: EventText, consequence: EventText, **values: object) -> None:
-        """Add an error and its consequence; end the receive task."""
-        self.say(event, **values)
-        self.say(consequence)
-        self.failed = True
 
 
 class PeerState(msgspec.Struct):
@@ -146,9 +111,9 @@ class SbnNode:
         receiving: whether the receive task runs.
     """
 
-    def __init__(self, profile: SimProfile, bus: SoftwareBus, *, now: int) -> None:
-        self.profile = profile
-        self.bus = bus
+    def __init__(self, cfs: Cfs) -> None:
+        profile, now = cfs.profile, cfs.scheduler.now
+        self._cfs = cfs
         habits = replace(
             STOCK,
             ask_ns=profile.sbn_announce_s * SECOND,
@@ -170,111 +135,107 @@ class SbnNode:
         """Return the names of the pipes to its peers."""
         return [state.pipe.name for state in self.peers.values() if state.pipe is not None]
 
-    def receive_datagram(self, data: bytes, *, now: int) -> Actions:
-        """Process one datagram with any bytes."""
-        actions = Actions()
+    def receive_datagram(self, data: bytes) -> None:
+        """Process one datagram with any bytes; after an error the receive task does not run any more."""
+        self.receiving = True
         self._buffer[: len(data)] = data
         whole = bytes(self._buffer)
         header = sbn.HEADER.parse(whole)
         if header["msg_size"] < 0:
-            self._receive_failed(actions, facts.NOT_UNPACKED)
-            return actions
+            self._fail(facts.NOT_UNPACKED, facts.RECEIVE_FAILED)
+            return
         identity = Peer(header["spacecraft_id"], header["processor_id"])
         state = self.peers.get(identity)
         if state is None:
-            self._receive_failed(actions, facts.UNKNOWN_PEER, **identity._asdict())
-            return actions
+            self._fail(facts.UNKNOWN_PEER, facts.RECEIVE_FAILED, **identity._asdict())
+            return
         connection = state.connection
         if not connection.connected:
             connection.wanted = tuple(self._network_ids(self._reportable(0)))
-        step = connection.receive_datagram(whole, now=now)
+        step = connection.receive_datagram(whole, now=self._cfs.scheduler.now)
         for event in step.events:
-            self._happened(state, event, len(data) - sbn.HEADER.size, actions)
-        self._send(state, step.datagrams, actions)
-        self.receiving = not actions.failed
-        return actions
+            self._happened(state, event, len(data) - sbn.HEADER.size)
+        self._send(state, step.datagrams)
 
-    def opened(self, peer: Peer, *, now: int) -> Actions:
+    def opened(self, peer: Peer) -> None:
         """Begin a TCP connection that this side opened: its first messages are those of the handshake."""
-        actions, state = Actions(), self.peers[peer]
+        state = self.peers[peer]
         connection = state.connection
         if isinstance(connection, StreamConnection):
             connection.wanted = tuple(self._network_ids(self._reportable(0)))
-            self._send(state, connection.introduce(now=now), actions)
-        return actions
+            self._send(state, connection.introduce(now=self._cfs.scheduler.now))
 
-    def service(self, *, now: int) -> Actions:
+    def service(self) -> None:
         """Do one round of the main loop, due every ``sbn_wake_ns``: subscriptions, peer pipes, time-outs."""
-        actions = Actions()
+        cfs = self._cfs
         if not self.receiving:
             self.receiving = True
-            actions.say(facts.RECEIVE_TASK_STARTED)
+            cfs.say(facts.RECEIVE_TASK_STARTED)
         for msg_id in list(self._reportable(self._reported)):
             # One MsgId in each datagram, to every peer of the table, connected or not.
             for state in self.peers.values():
-                self._send(state, state.connection.subscribe(self._network_ids([msg_id]), now=now), actions)
-        self._reported = len(self.bus.subscribed)
+                subscription = state.connection.subscribe(self._network_ids([msg_id]), now=cfs.scheduler.now)
+                self._send(state, subscription)
+        self._reported = len(cfs.bus.subscribed)
         for state in self.peers.values():
-            self._serve(state, actions, now)
-        return actions
+            self._serve(state)
 
-    def unload(self) -> Actions:
+    def unload(self) -> None:
         """Leave every peer, as before a new table: a connected peer gets a message."""
-        actions = Actions()
+        say = self._cfs.say
         for index, state in enumerate(self.peers.values()):
-            self._part(state, actions)
-            actions.say(facts.UNLOADED, index=index)
-        actions.say(facts.NET_ENDED)
+            self._part(state)
+            say(facts.UNLOADED, index=index)
+        say(facts.NET_ENDED)
         for peer in self.peers:
-            actions.say(facts.UNSUBSCRIBED, processor_id=peer.processor_id)
-            actions.say(facts.ALREADY_DISCONNECTED, peer=peer)
-        return actions
+            say(facts.UNSUBSCRIBED, processor_id=peer.processor_id)
+            say(facts.ALREADY_DISCONNECTED, peer=peer)
 
-    def leave(self) -> Actions:
+    def leave(self) -> None:
         """Leave every connected peer, as SBN does when it ends."""
-        actions = Actions()
         for state in self.peers.values():
             if state.connected:
-                self._part(state, actions)
-                actions.say(facts.ALREADY_DISCONNECTED, peer=state.config.peer)
-        return actions
+                self._part(state)
+                self._cfs.say(facts.ALREADY_DISCONNECTED, peer=state.config.peer)
 
-    def _part(self, state: PeerState, actions: Actions) -> None:
+    def _part(self, state: PeerState) -> None:
         if state.connected:
-            actions.say(facts.SENDING_DISCONNECT, peer=state.config.peer)
-            self._send(state, state.connection.goodbye(), actions)
-            self._disconnect(state, actions)
+            self._cfs.say(facts.SENDING_DISCONNECT, peer=state.config.peer)
+            self._send(state, state.connection.goodbye())
+            self._disconnect(state)
 
-    def _serve(self, state: PeerState, actions: Actions, now: int) -> None:
-        connection = state.connection
+    def _serve(self, state: PeerState) -> None:
+        connection, now = state.connection, self._cfs.scheduler.now
         while state.pipe is not None and (packet := state.pipe.get()) is not None:
-            data = to_link(whole_packet(packet), self.profile)
+            data = to_link(whole_packet(packet), self._cfs.profile)
             if len(data) <= sbn.LARGEST_PAYLOAD:
-                self._send(state, [connection.frame(data)], actions)
+                self._send(state, [connection.frame(data)])
                 connection.sent(now=now)
         step = connection.service(now=now)
         for event in step.events:
-            self._happened(state, event, 0, actions)
-        self._send(state, step.datagrams, actions)
+            self._happened(state, event, 0)
+        self._send(state, step.datagrams)
 
-    def _receive_failed(self, actions: Actions, event: EventText, **values: object) -> None:
-        actions.fail(event, facts.RECEIVE_FAILED, **values)
+    def _fail(self, event: EventText, consequence: EventText, **values: object) -> None:
+        """Report an error and its consequence; end the receive task until the next round."""
+        self._cfs.say(event, **values)
+        self._cfs.say(consequence)
         self.receiving = False
 
-    def _happened(self, state: PeerState, event: SbnEvent, carried: int, actions: Actions) -> None:
+    def _happened(self, state: PeerState, event: SbnEvent, carried: int) -> None:
         """Process an event of a connection; ``carried``: number of bytes behind the header."""
-        identity = state.config.peer
+        cfs, identity = self._cfs, state.config.peer
         match event:
             case Connected():
-                self._connect(state, actions)
+                self._connect(state)
             case Disconnected(reason):
                 if reason is Trigger.TIMEOUT:
-                    actions.say(facts.TIMED_OUT, peer=identity)
-                self._disconnect(state, actions)
+                    cfs.say(facts.TIMED_OUT, peer=identity)
+                self._disconnect(state)
             case Version(sbn.PROTOCOL_VERSION):
-                actions.say(facts.VERSION_MATCH, peer=identity)
+                cfs.say(facts.VERSION_MATCH, peer=identity)
             case Version(version):
-                actions.say(
+                cfs.say(
                     facts.VERSION_MISMATCH,
                     failure=facts.NOT_PROCESSED,
                     peer=identity,
@@ -283,55 +244,57 @@ class SbnNode:
                 )
             case Subscriptions(msg_type, ident, msg_ids):
                 if ident != sbn.IDENT:
-                    actions.fail(facts.OTHER_IDENT, facts.MESSAGE_FAILED, processor_id=identity.processor_id)
+                    self._fail(facts.OTHER_IDENT, facts.MESSAGE_FAILED, processor_id=identity.processor_id)
                     return
                 for item in msg_ids:
-                    self._subscription(state, msg_type, bus_id(item, self.profile), actions)
+                    self._subscription(state, msg_type, bus_id(item, cfs.profile))
             case AppMessage():
                 packet = event.packet
-                if self.profile.headers.msg_ids.of(packet) > cfe.HIGHEST_MSG_ID:
-                    actions.fail(facts.BAD_MSG_ID, facts.MESSAGE_FAILED)
+                if cfs.profile.headers.msg_ids.of(packet) > cfe.HIGHEST_MSG_ID:
+                    self._fail(facts.BAD_MSG_ID, facts.MESSAGE_FAILED)
                     return
                 size = max(length_of(packet), carried, cfe.COMMAND_HEADER_BYTES)
-                actions.publish.append(from_link(packet[:size], self.profile))
+                cfs.publish(from_link(packet[:size], cfs.profile), facts.NAME, stamp=False)
             case UnknownType(msg_type):
-                actions.fail(
+                self._fail(
                     facts.UNKNOWN_TYPE, facts.MESSAGE_FAILED, failure=facts.NOT_PROCESSED, msg_type=msg_type
                 )
             # Else subscriptions were cut: 65,535 entries exceed the buffer; flight code would read past it.
 
-    def _subscription(self, state: PeerState, msg_type: int, msg_id: int, actions: Actions) -> None:
-        pipe = state.pipe
+    def _subscription(self, state: PeerState, msg_type: int, msg_id: int) -> None:
+        cfs, pipe = self._cfs, state.pipe
         assert pipe is not None
         if msg_type == sbn.MsgType.SUB:
             if 0 < msg_id <= cfe.HIGHEST_MSG_ID and msg_id not in pipe.limits:
-                self.bus.subscribe(pipe, msg_id, self.profile.sbn_msg_limit, local=True)
-        elif not self.bus.unsubscribe(pipe, msg_id):
+                cfs.bus.subscribe(pipe, msg_id, cfs.profile.sbn_msg_limit, local=True)
+        elif not cfs.bus.unsubscribe(pipe, msg_id):
             processor = state.config.peer.processor_id
-            actions.say(facts.NOT_SUBSCRIBED, processor_id=processor, msg_id=msg_id)
+            cfs.say(facts.NOT_SUBSCRIBED, processor_id=processor, msg_id=msg_id)
 
-    def _connect(self, state: PeerState, actions: Actions) -> None:
-        identity = state.config.peer
+    def _connect(self, state: PeerState) -> None:
+        cfs, identity = self._cfs, state.config.peer
         name = facts.peer_pipe(identity)
-        state.pipe = self.bus.create_pipe(name, self.profile.sbn_pipe_depth, ignores=facts.NAME)
-        actions.say(facts.CONNECTING, peer=identity)
-        actions.say(facts.PIPE_CREATED, pipe=name)
-        actions.say(facts.CONNECTED, peer=identity)
+        state.pipe = cfs.bus.create_pipe(name, cfs.profile.sbn_pipe_depth, ignores=facts.NAME)
+        cfs.say(facts.CONNECTING, peer=identity)
+        cfs.say(facts.PIPE_CREATED, pipe=name)
+        cfs.say(facts.CONNECTED, peer=identity)
 
-    def _disconnect(self, state: PeerState, actions: Actions) -> None:
+    def _disconnect(self, state: PeerState) -> None:
         assert state.pipe is not None
-        self.bus.delete_pipe(state.pipe)
+        self._cfs.bus.delete_pipe(state.pipe)
         state.pipe = None
-        actions.say(facts.DISCONNECTED, peer=state.config.peer)
+        self._cfs.say(facts.DISCONNECTED, peer=state.config.peer)
 
-    def _send(self, state: PeerState, datagrams: Iterable[bytes], actions: Actions) -> None:
-        actions.sends += [PeerDatagram(state.config, data) for data in datagrams]
+    def _send(self, state: PeerState, datagrams: Iterable[bytes]) -> None:
+        cfs, config = self._cfs, state.config
+        for data in datagrams:
+            cfs.send(cfs.sbn_endpoint, Endpoint(config.address, config.port), data)
 
     def _network_ids(self, msg_ids: Iterable[int]) -> list[int]:
-        return [link_id(item, self.profile) for item in msg_ids]
+        return [link_id(item, self._cfs.profile) for item in msg_ids]
 
     def _reportable(self, start: int) -> Iterator[int]:
-        return (item for item in self.bus.subscribed[start:] if item not in NOT_REPORTED)
+        return (item for item in self._cfs.bus.subscribed[start:] if item not in NOT_REPORTED)
 
 
 class SbnApp:
@@ -346,7 +309,7 @@ class SbnApp:
         self._cfs = cfs
         self._is_dead = self._has_left = False
         cfs.events.register(facts.NAME, now=cfs.scheduler.now)
-        self.node = SbnNode(cfs.profile, cfs.bus, now=cfs.scheduler.now)
+        self.node = SbnNode(cfs)
         # TCP waits for its reader, so it drops nothing.
         room = NO_LIMIT if cfs.profile.sbn_tcp else cfs.profile.socket_queue
         self.socket: Fifo[bytes] = cfs.account.watch(Fifo(room), socket(cfs.profile.sbn_port))
@@ -384,7 +347,7 @@ class SbnApp:
 
     def opened(self, peer: Peer) -> None:
         """Begin a TCP connection that this side opened."""
-        self._do(self.node.opened(peer, now=self._cfs.scheduler.now))
+        self.node.opened(peer)
 
     def _main(self) -> Task:
         cfs, profile = self._cfs, self._cfs.profile
@@ -397,35 +360,25 @@ class SbnApp:
                     cfs.say(event)
                 continue
             restart = not self.node.receiving
-            self._do(self.node.service(now=cfs.scheduler.now))
+            self.node.service()
             if profile.sbn_polls:
                 while (data := self.socket.get()) is not None:
-                    self._do(self.node.receive_datagram(data, now=cfs.scheduler.now))
+                    self.node.receive_datagram(data)
             elif restart:
                 cfs.spawn(self._receive())
             yield Work(profile.work_ns)
         self._has_left = True  # it deletes its receive tasks itself
-        self._do(self.node.leave())
+        self.node.leave()
 
     def _receive(self) -> Task:
         while True:
             data = yield Receive(self.socket)
             if self._has_left:
                 return
-            actions = self.node.receive_datagram(data, now=self._cfs.scheduler.now)
-            self._do(actions)
-            if actions.failed:
+            self.node.receive_datagram(data)
+            if not self.node.receiving:
                 return
             yield Work(self._cfs.profile.work_ns)
-
-    def _do(self, actions: Actions) -> None:
-        cfs = self._cfs
-        for event in actions.events:
-            cfs.report(event)
-        for item in actions.sends:
-            cfs.send(cfs.sbn_endpoint, Endpoint(item.peer.address, item.peer.port), item.data)
-        for packet in actions.publish:
-            cfs.publish(packet, facts.NAME, stamp=False)
 
     def _reload(self, size: int) -> None:
         """Start again with the activated table; without one SBN does not recover."""
@@ -437,14 +390,14 @@ class SbnApp:
         cfs.say(facts.RELOAD_LENGTH, length=length, expected=expected)
         for event in facts.RELOADING:
             cfs.say(event)
-        self._do(self.node.unload())
+        self.node.unload()
         self._is_dead = not cfs.tables.take(facts.TABLE)
         if self._is_dead:
             for event in facts.NOT_RELOADED:
                 cfs.say(event)
             return
         cfs.say(table_services.UPDATED, app=facts.NAME, table=facts.TABLE)
-        self.node = SbnNode(cfs.profile, cfs.bus, now=cfs.scheduler.now)
+        self.node = SbnNode(cfs)
         self._say_start(facts.RESTARTING)
         cfs.say(facts.RELOADED)
 

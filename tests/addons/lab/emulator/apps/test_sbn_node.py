@@ -1,14 +1,14 @@
 from __future__ import annotations
 
 import pytest
+from bare_cfs import BareCfs
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from msgspec.structs import replace
 
-from edoras_tools.addons.lab.emulator.apps.sbn_node import Actions, SbnNode
-from edoras_tools.addons.lab.emulator.services.software_bus import SoftwareBus
+from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnNode
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
 from edoras_tools.model import Peer
 from edoras_tools.units import MILLISECOND, SECOND
@@ -35,85 +35,97 @@ def sub(*msg_ids: int, msg_type: int = sbn.MsgType.SUB, ident: str = sbn.IDENT) 
     return datagram(msg_type, sbn.emit_subscriptions(map(sbn.Subscription, msg_ids), ident=ident))
 
 
-def says(actions: Actions) -> list[str]:
-    return [str(item) for item in actions.events]
+class Node(SbnNode):
+    """The node on a cFS without applications."""
 
+    def __init__(self, profile: SimProfile = PROFILE) -> None:
+        self.cfs = BareCfs(profile)
+        self.bus = self.cfs.bus
+        self.cfs.events.register("SBN", now=0)
+        super().__init__(self.cfs)
 
-def sends(actions: Actions) -> list[tuple[str, bytes]]:
-    return [(sbn.MsgType(item.data[2]).name, item.data[11:]) for item in actions.sends]
+    def receives(self, data: bytes, now: int = 0) -> list[str]:
+        """Receive a datagram; return the events."""
+        self.cfs.at(now).said()
+        self.receive_datagram(data)
+        return self.cfs.said()
+
+    def serves(self, now: int = 0) -> list[tuple[str, bytes]]:
+        """Do a round; return what is sent in it."""
+        self.cfs.at(now).take_sent()
+        self.service()
+        return self.sends()
+
+    def sends(self) -> list[tuple[str, bytes]]:
+        """Return the datagrams since the last call."""
+        return [(sbn.MsgType(data[2]).name, data[11:]) for _, data in self.cfs.take_sent()]
 
 
 @pytest.fixture
-def bus() -> SoftwareBus:
-    bus = SoftwareBus(PROFILE)
-    pipe = bus.create_pipe("EDORAS_APP_PIPE", 32)
+def node() -> Node:
+    node = Node()
+    pipe = node.bus.create_pipe("EDORAS_APP_PIPE", 32)
     for item in (0x1827, 0x1829, cfe.EVENT_MSG_ID):
-        bus.subscribe(pipe, item)
-    return bus
-
-
-@pytest.fixture
-def node(bus) -> SbnNode:
-    return SbnNode(PROFILE, bus, now=0)
+        node.bus.subscribe(pipe, item)
+    return node
 
 
 def test_the_first_sub_connects_and_is_answered_with_proto_and_all_subscriptions(node):
-    actions = node.receive_datagram(sub(0x082A), now=SECOND)
-    assert says(actions) == CONNECTED
+    assert node.receives(sub(0x082A), SECOND) == CONNECTED
     known = sbn.emit_subscriptions([sbn.Subscription(0x1827), sbn.Subscription(0x1829)])
-    assert sends(actions) == [("PROTO", b"\x0b"), ("SUB", known)]
-    assert says(node.receive_datagram(sub(0x082A), now=SECOND)) == []
+    assert node.sends() == [("PROTO", b"\x0b"), ("SUB", known)]
+    assert node.receives(sub(0x082A), SECOND) == []
 
 
-def test_subscriptions_go_to_every_peer_of_the_table_connected_or_not_one_a_datagram(node, bus):
+def test_subscriptions_go_to_every_peer_of_the_table_connected_or_not_one_a_datagram(node):
     expected = [("SUB", sbn.emit_subscriptions([sbn.Subscription(item)])) for item in (0x1827, 0x1829)]
-    assert sends(node.service(now=0)) == expected
-    assert sends(node.service(now=0)) == []
-    pipe = bus.create_pipe("TO_LAB_TLM_PIPE", 50)
-    bus.subscribe(pipe, 0x08F1)
-    assert sends(node.service(now=0)) == [("SUB", sbn.emit_subscriptions([sbn.Subscription(0x08F1)]))]
-    bus.unsubscribe(pipe, 0x08F1)
-    assert sends(node.service(now=0)) == []  # never an UNSUB
+    assert node.serves() == expected
+    assert node.serves() == []
+    pipe = node.bus.create_pipe("TO_LAB_TLM_PIPE", 50)
+    node.bus.subscribe(pipe, 0x08F1)
+    assert node.serves() == [("SUB", sbn.emit_subscriptions([sbn.Subscription(0x08F1)]))]
+    node.bus.unsubscribe(pipe, 0x08F1)
+    assert node.serves() == []  # never an UNSUB
 
 
-def test_messages_cross_both_ways_eight_of_a_msg_id_a_round(node, bus):
-    node.receive_datagram(sub(0x082A), now=0)
-    node.service(now=0)
+def test_messages_cross_both_ways_eight_of_a_msg_id_a_round(node):
+    node.receives(sub(0x082A))
+    node.serves()
     packet = cfe.emit_telemetry(0x082A, bytes(80))
-    publications = [bus.publish(packet, "EDORAS_APP", stamp=False) for _ in range(10)]
+    publications = [node.bus.publish(packet, "EDORAS_APP", stamp=False) for _ in range(10)]
     assert [str(event) for item in publications for event in item.events] == [
         "CFE_SB 17: Msg Limit Err,MsgId 0x82a,pipe SBN_3_66_Pipe,sender EDORAS_APP"
     ] * 2
-    assert sends(node.service(now=0)) == [("APP", packet)] * 8
+    assert node.serves() == [("APP", packet)] * 8
     command = cfe.emit_command(0x1829, 1, bytes(100))
-    actions = node.receive_datagram(datagram(sbn.MsgType.APP, command), now=0)
-    assert (actions.publish, actions.events) == ([command], [])
+    assert node.receives(datagram(sbn.MsgType.APP, command)) == []
+    assert node.cfs.published == [command]
 
 
-def test_what_a_peer_unsubscribes_no_longer_goes_to_it(node, bus):
-    node.receive_datagram(sub(0x082A), now=0)
-    node.service(now=0)
-    assert says(node.receive_datagram(sub(0x082A, msg_type=sbn.MsgType.UNSUB), now=0)) == []
-    bus.publish(cfe.emit_telemetry(0x082A), "EDORAS_APP", stamp=True)
-    assert sends(node.service(now=0)) == []
-    assert says(node.receive_datagram(sub(0x08AB, msg_type=sbn.MsgType.UNSUB), now=0)) == [
+def test_what_a_peer_unsubscribes_no_longer_goes_to_it(node):
+    node.receives(sub(0x082A))
+    node.serves()
+    assert node.receives(sub(0x082A, msg_type=sbn.MsgType.UNSUB)) == []
+    node.bus.publish(cfe.emit_telemetry(0x082A), "EDORAS_APP", stamp=True)
+    assert node.serves() == []
+    assert node.receives(sub(0x08AB, msg_type=sbn.MsgType.UNSUB)) == [
         "SBN 8: cannot process unsubscription from ProcessorID 3, msg 0x08AB not found"
     ]
 
 
 def test_heartbeats_and_time_outs_count_whole_seconds(node):
-    node.receive_datagram(sub(0x082A), now=0)
-    node.service(now=0)
+    node.receives(sub(0x082A))
+    node.serves()
     transcript = []
     for tick in range(0, 14 * SECOND, 200 * MILLISECOND):
-        actions = node.service(now=tick)
-        transcript += [(tick // MILLISECOND, item) for item in [*sends(actions), *says(actions)]]
+        node.cfs.said()
+        transcript += [(tick // MILLISECOND, item) for item in [*node.serves(tick), *node.cfs.said()]]
     assert transcript == [
         (6000, ("HEARTBEAT", b"")),
         (11000, "SBN 259: disconnected peer 66:3"),
         (11000, "SBN 5: Disconnected from peer 66:3."),
     ]
-    assert says(node.receive_datagram(datagram(sbn.MsgType.HEARTBEAT), now=15 * SECOND)) == CONNECTED
+    assert node.receives(datagram(sbn.MsgType.HEARTBEAT), 15 * SECOND) == CONNECTED
 
 
 @pytest.mark.parametrize(
@@ -121,17 +133,16 @@ def test_heartbeats_and_time_outs_count_whole_seconds(node):
     [((0x42, 1), []), ((0x43, 3), []), ((0x43, 1), [11_000, 22_000])],
 )
 def test_only_a_peer_with_another_spacecraft_and_processor_hears_an_announcement(own, announced):
-    profile = replace(PROFILE, spacecraft_id=own[0], processor_id=own[1])
-    node = SbnNode(profile, SoftwareBus(profile), now=0)
+    node = Node(replace(PROFILE, spacecraft_id=own[0], processor_id=own[1]))
     ticks = range(0, 30 * SECOND, 200 * MILLISECOND)
-    assert [tick // MILLISECOND for tick in ticks if sends(node.service(now=tick))] == announced
+    assert [tick // MILLISECOND for tick in ticks if node.serves(tick)] == announced
 
 
 def test_a_disconnect_is_obeyed_and_does_not_connect(node):
     goodbye = datagram(sbn.MsgType.DISCONNECT)
-    assert says(node.receive_datagram(goodbye, now=0)) == []
-    node.receive_datagram(sub(0x082A), now=0)
-    assert says(node.receive_datagram(goodbye, now=0)) == ["SBN 5: Disconnected from peer 66:3."]
+    assert node.receives(goodbye) == []
+    node.receives(sub(0x082A))
+    assert node.receives(goodbye) == ["SBN 5: Disconnected from peer 66:3."]
     assert not node.peers[BRIDGE].connected
 
 
@@ -159,11 +170,11 @@ def test_a_disconnect_is_obeyed_and_does_not_connect(node):
     ],
 )
 def test_what_ends_the_receive_task_and_how_it_comes_back(node, data, told):
-    node.receive_datagram(sub(0x082A), now=0)
-    node.service(now=0)
-    actions = node.receive_datagram(data, now=0)
-    assert (says(actions), actions.failed) == (told, True)
-    assert (says(node.service(now=0)), node.receiving) == ([RESTART], True)
+    node.receives(sub(0x082A))
+    node.serves()
+    assert (node.receives(data), node.receiving) == (told, False)
+    node.serves()
+    assert (node.cfs.said(), node.receiving) == ([RESTART], True)
 
 
 @pytest.mark.parametrize(
@@ -182,19 +193,18 @@ def test_what_ends_the_receive_task_and_how_it_comes_back(node, data, told):
     ],
 )
 def test_what_does_not_end_it(node, data, told):
-    node.receive_datagram(sub(0x082A), now=0)
-    actions = node.receive_datagram(data, now=0)
-    assert (says(actions), actions.failed) == (told, False)
+    node.receives(sub(0x082A))
+    assert (node.receives(data), node.receiving) == (told, True)
 
 
 @given(st.lists(st.binary(max_size=200) | st.binary(max_size=100).map(lambda rest: datagram(1)[:11] + rest)))
 def test_any_bytes_are_survived(datagrams):
-    node = SbnNode(PROFILE, SoftwareBus(PROFILE), now=0)
+    node = Node(replace(PROFILE, event_burst=10_000))
     for index, data in enumerate(datagrams):
-        actions = node.receive_datagram(data, now=index)
-        assert actions.failed is not node.receiving
-        assert all(len(packet) >= cfe.COMMAND_HEADER_BYTES for packet in actions.publish)
-        node.service(now=index)
+        failed = any(text.startswith("SBN 10: ") for text in node.receives(data, index))
+        assert node.receiving or failed
+        node.serves(index)
+    assert all(len(packet) >= cfe.COMMAND_HEADER_BYTES for packet in node.cfs.published)
 
 
 class PeerMachine(RuleBasedStateMachine):
@@ -204,15 +214,14 @@ class PeerMachine(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.bus = SoftwareBus(PROFILE)
-        self.node = SbnNode(PROFILE, self.bus, now=0)
+        self.node = Node()
         self.now = 0
         self.heard: int | None = None
         self.wanted: set[int] = set()
         self.due: list[bytes] = []
 
     def receive(self, data: bytes) -> None:
-        self.node.receive_datagram(data, now=self.now)
+        self.node.receives(data, self.now)
         self.heard = self.now
 
     @rule(wanted=msg_ids)
@@ -238,14 +247,13 @@ class PeerMachine(RuleBasedStateMachine):
     @rule(wanted=msg_ids)
     def publishes(self, wanted):
         packet = cfe.emit_telemetry(wanted, bytes(8))
-        if self.bus.publish(packet, "APP", stamp=False).delivered:
+        if self.node.bus.publish(packet, "APP", stamp=False).delivered:
             self.due.append(packet)
 
     @rule(step=st.integers(0, 4 * SECOND))
     def serves(self, step):
         self.now += step
-        actions = self.node.service(now=self.now)
-        assert [item for kind, item in sends(actions) if kind == "APP"] == self.due
+        assert [item for kind, item in self.node.serves(self.now) if kind == "APP"] == self.due
         self.due.clear()
         if self.heard is not None and (self.now - self.heard) // SECOND >= 11:
             self.forget()

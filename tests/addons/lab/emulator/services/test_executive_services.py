@@ -81,7 +81,7 @@ def test_command_ingest_restarts_and_what_is_in_its_socket_is_lost(console):
         "CI_LAB_APP 5: CI: NOOP command",
     ]
     assert simulation.apps.ci is not first
-    assert simulation.apps.ci.socket.ingest_packets == 1
+    assert simulation.apps.ci.ingest_packets == 1
 
 
 def test_telemetry_output_restarts_forgets_its_destination_and_has_another_port(console):
