@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    Span = tuple[float, float]
 
 _STYLES: Final = ("cyan", "yellow", "magenta", "green", "bright_blue", "red")
 _ROWS, _ROWS_BENEATH = 10, 5
@@ -101,32 +102,50 @@ def _levels(panel: Panel) -> list[tuple[float, str]]:
     return tick_texts(*panel.ends, 3 if panel.beneath else 5)
 
 
-def _field(panel: Panel, span: tuple[float, float], size: tuple[int, int], margin: int) -> Iterator[Text]:
+def _field(panel: Panel, span: Span, size: tuple[int, int], margin: int) -> Iterator[Text]:
     """Yield the rows of a panel; its size is in rows and cells."""
     rows, room = size
-    dots = np.zeros((rows, room), np.uint8)
-    styles = np.zeros((rows, room), np.intp)
-    signs: dict[tuple[int, int], str] = {}
     low, high = panel.ends
-    for place, line in enumerate(panel.lines):
-        y, x = _dots(line.thinned(2 * room, span), span, (low, high), 4 * rows - 1, 2 * room - 1)
-        np.bitwise_or.at(dots, (y // 4, x // 2), _DOTS[y % 4, x % 2])
-        styles[y // 4, x // 2] = place
-        signs |= dict.fromkeys(zip((y // 4).tolist(), (x // 2).tolist(), strict=True), line.sign)
     labels = {round((high - value) / (high - low) * (rows - 1)): text for value, text in _levels(panel)}
+    lines = [(line.thinned(2 * room, span), _style(panel, line)) for line in panel.lines]
+    for row, drawn in enumerate(draw_lines(lines, span, panel.ends, size)):
+        mark = " ┤" if row in labels else " │"
+        text = Text(labels.get(row, "").rjust(margin) + mark, palette.DIM).append_text(drawn)
+        text.rstrip()
+        yield text
+
+
+def draw_lines(
+    lines: Sequence[tuple[PlotLine, str]], span: Span, ends: Span, size: tuple[int, int]
+) -> Iterator[Text]:
+    """Yield the rows of a picture of lines, from the top.
+
+    Args:
+        lines: lines and points, each with its style; a later one covers an earlier one.
+        span: x of the first and of the last dot across.
+        ends: y of the lowest and of the highest dot.
+        size: rows, and cells in each.
+    """
+    rows, room = size
+    dots = np.zeros((rows, room), np.uint8)
+    owners = np.zeros((rows, room), np.intp)
+    signs: dict[tuple[int, int], str] = {}
+    for place, (line, _) in enumerate(lines):
+        y, x = _dots(line, span, ends, 4 * rows - 1, 2 * room - 1)
+        np.bitwise_or.at(dots, (y // 4, x // 2), _DOTS[y % 4, x % 2])
+        owners[y // 4, x // 2] = place
+        signs |= dict.fromkeys(zip((y // 4).tolist(), (x // 2).tolist(), strict=True), line.sign)
     for row in range(rows):
-        text = Text().append(
-            labels.get(row, "").rjust(margin) + (" ┤" if row in labels else " │"), palette.DIM
-        )
-        for cell, (dot, place) in enumerate(zip(dots[row].tolist(), styles[row].tolist(), strict=True)):
+        text = Text(no_wrap=True)
+        for cell, (dot, place) in enumerate(zip(dots[row].tolist(), owners[row].tolist(), strict=True)):
             sign = signs.get((row, cell)) or (chr(_BLANK + dot) if dot else " ")
-            text.append(sign, _style(panel, panel.lines[place]) if dot else "")
+            text.append(sign, lines[place][1] if dot else "")
         text.rstrip()
         yield text
 
 
 def _dots(
-    line: PlotLine, span: tuple[float, float], ends: tuple[float, float], last_y: int, last_x: int
+    line: PlotLine, span: Span, ends: Span, last_y: int, last_x: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the dots of a line, including the straight connections of its values; y counts from the top."""
     x = (line.seconds - span[0]) / (span[1] - span[0]) * last_x

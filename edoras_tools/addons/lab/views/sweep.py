@@ -68,11 +68,11 @@ def chart(summary: Mapping[str, Any], *subtitle: str) -> Figure:
         points[bool(step["lost"])].append((x, 100 * share if by_size else x * share))
     end = max((x for x, _ in points[False] + points[True]), default=1.0) or 1.0
     ideal, clean = (100.0 if by_size else end), summary["threshold_bytes" if by_size else "threshold_hz"]
-    lines = [_line("what was asked for", [(0.0, 100.0 if by_size else 0.0), (end, ideal)], colour=GREY)]
+    lines = [plot_line("what was asked for", [(0.0, 100.0 if by_size else 0.0), (end, ideal)], colour=GREY)]
     if clean is not None:
-        lines.append(_line("threshold", [(clean, 0.0), (clean, ideal)], colour=2))
-    lines.append(_line("all arrived", sorted(points[False]), colour=0, sign="●"))
-    lines.append(_line("some were lost", sorted(points[True]), colour=1, sign="✗"))
+        lines.append(plot_line("threshold", [(clean, 0.0), (clean, ideal)], colour=2))
+    lines.append(plot_line("all arrived", sorted(points[False]), colour=0, sign="●"))
+    lines.append(plot_line("some were lost", sorted(points[True]), colour=1, sign="✗"))
     panel = Panel(
         f"{summary['route']}, {summary['msg_id']}",
         [item for item in lines if len(item.values)],
@@ -83,7 +83,8 @@ def chart(summary: Mapping[str, Any], *subtitle: str) -> Figure:
     return Figure(subtitle, [panel], (0.0, end), across=across)
 
 
-def _line(label: str, points: Sequence[tuple[float, float]], **look: Any) -> PlotLine:
+def plot_line(label: str, points: Sequence[tuple[float, float]], **look: Any) -> PlotLine:
+    """Return a line through points, given as x and y."""
     x, y = np.array(points, np.float64).reshape(-1, 2).T
     return PlotLine(label, 0 if "sign" in look else 1, x, y, len(points), **look)
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 from math import pi
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
+from edoras_tools.addons.lab.views.sweep import plot_line
 from edoras_tools.render import units
 from edoras_tools.render.bridge import losses as bridge_losses
+from edoras_tools.render.plot.terminal import draw_lines
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveTable, Moment
@@ -26,8 +29,6 @@ if TYPE_CHECKING:
 
 COLOURS: Final = ("cyan", "yellow")
 """Colours of the first and the second robot."""
-_DOTS: Final = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
-"""Bits of a Braille cell (U+2800), by row and column."""
 _ARROWS: Final = "→↗↑↖←↙↓↘"
 _BAR: Final = 24
 _EIGHTHS: Final = " ▏▎▍▌▋▊▉█"
@@ -46,45 +47,19 @@ def draw_tracks(
     points = [point for track, _ in robots for point in track]
     if not points:
         return [Text("waiting for the first pose ...", palette.DIM)]
-    low = [min(point[axis] for point in points) for axis in (0, 1)]
-    high = [max(point[axis] for point in points) for axis in (0, 1)]
+    low, high = np.min(points, axis=0), np.max(points, axis=0)
     # A metre has the same length across and up: a dot is as wide as high.
-    room = max(2 * width - 5, 1), max(4 * height - 5, 1)
-    scale = max((high[0] - low[0]) / room[0], (high[1] - low[1]) / room[1], 0.02)
-    middle = [(low[axis] + high[axis]) / 2 for axis in (0, 1)]
-
-    def dot(x: float, y: float) -> tuple[int, int]:
-        column, row = width + (x - middle[0]) / scale, 2 * height - (y - middle[1]) / scale
-        return min(max(round(column), 0), 2 * width - 1), min(max(round(row), 0), 4 * height - 1)
-
-    cells: dict[tuple[int, int], tuple[int, str]] = {}
-    marks: dict[tuple[int, int], tuple[str, str]] = {}
-    for (track, place), colour in zip(robots, COLOURS, strict=False):
-        for (x0, y0), (x1, y1) in zip(track, [*track[1:], track[-1]], strict=True):
-            (a, b), (c, d) = dot(x0, y0), dot(x1, y1)
-            steps = max(abs(c - a), abs(d - b), 1)
-            for step in range(steps + 1):
-                column, row = a + (c - a) * step // steps, b + (d - b) * step // steps
-                cell = column // 2, row // 4
-                bits, _ = cells.get(cell, (0, colour))
-                cells[cell] = bits | _DOTS[row % 4][column % 2], colour
+    across, up = 2 * width, 4 * height
+    scale = max(*(high - low) / (max(across - 5, 1), max(up - 5, 1)), 0.02)
+    left, bottom = (low + high - scale * np.array([across - 1, up - 1])) / 2
+    coloured = list(zip(robots, COLOURS, strict=False))
+    lines = [(plot_line("", track), colour) for (track, _), colour in coloured if track]
+    for (_, place), colour in coloured:
         if len(place) == 3:
-            column, row = dot(place[0], place[1])
-            marks[column // 2, row // 4] = (_ARROWS[round(place[2] / (pi / 4)) % 8], f"bold {colour}")
-    lines = []
-    for row in range(height):
-        line = Text(no_wrap=True)
-        for column in range(width):
-            if (column, row) in marks:
-                line.append(*marks[column, row])
-            elif (column, row) in cells:
-                bits, colour = cells[column, row]
-                line.append(chr(0x2800 + bits), colour)
-            else:
-                line.append(" ")
-        line.rstrip()
-        lines.append(line)
-    return lines
+            arrow = _ARROWS[round(place[2] / (pi / 4)) % 8]
+            lines.append((plot_line("", [(place[0], place[1])], sign=arrow), f"bold {colour}"))
+    span, ends = (left, left + scale * (across - 1)), (bottom, bottom + scale * (up - 1))
+    return list(draw_lines(lines, span, ends, (height, width)))
 
 
 def joints(robots: Sequence[tuple[str, Sequence[float]]]) -> list[Text]:

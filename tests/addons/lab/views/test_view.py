@@ -50,6 +50,11 @@ def test_it_stays_inside_its_frame(size, far):
     assert any("↗" in line for line in lines)
 
 
+def test_a_rover_without_a_pose_leaves_room_for_the_other_one():
+    lines = plain(draw_tracks([([], ()), ([(1.0, 2.0)], (1.0, 2.0, 0.0))], 20, 3))
+    assert [line.strip() for line in lines if line.strip()] == ["→"]
+
+
 def test_without_a_pose_it_waits():
     assert plain(draw_tracks([([], ()), ([], ())], 20, 4)) == ["waiting for the first pose ..."]
     assert plain(joints([("big_arm", [])])) == ["waiting for the first joint state ..."]
