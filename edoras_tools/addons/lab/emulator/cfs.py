@@ -118,8 +118,9 @@ class Cfs:
         """End the tasks of an application, and close its pipes and sockets with their contents."""
         for task in application.tasks:
             self.scheduler.end(task)
-        for name in (*application.pipes, *application.more_pipes()):
-            self.bus.delete_pipe(self.bus.pipes[name])
+        for pipe in list(self.bus.pipes.values()):
+            if pipe.name in application.pipes or pipe.ignores == application.name:
+                self.bus.delete_pipe(pipe)
         for port in application.ports:
             self._listening.pop(port, None)
             self.account.close(socket(port))

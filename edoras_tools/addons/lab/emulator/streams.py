@@ -119,7 +119,7 @@ class PeerStreams:
             return
         self._open[peer] = opened
         self._read_from(opened, peer)
-        self._simulation.call_at(now, partial(self._simulation.apps.sbn.opened, peer))
+        self._simulation.call_at(now, partial(self._simulation.apps.sbn.node.opened, peer))
 
     def _read_from(self, opened: socket.socket, peer: Peer | None) -> None:
         opened.settimeout(_STALLED_S)

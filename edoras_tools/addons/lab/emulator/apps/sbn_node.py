@@ -131,10 +131,6 @@ class SbnNode:
         self._reported = 0
         self._buffer = bytearray(_BUFFER_BYTES)
 
-    def pipe_names(self) -> list[str]:
-        """Return the names of the pipes to its peers."""
-        return [state.pipe.name for state in self.peers.values() if state.pipe is not None]
-
     def receive_datagram(self, data: bytes) -> None:
         """Process one datagram with any bytes; after an error the receive task does not run any more."""
         self.receiving = True
@@ -316,7 +312,6 @@ class SbnApp:
         self._commands = cfs.create_pipe(facts.PIPE, facts.COMMAND_MSG_ID)
         cfs.say(facts.SUBSCRIBED_TO_COMMANDS, msg_id=facts.COMMAND_MSG_ID)
         cfs.listen(cfs.profile.sbn_port, self.receive_datagram)
-        cfs.executive.owns(more_pipes=lambda: self.node.pipe_names())  # noqa: PLW0108  of the node then
         cfs.spawn(self._main())
         if not cfs.profile.sbn_polls:
             cfs.spawn(self._receive())
@@ -344,10 +339,6 @@ class SbnApp:
         if not self._is_dead:
             self.socket.put(data)
             self._cfs.scheduler.notify(self.socket)
-
-    def opened(self, peer: Peer) -> None:
-        """Begin a TCP connection that this side opened."""
-        self.node.opened(peer)
 
     def _main(self) -> Task:
         cfs, profile = self._cfs, self._cfs.profile

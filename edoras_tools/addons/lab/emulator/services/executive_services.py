@@ -20,7 +20,7 @@ from edoras_tools.addons.lab.emulator.core_apps import CORE
 from edoras_tools.cfs import executive_services as facts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from edoras_tools.addons.lab.emulator.scheduler import Scheduler
     from edoras_tools.cfs.event_services import EventText
@@ -42,7 +42,6 @@ class LoadedApp(msgspec.Struct, eq=False):
         has_left: whether it has left its main loop.
         tasks: tasks that end with it.
         pipes: names of the pipes that it created at its start.
-        more_pipes: function that returns names of pipes that it created later.
         ports: UDP ports that it listens on.
     """
 
@@ -55,7 +54,6 @@ class LoadedApp(msgspec.Struct, eq=False):
     has_left: bool = False
     tasks: list[Any] = msgspec.field(default_factory=list)
     pipes: list[str] = msgspec.field(default_factory=list)
-    more_pipes: Callable[[], Iterable[str]] = tuple
     ports: list[int] = msgspec.field(default_factory=list)
 
 
@@ -101,17 +99,9 @@ class ExecutiveServices:
         application.has_left = bool(application.request) or not application.runs
         return not application.has_left
 
-    def owns(
-        self,
-        *,
-        task: Any = None,
-        pipe: str = "",
-        port: int = 0,
-        more_pipes: Callable[[], Iterable[str]] | None = None,
-    ) -> None:
+    def owns(self, *, task: Any = None, pipe: str = "", port: int = 0) -> None:
         """Add resources to the application that is starting now, if there is one."""
         if self._beginning is not None:
-            self._beginning.more_pipes = more_pipes or self._beginning.more_pipes
             self._beginning.tasks += [task] if task else []
             self._beginning.pipes += [pipe] if pipe else []
             self._beginning.ports += [port] if port else []
@@ -180,7 +170,6 @@ class ExecutiveServices:
         application.number, application.runs = number, True
         application.request, application.has_left = "", False
         application.tasks, application.pipes, application.ports = [], [], []
-        application.more_pipes = tuple
         self._beginning = application
         try:
             application.begin()

@@ -39,7 +39,7 @@ class Pipe(Fifo[bytes], eq=False):
 
     Attributes:
         name: name in events.
-        ignores: sender whose packets it does not accept (cFE's pipe option "ignore mine").
+        ignores: its own application, whose packets it does not accept (cFE's pipe option "ignore mine").
     """
 
     name: str = ""
