@@ -56,21 +56,21 @@ def _ends(link: Link) -> tuple[Endpoint, Endpoint]:
     return Endpoint("127.0.0.1", 50000), Endpoint("127.0.0.1", 1234)
 
 
-class Mark(msgspec.Struct, frozen=True):
+class Mark(msgspec.Struct):
     """The counts at one moment.
 
     Attributes:
         arrived: messages of the route that came from cFS.
         whole: messages among them that were as expected.
         reports: 0x803 packets so far.
-        counters: the loss counters of the last 0x803 and the contents of the last 0x884, if they have come.
+        counters: MsgId to the loss counters of the last 0x803, and to the contents of the last 0x884.
         differs_at: first byte at which a message differed from the expected one; None if none differed.
     """
 
     arrived: int = 0
     whole: int = 0
     reports: int = 0
-    counters: tuple[bytes, ...] = ()
+    counters: dict[int, bytes] = msgspec.field(default_factory=dict)
     differs_at: int | None = None
 
 
@@ -95,10 +95,8 @@ class Observer:
         self._route, self._msg_ids = route, bench.mission.msg_ids
         self._datagrams: list[tuple[int, WireDatagram]] = []
         self._latest: dict[int, WireDatagram] = {}
-        self._counters: dict[int, bytes] = {}
+        self._mark = Mark()
         self._quiet_ns = 0
-        self._arrived = self._whole = self._reports = 0
-        self._differs_at: int | None = None
 
     def sent(self, data: bytes, now: int) -> None:
         """Record a datagram that was sent, at ``now``, ns since 1970."""
@@ -121,21 +119,22 @@ class Observer:
             of_bus = standard == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
             # The rest of 0x803 changes all the time: messages without a subscriber, memory in use.
             payload = packet[cfe.TELEMETRY_HEADER_BYTES :]
-            self._counters[msg_id] = payload[_LOSSES] if of_bus else payload
-            self._reports += of_bus
+            self._mark.counters[msg_id] = payload[_LOSSES] if of_bus else payload
+            self._mark.reports += of_bus
         if msg_id == self._route.msg_id:
             self._compare(packet)
 
     def _compare(self, packet: bytes) -> None:
-        self._arrived += 1
+        mark = self._mark
+        mark.arrived += 1
         self.largest = max(self.largest, len(packet))
         if self.expected is not None and packet != self.expected:
             pairs = zip(packet, self.expected, strict=False)
             shorter = min(len(packet), len(self.expected))
             same = next((at for at, (a, b) in enumerate(pairs) if a != b), shorter)
-            self._differs_at = same if self._differs_at is None else min(self._differs_at, same)
+            mark.differs_at = same if mark.differs_at is None else min(mark.differs_at, same)
         elif not self.expected_size or len(packet) == self.expected_size:
-            self._whole += 1
+            mark.whole += 1
 
     def quiet(self, now: int) -> None:
         """Record that no message of the step is in transit from ``now`` on."""
@@ -156,17 +155,11 @@ class Observer:
         rest = [item for item in self._datagrams if item[1].time_ns >= since_ns and item[0] not in judged]
         older = [item for item in self._latest.items() if item[1].time_ns < since_ns]
         self._datagrams = sorted(older, key=lambda item: item[1].time_ns) + rest
-        self._differs_at = None
+        self._mark.differs_at = None
 
     def mark(self) -> Mark:
         """Return the counts so far."""
-        return Mark(
-            arrived=self._arrived,
-            whole=self._whole,
-            reports=self._reports,
-            counters=tuple(self._counters.values()),
-            differs_at=self._differs_at,
-        )
+        return replace(self._mark, counters=dict(self._mark.counters))
 
     def _msg_id(self, packet: bytes) -> int:
         return self._msg_ids.of(packet) if len(packet) >= cfe.COMMAND_HEADER_BYTES else -1
@@ -226,7 +219,7 @@ class Line:
 
     def listen(self, duration_ns: int) -> None:
         """Receive for this time."""
-        self._until(self._wire.now() + duration_ns)
+        self.until(lambda: False, duration_ns)
 
     def until(self, condition: Callable[[], bool], timeout_ns: int) -> bool:
         """Receive until a condition holds; return whether it did in time."""
@@ -273,11 +266,11 @@ class Line:
         """Send a packet ``count`` times, each at its own deadline; return how often it was sent."""
         start = self._wire.now()
         for index in range(count):
-            self._until(start + round(index * SECOND / rate_hz))
+            self.listen(start + round(index * SECOND / rate_hz) - self._wire.now())
             if self.stopped.is_set():
                 return index
             self._put(packet)
-        self._until(start + round(count * SECOND / rate_hz))
+        self.listen(start + round(count * SECOND / rate_hz) - self._wire.now())
         return count
 
     def settle(self) -> Mark:
@@ -307,10 +300,6 @@ class Line:
             )
         return last
 
-    def _until(self, until_ns: int) -> None:
-        while (now := self._receive()) < until_ns and not self.stopped.is_set():
-            self._wire.wait(min(until_ns, now + _ROUND_NS))
-
     def _put(self, packet: bytes) -> None:
         session = self._session
         if session is not None:
@@ -330,9 +319,9 @@ class Line:
         for item in self._wire.receive():
             self._observer.received(item.link, item.payload, now + self._epoch_ns)
             if session is not None and item.link.peers:
-                answers += session.receive_datagram(item.payload, now=now).datagrams
+                answers += session.answer(item.payload, now=now)
         if session is not None and now >= session.next_ns:
-            answers += session.service(now=now).datagrams
+            answers += session.due(now=now)
         for data in answers:
             self._transmit(data)
         if self._wire.statistics.refused:
