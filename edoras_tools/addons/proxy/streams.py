@@ -15,12 +15,13 @@ Rules:
 from __future__ import annotations
 
 import errno
-import selectors
+import select
 import socket
 import struct
 import time
 from collections import deque
 from contextlib import suppress
+from math import ceil
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -167,8 +168,6 @@ class StreamProxy:
             self._listen = socket.create_server((plan.listen.address, plan.listen.port), family=family)
         self._listen.setblocking(False)
         self.endpoint: Endpoint = local_endpoint(self._listen)
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._listen, selectors.EVENT_READ)
 
     @property
     def title(self) -> str:
@@ -187,7 +186,7 @@ class StreamProxy:
     def run(self, *, duration_ns: int = 0) -> None:
         """Relay until ``stop``, or for a duration."""
         while not self._stopping and not (duration_ns and self._now() >= duration_ns):
-            self._selector.select(self._wait_s())
+            self._sleep()
             self._accept()
             for connection in tuple(self._open):
                 self._move(connection)
@@ -196,7 +195,6 @@ class StreamProxy:
         """Close all connections."""
         for connection in tuple(self._open):
             self._end(connection)
-        self._selector.close()
         self._listen.close()
 
     def summary(self) -> dict[str, Any]:
@@ -286,7 +284,6 @@ class StreamProxy:
         except OSError:
             self._end(connection, abort=True)
             return
-        self._watch(connection)
         if all(pipe.reported for pipe in connection.pipes):
             self._end(connection)
 
@@ -298,24 +295,22 @@ class StreamProxy:
         messages, _, is_foreign = framing.cut(b"".join(piece for _, piece in pipe.waiting))
         return bool(messages) or is_foreign
 
-    def _watch(self, connection: _Connection) -> None:
-        """Wait for a source if there is space and it sends, and for a target if it is full."""
-        events_of: dict[socket.socket, int] = {}
-        for pipe in connection.pipes:
-            reads = pipe.size < _MOST_BYTES and not pipe.ended
-            events_of[pipe.source] = events_of.get(pipe.source, 0) | reads * selectors.EVENT_READ
-            target = pipe.target or connection.target
-            if target is not None:
-                writes = pipe.full or pipe.target is None
-                events_of[target] = events_of.get(target, 0) | writes * selectors.EVENT_WRITE
+    def _sleep(self) -> None:
+        """Sleep until a source with space sends, a target that was full accepts more, or bytes are due."""
+        events_of = {self._listen: select.POLLIN}
+        for connection in self._open:
+            for pipe in connection.pipes:
+                reads = pipe.size < _MOST_BYTES and not pipe.ended
+                events_of[pipe.source] = events_of.get(pipe.source, 0) | reads * select.POLLIN
+                target = pipe.target or connection.target
+                if target is not None:
+                    writes = pipe.full or pipe.target is None
+                    events_of[target] = events_of.get(target, 0) | writes * select.POLLOUT
+        poll = select.poll()
         for end, events in events_of.items():
-            key = self._selector.get_map().get(end)
-            if key is None and events:
-                self._selector.register(end, events)
-            elif key is not None and not events:
-                self._selector.unregister(end)
-            elif key is not None and key.events != events:
-                self._selector.modify(end, events)
+            if events:
+                poll.register(end, events)
+        poll.poll(ceil(self._wait_s() * 1000))
 
     def _end(self, connection: _Connection, *, abort: bool = False) -> None:
         self._open.remove(connection)
@@ -323,8 +318,6 @@ class StreamProxy:
             self._struck[place] += sum(pipe.faults.struck[place] for pipe in connection.pipes)
         ends = {pipe.source for pipe in connection.pipes}
         for end in ends | ({connection.target} if connection.target else set()):
-            with suppress(KeyError, ValueError):
-                self._selector.unregister(end)
             if abort:  # the waiting bytes are lost, and the peers get a RST
                 end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
             end.close()
