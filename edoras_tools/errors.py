@@ -1,4 +1,4 @@
-"""The errors of this package: a small tree, each leaf saying where it happened.
+"""The errors of this package, a small tree, and ``OnFailure``, which undoes what was begun before one.
 
 ::
 
@@ -126,7 +126,7 @@ def os_errors(failure: str) -> Iterator[None]:
 
 
 class OnFailure(NamedTuple):
-    """Calls ``undo`` if what is inside fails; the error goes on."""
+    """Calls ``undo`` if what is inside fails; the error goes on. ``ExitStack.pop_all`` undoes several things."""
 
     undo: Callable[[], object]
 

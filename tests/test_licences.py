@@ -31,7 +31,7 @@ LICENCES = {
         "click colorama grimp import-linter lz4 msgspec numpy pandas pygments python-dateutil websockets "
         "zstandard babel idna jinja2 markdown markupsafe mkdocs cloudpickle dask distributed fsspec locket "
         "lxml partd psutil pycparser space-packet-parser tblib toolz zict "
-        "flask itsdangerous s3fs werkzeug wrapt"
+        "flask itsdangerous s3fs werkzeug wrapt xxhash"
     ),
     "Apache-2.0": (
         "atheris deprecation ghp-import junitparser pyarrow requests rosbags sortedcontainers spacepackets "

@@ -20,7 +20,7 @@ from edoras_tools.addons.archive.tables import TABLES, IndexTable
 from edoras_tools.diagnosis.balance import sent
 from edoras_tools.diagnosis.evidence.payloads import EventRecord, events_in
 from edoras_tools.diagnosis.ledger import CAPTURE, Row
-from edoras_tools.errors import CaptureError, EdorasError
+from edoras_tools.errors import CaptureError, EdorasError, OnFailure
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.older import UTC
 from edoras_tools.pipelines.capture.info import Counting
@@ -211,11 +211,8 @@ def _read(path: Path, url: str, group: _Group) -> IndexRows:
     """
     source = open_file(path, url)
     own = source.info.attachments or source.info.definitions or source.info.read_with
-    try:
+    with OnFailure(source.close):
         bench = group.task.settings.workbench(source.info, [path]) if own else group.bench.fresh([path])
-    except EdorasError:
-        source.close()
-        raise
     counting = _Listening(source, bench)
     findings = examine(source, bench, counting=counting)
     info = counting.report.summary()

@@ -14,7 +14,7 @@ import numpy as np
 
 from edoras_tools.addons.racs2 import wire as racs2
 from edoras_tools.addons.racs2.streams import Opcode, WebSocketFraming
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, OnFailure
 from edoras_tools.io.net.address import address_of, resolve
 from edoras_tools.io.net.sockets import bind, local_endpoint
 from edoras_tools.io.net.transmit import SendStatistics
@@ -151,13 +151,10 @@ class ServerTransmitter(StreamTransmitter):
         self._socket = socket.socket(family, socket.SOCK_STREAM)
         self._selector = selectors.DefaultSelector()
         self._listens = True
-        try:
+        with OnFailure(self.__exit__):
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             bind(self._socket, address, self._name, "choose another with --target")
             self._socket.listen(1)
-        except BaseException:
-            self.__exit__()
-            raise
         self._selector.register(self._socket, selectors.EVENT_READ)
         self.target = self.local = local_endpoint(self._socket)
 

@@ -30,7 +30,7 @@ from edoras_tools.addons.ros_verbs.endpoints import (
     open_observer,
     recorded_text,
 )
-from edoras_tools.errors import ConfigError
+from edoras_tools.errors import ConfigError, OnFailure
 from edoras_tools.io import SourceDefaults
 from edoras_tools.io.formats.mcap.messages import SelectedMessages
 from edoras_tools.io.formats.rosbag2.source import message_batch
@@ -310,7 +310,7 @@ def open_source(request: GraphRequest, settings: Settings) -> tuple[GraphSource,
     """
     types = TypeStore(settings.distro, settings.msg_paths)
     observer = open_observer(request.ros, types, NODE, request.domain, request.options)
-    try:
+    with OnFailure(observer.close):
         publishers = [item for item in discovered(request, observer) if item.publishes and not item.own]
         topics = _topics(request, publishers, types)
         offers = {topic: [item for item in publishers if item.topic == topic] for topic in topics}
@@ -318,9 +318,6 @@ def open_source(request: GraphRequest, settings: Settings) -> tuple[GraphSource,
         bench = message_bench([*recorded, _recorded(GRAPH_TOPIC, _GRAPH_TYPE, [], types)], settings)
         qos = {topic: request.qos(offers[topic]) for topic in topics}
         return GraphSource(observer, types, topics, qos, request.name), bench
-    except BaseException:
-        observer.close()
-        raise
 
 
 def _topics(request: GraphRequest, publishers: Sequence[GraphEndpoint], types: TypeStore) -> dict[str, str]:

@@ -19,7 +19,7 @@ from edoras_tools import doors
 from edoras_tools.addons.rtps.fragments import sample_message
 from edoras_tools.addons.rtps.reader import rtps_messages, topic_samples
 from edoras_tools.addons.rtps.wire.messages import read_messages
-from edoras_tools.errors import ConfigError, WireError
+from edoras_tools.errors import ConfigError, OnFailure, WireError
 from edoras_tools.io.net.sockets import SendResult
 from edoras_tools.io.net.transmit import SendStatistics
 from edoras_tools.links.sending import LinkSending, SendingSession
@@ -155,16 +155,13 @@ class WritersTransmitter(AbstractContextManager["WritersTransmitter"]):
             raise ConfigError(f"--to rtps needs an extra ({why}): pip install 'edoras-tools[dds]'") from error
         self.graph = opened(types, _NODE, domain=domain, options=_ALONE if address.is_loopback else options)
         self._publish: dict[bytes, Callable[[bytes], None]] = {}
-        try:
+        with OnFailure(self.graph.close):
             for item in announced:
                 # A depth does not matter for matching: a writer that keeps nothing for late subscribers has
                 # none, so that it loses no sample.
                 depth = (item.depth or _KEPT) if item.transient_local else 0
                 qos = Qos(item.reliable, item.transient_local, depth)
                 self._publish[item.guid] = self.graph.advertise(item.ros_topic, item.ros_type, qos)
-        except BaseException:
-            self.graph.close()
-            raise
 
     def __exit__(self, *_: object) -> None:
         self.graph.close()

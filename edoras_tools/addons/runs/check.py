@@ -20,6 +20,7 @@ from edoras_tools.addons.runs.observation import (
 )
 from edoras_tools.diagnosis.ledger import CAPTURE
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
+from edoras_tools.errors import OnFailure
 from edoras_tools.io.outputs import write_bytes
 from edoras_tools.mission.report import printable
 from edoras_tools.render.severity import NOTABLE
@@ -174,11 +175,8 @@ def check(
     Raises:
         ConfigError: an expectation names no topic, or a filter no field.
     """
-    try:
+    with OnFailure(source.close):
         observed = Observation(source, bench, expected)
-    except BaseException:
-        source.close()
-        raise
     findings = examine_or_count(source, bench, observed, scope=scope, pace=pace, progress=progress)
     expected = observed.about(scope.selection.over(bench)) if scope else expected
     results = tuple(_results(expected, observed, findings))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from edoras_tools.cli.endings import nothing_shown
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError, ConfigError, OnFailure
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source
@@ -50,16 +50,13 @@ def show(
     """
     from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
 
-    try:
+    with OnFailure(source.close):
         selection.over(bench)
         _take_keyboard()
         choice = ViewOptions(
             selection, settings, time_format=time, follow=source.live, limits=limits, verbose=verbose
         )
         viewer = Viewer(source, bench, choice)
-    except BaseException:
-        source.close()
-        raise
     viewer.run()
     if viewer.return_code:
         raise typer.Exit(viewer.return_code)

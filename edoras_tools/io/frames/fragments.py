@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 _PROTOCOLS: Final = FORMS[0].protocol, FORMS[1].protocol
 
 
-def find_errors(located: IpHeaders, rows: Integers) -> IpPayloads | None:
+def find_errors(headers: IpHeaders, rows: Integers) -> IpPayloads | None:
     """Return the ICMP errors that quote UDP, among some frames; None if there are none.
 
     Args:
-        located: the IP headers of all frames.
+        headers: the IP headers of all frames.
         rows: frames that may be errors, i64.
 
     Returns:
         The errors; ``rows`` are the indices of their frames.
     """
-    payloads = transport_payloads(located.take(rows), _PROTOCOLS, min(form.size for form in FORMS))
+    payloads = transport_payloads(headers.take(rows), _PROTOCOLS, min(form.size for form in FORMS))
     assert payloads.rows is not None
-    window = gather(located.data, payloads.position, LONGEST)
-    have = np.minimum(payloads.end, located.end[rows][payloads.rows]) - payloads.position
+    window = gather(headers.data, payloads.position, LONGEST)
+    have = np.minimum(payloads.end, headers.end[rows][payloads.rows]) - payloads.position
 
     def field(layout: Layout, name: str, at: int) -> NDArray[Any]:
         values = layout.column(name, window, at).astype(np.int64)

@@ -196,9 +196,9 @@ class Demux:
         data, end = frames.data, frames.offset + frames.length
         if len(frames) and int(end.max()) + PADDING > data.size:
             data = np.concatenate((data, np.zeros(PADDING, dtype=np.uint8)))
-        located = self._locate(data, frames)
-        version = located.version
-        transport = ipv4(located) if (version == 4).all() else ip_payloads(located)
+        headers = self._locate(data, frames)
+        version = headers.version
+        transport = ipv4(headers) if (version == 4).all() else ip_payloads(headers)
         self.skipped += len(frames) - len(transport.position)
         batch = self._datagrams(data, frames_at(frames, transport.rows), transport)
         if transport.rows is None or len(transport.rows) == len(frames):
@@ -209,10 +209,10 @@ class Demux:
         if not len(rest):
             return batch
         at = np.where(version[rest] == 4, _PROTOCOL_AT[4], _PROTOCOL_AT[6])
-        control = rest[np.isin(read_at(data, located.network[rest] + at, np.uint8), _CONTROL)]
+        control = rest[np.isin(read_at(data, headers.network[rest] + at, np.uint8), _CONTROL)]
         if len(control):
-            batch = self._with_errors(batch, replace(frames, data=data), located, control)
-        rows = self._stream_rows(located, rest)
+            batch = self._with_errors(batch, replace(frames, data=data), headers, control)
+        rows = self._stream_rows(headers, rest)
         return self._with_streams(batch, frames_at(replace(frames, data=data), rows)) if len(rows) else batch
 
     def finish(self) -> PacketBatch | None:
@@ -222,12 +222,12 @@ class Demux:
         return self._messages(self._waiting, len(self._waiting), final=True)
 
     def _with_errors(
-        self, batch: PacketBatch, frames: FrameBatch, located: IpHeaders, rows: Integers
+        self, batch: PacketBatch, frames: FrameBatch, headers: IpHeaders, rows: Integers
     ) -> PacketBatch:
         """Add a row for each ICMP error among some frames, with ports 0, in the order of the frames."""
         from edoras_tools.io.frames.fragments import find_errors
 
-        errors = find_errors(located, rows)
+        errors = find_errors(headers, rows)
         if errors is None:
             return batch
         frames = frames_at(frames, errors.rows)
@@ -242,11 +242,11 @@ class Demux:
         )
         return by_time([batch, own])
 
-    def _stream_rows(self, located: IpHeaders, rows: Integers) -> Integers:
+    def _stream_rows(self, headers: IpHeaders, rows: Integers) -> Integers:
         """Return which of some frames are TCP segments from or to a link's port."""
-        payloads = transport_payloads(located.take(rows), (TCP, TCP), _TCP_BYTES)
+        payloads = transport_payloads(headers.take(rows), (TCP, TCP), _TCP_BYTES)
         members = np.arange(len(rows)) if payloads.rows is None else payloads.rows
-        ports = read_at(located.data, payloads.position, _PORTS)
+        ports = read_at(headers.data, payloads.position, _PORTS)
         link_ports = np.zeros(1 << 16, bool)
         link_ports[list(self.framings)] = True
         of_link: Mask = link_ports[ports["source_port"]]
@@ -270,9 +270,9 @@ class Demux:
 
         if self._streams is None:
             self._streams = StreamReassembler(self.framings)
-        located = self._locate(frames.data, frames)
-        payloads = transport_payloads(located, (TCP, TCP), _TCP_BYTES)
-        segments = read_segments(frames, located.network, payloads, old)
+        headers = self._locate(frames.data, frames)
+        payloads = transport_payloads(headers, (TCP, TCP), _TCP_BYTES)
+        segments = read_segments(frames, headers.network, payloads, old)
         batch, waiting = self._streams.messages(segments, final=final)
         self.skipped -= int(np.count_nonzero(segments.length[old:]))
         self._waiting = packed_frames(frames_at(frames, waiting)) if len(waiting) else None

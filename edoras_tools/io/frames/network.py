@@ -121,13 +121,13 @@ class IpHeaders(NamedTuple):
     header: NDArray[np.void] | None = None
 
     def take(self, rows: Integers) -> IpHeaders:
-        """Return the headers of some frames."""
+        """Return the headers of some frames; ``header`` is not taken along."""
         return IpHeaders(self.data, self.network[rows], self.version[rows], self.end[rows])
 
 
-def ipv4(located: IpHeaders, protocol: int = UDP) -> IpPayloads:
+def ipv4(headers: IpHeaders, protocol: int = UDP) -> IpPayloads:
     """Read IPv4 headers, and keep the packets of one transport protocol."""
-    data, network, _, end, header = located
+    data, network, _, end, header = headers
     if header is None:
         header = read_at(data, network, IPV4_HEADER)
     # Version 4 and 5 to 15 words: 0 to 10.
@@ -160,9 +160,9 @@ def ipv4(located: IpHeaders, protocol: int = UDP) -> IpPayloads:
     )
 
 
-def ipv6(located: IpHeaders, protocol: int = UDP) -> IpPayloads:
+def ipv6(headers: IpHeaders, protocol: int = UDP) -> IpPayloads:
     """Read IPv6 headers and their extension headers, and keep the packets of one transport protocol."""
-    data, network, _, end, _ = located
+    data, network, _, end, _ = headers
     header = read_at(data, network, _IPV6)
     position = network + 40
     length = header["payload_length"].astype(np.int64)
@@ -234,25 +234,25 @@ def merge_rows(parts: list[tuple[Integers, IpPayloads]]) -> IpPayloads:
     return IpPayloads(**{name: column[order] for name, column in columns.items()}, addresses=addresses)
 
 
-def ip_payloads(located: IpHeaders, protocols: tuple[int, int] = (UDP, UDP)) -> IpPayloads:
+def ip_payloads(headers: IpHeaders, protocols: tuple[int, int] = (UDP, UDP)) -> IpPayloads:
     """Read headers of both IP versions, and keep the packets of a protocol, whose number each version has."""
-    four, six = np.flatnonzero(located.version == 4), np.flatnonzero(located.version == 6)
+    four, six = np.flatnonzero(headers.version == 4), np.flatnonzero(headers.version == 6)
     return merge_rows(
-        [(four, ipv4(located.take(four), protocols[0])), (six, ipv6(located.take(six), protocols[1]))]
+        [(four, ipv4(headers.take(four), protocols[0])), (six, ipv6(headers.take(six), protocols[1]))]
     )
 
 
-def transport_payloads(located: IpHeaders, protocols: tuple[int, int], least: int) -> IpPayloads:
+def transport_payloads(headers: IpHeaders, protocols: tuple[int, int], least: int) -> IpPayloads:
     """Find the unfragmented payloads of one transport protocol, in packets with an IP header.
 
     Args:
-        located: the packets.
+        headers: the packets.
         protocols: numbers of the protocol in IPv4, and in IPv6.
         least: fewest captured bytes of a payload.
     """
-    payloads = ip_payloads(located, protocols)
+    payloads = ip_payloads(headers, protocols)
     assert payloads.rows is not None
-    keep = np.minimum(payloads.end, located.end[payloads.rows]) - payloads.position >= least
+    keep = np.minimum(payloads.end, headers.end[payloads.rows]) - payloads.position >= least
     keep &= payloads.fragment == 0
     return payloads if keep.all() else payloads.take(keep)
 

@@ -86,12 +86,7 @@ class TopicTable(msgspec.Struct, frozen=True, dict=True):
         Raises:
             ConfigError: pyarrow is not installed.
         """
-        try:
-            arrays = doors.part("arrow_tables")
-        except ImportError as error:
-            raise ConfigError(
-                "to_arrow() needs pyarrow: pip install 'edoras-tools[analysis]'; to_numpy() does not"
-            ) from error
+        arrays = _arrow_tables("to_arrow()")
         head = TableHead(self.topic, self.type)
         if lazy:
             return arrays.record_batches(head, self.pieces())
@@ -107,7 +102,7 @@ class TopicTable(msgspec.Struct, frozen=True, dict=True):
         Raises:
             ConfigError: polars or pyarrow is not installed.
         """
-        return doors.part("arrow_tables").polars_frame(self, lazy=lazy)
+        return _arrow_tables("to_polars()").polars_frame(self, lazy=lazy)
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame``; lists are arrays, times are timestamps in UTC.
@@ -269,6 +264,16 @@ def read(
         tables = cast("RecordingTables", doors.part("recordings")(tables))
     tables._open().close()  # noqa: SLF001  what is wrong is told now
     return tables
+
+
+def _arrow_tables(method: str) -> Any:
+    """Return the module that makes tables of pyarrow; ``ConfigError`` for a method if it is absent."""
+    try:
+        return doors.part("arrow_tables")
+    except ImportError as error:
+        raise ConfigError(
+            f"{method} needs pyarrow: pip install 'edoras-tools[analysis]'; to_numpy() does not"
+        ) from error
 
 
 def _paths(paths: Paths) -> tuple[Path, ...]:

@@ -13,7 +13,7 @@ import socket
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import OnFailure
 from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.sockets import bind
 from edoras_tools.links.sbn import SBN
@@ -53,11 +53,8 @@ class PeerStreams:
         family, address = resolve(listens)
         self._listener = socket.socket(family, socket.SOCK_STREAM)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
+        with OnFailure(self._listener.close):
             bind(self._listener, address, f"TCP {listens}", "choose another host, as 127.0.0.2")
-        except CaptureError:
-            self._listener.close()
-            raise
         self._port, self._is_listening = profile.sbn_port, False
         self._peers = {config.peer: Endpoint(config.address, config.port) for config in profile.sbn_peers}
         self._by_place = {place: peer for peer, place in self._peers.items()}
