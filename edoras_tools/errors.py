@@ -126,7 +126,7 @@ def os_errors(failure: str) -> Iterator[None]:
 
 
 class OnFailure(NamedTuple):
-    """Calls ``undo`` if what is inside fails; the error goes on. ``ExitStack.pop_all`` undoes several things."""
+    """Calls ``undo`` if what is inside fails; the error goes on. ``ExitStack.pop_all`` undoes several."""
 
     undo: Callable[[], object]
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from ipaddress import ip_address
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -160,7 +161,8 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
     changes = case.timeline.entry(loss.msg_id, case.instances.system(loss.instance))
     last = next((item for item in reversed(changes) if item.not_before_ns <= times[0] + SECOND), None)
     low = _limit_of(last) or queues.telemetry_pipe(case.profile).limit(loss.msg_id)
-    within = [item for item in changes if times[0] + SECOND < item.not_before_ns < times[1]]
+    again = [item for old, item in pairwise(changes) if old.state == "unsubscribed"]  # else its limit stays
+    within = [item for item in again if times[0] + SECOND < item.not_before_ns < times[1]]
     lower = [item for item in reversed(within) if (_limit_of(item) or low) < low]  # others set none
     return min(lower, key=lambda item: _limit_of(item) or low, default=last)
 

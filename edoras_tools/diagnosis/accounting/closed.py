@@ -152,6 +152,14 @@ def may_lack_control(case: Case, stream: Stream) -> bool:
     return lacks_control(case, stream) or (stream.link.only_from_cfs and case.quality.lacks_answered)
 
 
+def sent_elsewhere(case: Case, outage: Outage) -> bool:
+    """Return whether Telemetry Output was enabled to a new address since an outage began."""
+    changes = case.timeline.of(StateOwner("output"), outage.system)
+    enabled = [item for item in changes if item.state == "enabled"]
+    former = {item.value for item in enabled if item.not_before_ns <= outage.start_ns}
+    return any(item.value not in former for item in enabled)
+
+
 def unexplained_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], ...]:
     """Return spans in which nothing came on a stream's way, and the capture does not show whether it should.
 
@@ -660,7 +668,11 @@ class Stops:
             self.mark(fate, inside, "disabled", telemetry_output.NAME, text)
         last_ns = max((int(_sent_by(case, out.sender)[-1]) for out in outs), default=NEVER)
         for item in (item for item in case.outages if item.app in telemetry_output.NAMES):
-            # Where it was started again, nobody enabled it since.
+            # Where it was started again, nobody enabled it since, as far as the capture shows.
+            if item.end_ns and (
+                sent_elsewhere(case, item) or any(may_lack_control(case, out) for out in outs)
+            ):
+                continue
             if case.into_system(fate.stream, item.system) and last_ns < item.ended_ns + TAIL_NS:
                 inside = fate.open & (fate.stop < 0) & (times > max(item.start_ns, last_ns))
                 self.mark(fate, inside, "disabled" if item.end_ns else "stopped", item.app, item.witness)
@@ -690,7 +702,9 @@ class Stops:
                 if not len(inner):
                     continue
                 kind, hop, text = causes[place]
-                evidence = [text, *[f"0x803 counted {number:,} of them: nobody read the pipe"] * bool(number)]
+                evidence = [text]
+                if number:
+                    evidence.append(f"0x803 counted {number:,} of them: nobody read the pipe")
                 self.losses.append(fate.loss(kind, inner, evidence, hop=hop))
 
     def _unfollowed(self, fate: Fate, own: Sequence[Outage]) -> None:

@@ -346,7 +346,9 @@ class _Counted:
         """Whether CI read nothing between two samples though datagrams were sent, as on a stalled network."""
 
     def of_steady_delay(self, account: Ingest) -> Ingest:
-        """Return the account with the fewest losses, for any constant delay of the network up to 2 s.
+        """Return the best account for any constant delay of the network up to 2 s.
+
+        No count came too early for it, if possible; then it has the fewest counts and losses unexplained.
 
         Args:
             account: the account for a network without delay.
@@ -811,14 +813,13 @@ class BeforeCi:
         if before.cause in _OUTAGES:
             closed, may = self._case.unreachable.closed, self._open(fates, before, before.since_ns)
             rest = max(rest, sum(int((own & closed[fate.stream.rows]).sum()) for fate, own in may))
-            # CI reads in order: the latest of what waited when it ended is lost, and the first sent later.
+            # CI reads in order, so the latest of what waited when it ended is lost.
             sent_ns = self._case.rows.time_ns[account.rows]
             sent_ns = sent_ns[(sent_ns > before.since_ns) & (sent_ns <= before.end_ns)]
-            waited = any(item.start_ns == before.end_ns for item in account.losses)
-            lost_ns = sent_ns[-before.lost :] if waited else sent_ns[: before.lost]
-            until = replace(before, end_ns=int(lost_ns.max(initial=0)))
-            surely = self._open(fates, until, int(lost_ns.min(initial=before.end_ns)) - 1)
-            rest -= self._answered(surely)
+            if any(item.start_ns == before.end_ns for item in account.losses):
+                since_ns = int(sent_ns[-before.lost :].min(initial=before.end_ns)) - 1
+                surely = self._open(fates, before, since_ns)
+            rest -= self._answered(surely or may)
         if before.said:
             surely = []
             for fate in fates:  # CI was stopped: what waits will never be read

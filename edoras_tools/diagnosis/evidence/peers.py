@@ -137,8 +137,10 @@ class Connection(msgspec.Struct):
             back = next(backs, PeerChange(end_ns, "silent", ""))
             given_up = bool(later) and later[0].state == "timed_out"
             answers = self.late.get(back.time_ns, 0)
-            still = answers > _LEAST_ROWS or (back.why.startswith("its ") and back.why not in _BEGAN)
-            yield PeerSilence(change.time_ns, back.time_ns, given_up, at, still, answers)
+            still = back.why.startswith("its ") and back.why not in _BEGAN
+            silence = PeerSilence(change.time_ns, back.time_ns, given_up, at, still, answers)
+            still |= answers > max(_LEAST_ROWS, len(self.sent_in(silence)) // 2)
+            yield silence._replace(stood_still=still)
 
     def sent_in(self, silence: PeerSilence) -> Integers:
         """Return the times, i64 ns, of application messages that were sent to it in a silence."""

@@ -109,7 +109,8 @@ class SoftwareChanges(msgspec.Struct, dict=True):
                 yield change(_OUTPUT, "enabled", values["address"])
             elif code == telemetry_output.ADD_PACKET:
                 # What is subscribed already keeps its limit.
-                if not self._answered(command, f"Duplicate Subscription,MsgId 0x{command.entry:x} "):
+                text = f"Duplicate Subscription,MsgId 0x{command.entry:x} on {telemetry_output.PIPE} "
+                if self._removed(command) or not self._answered(command, text):
                     yield change(entry, "subscribed", values["limit"])
             elif code == telemetry_output.REMOVE_PACKET:
                 yield change(entry, "unsubscribed")
@@ -120,6 +121,11 @@ class SoftwareChanges(msgspec.Struct, dict=True):
             yield change(route, "cut" if code == software_bus.DISABLE_ROUTE else "subscribed")
         elif command.msg_id == TIME_MSG_ID and code in time_services.SETS:
             yield self._clock(command, change(_CLOCK, "set"))
+
+    def _removed(self, command: CommandRecord) -> bool:
+        """Return whether a command to remove the entry of another command went before it."""
+        removals = self._payloads.outputs(telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL)
+        return any(item.entry in {-1, command.entry} for item in removals if item.time_ns < command.time_ns)
 
     def _answered(self, command: CommandRecord, words: str) -> bool:
         """Return whether an event soon after a command contains some words."""
