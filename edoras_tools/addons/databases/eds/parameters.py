@@ -119,7 +119,7 @@ class _Expression:
                 raise self._error(": a parenthesis is not closed")
         elif first[:2] in {"0x", "0X"}:
             value = self._checked(int(first, 16))
-        elif first[:1].isdigit():
+        elif first.isascii() and first[:1].isdigit():
             value = self._checked(int(first) if first.isdigit() else float(first))
         else:
             raise self._error(" is no number")

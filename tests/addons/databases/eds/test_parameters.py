@@ -58,6 +58,8 @@ def test_a_text_stands_for_itself():
         ("1 +", "is no number"),
         ("1 2", "is no number"),
         ("", "is no number"),
+        ("²", "is no number"),
+        ("٣", "is no number"),
         ("(1", "a parenthesis is not closed"),
         ("1 / 0", "divides by 0"),
         ("2 ^ 65", "has no value here"),
