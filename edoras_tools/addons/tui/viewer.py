@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import queue
 import threading
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -147,7 +147,8 @@ class Viewer(Navigation):
         self._watch: WatchThread | None = None
         self._wireshark: list[subprocess.Popen[bytes]] = []
         bench.dissector.detail = True
-        self._filter_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="filter")
+        self._unfiltered: queue.SimpleQueue[tuple[Where, PacketBlock] | None] = queue.SimpleQueue()
+        self._filter_thread = threading.Thread(target=self._filter, name="filter", daemon=True)
         self._feed = threading.Thread(target=self._read, name="packets", daemon=True)
         self._stopping = threading.Event()
 
@@ -164,6 +165,7 @@ class Viewer(Navigation):
                 with suppress(NotImplementedError):  # this event loop has no signals, as on Windows
                     asyncio.get_running_loop().add_signal_handler(number, self.exit)
         self._feed.start()
+        self._filter_thread.start()
         if self._choice.selection.where:
             self.filter_line.accept(self._choice.selection.where, None)
 
@@ -172,7 +174,7 @@ class Viewer(Navigation):
         self._stopping.set()
         self._source.stop()
         self._where = None
-        self._filter_thread.shutdown(wait=False, cancel_futures=True)
+        self._unfiltered.put(None)
         if self._watch is not None:
             self._watch.stop()
         for process in self._wireshark:
@@ -220,16 +222,24 @@ class Viewer(Navigation):
             self._watch.put(block)
         dropped = self.store.append(block)
         if self._where is not None:
-            self._filter_thread.submit(self._filter, self._where, block)
+            self._unfiltered.put((self._where, block))
         if first:
             self.packets.forget()
         self._more_rows(dropped)
 
-    def _filter(self, where: Where, block: PacketBlock) -> None:
-        """Run a filter on a block, in the thread for that; unless it was replaced meanwhile."""
-        if where is self._where:
-            rows = np.flatnonzero(where.mask(block.batch, block.columns))
-            self._later(self._take_answer, where, block, rows)
+    def _filter(self) -> None:
+        """Run filters on blocks until stopped; not a filter that was replaced meanwhile."""
+        while (task := self._unfiltered.get()) is not None:
+            where, block = task
+            if where is not self._where:
+                continue
+            try:
+                rows = np.flatnonzero(where.mask(block.batch, block.columns))
+            except Exception as error:  # noqa: BLE001  without a word, no packet would seem to pass
+                why = f"the filter failed: {type(error).__name__}: {error}"
+                self._later(self._take_failure, where, clean(why))
+            else:
+                self._later(self._take_answer, where, block, rows)
 
     def _take_answer(self, where: Where, block: PacketBlock, rows: NDArray[np.int64]) -> None:
         if where is not self._where:
@@ -238,6 +248,12 @@ class Viewer(Navigation):
             self.routes.ledger.add(block.batch.take(rows), block.columns.take(rows))
         self.store.settle(block, rows)
         self._more_rows(0)
+
+    def _take_failure(self, where: Where, why: str) -> None:
+        if where is self._where:
+            self.packets.empty = why
+            self.packets.forget()
+            self._notice(why, Level.WARNING)
 
     def _end(self, why: str, failed: bool) -> None:
         self.reading = False
@@ -364,7 +380,7 @@ class Viewer(Navigation):
         self.store.restart(filtered=event.where is not None)
         if event.where is not None:
             for block in self.store.blocks:
-                self._filter_thread.submit(self._filter, event.where, block)
+                self._unfiltered.put((event.where, block))
         self.packets.forget()
         self._more_rows(0)
         self._update_lower()

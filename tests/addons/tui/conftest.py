@@ -106,8 +106,9 @@ def drive():
                 await pilot.pause()
                 await script(hands)
             app._feed.join(PATIENCE_S)
-            app._filter_thread.shutdown()
+            app._filter_thread.join(PATIENCE_S)
             assert not app._feed.is_alive()
+            assert not app._filter_thread.is_alive()
 
         asyncio.run(whole())
 

@@ -11,6 +11,7 @@ from places import ROOT
 from textual.events import MouseScrollDown
 
 from edoras_tools.addons.tui.prompts import Sheet
+from edoras_tools.decode.filters.filter import Where
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.sbn import SBN
 from edoras_tools.pipelines.selection import Selection
@@ -226,6 +227,26 @@ def test_a_filter_that_nothing_passes_says_so(drive):
             "escape",
         ):
             await hands.press(key)
+
+    drive(script)
+
+
+def test_a_filter_that_fails_says_so(drive, monkeypatch):
+    def fail(*_):
+        raise ZeroDivisionError("by a test")
+
+    monkeypatch.setattr(Where, "mask", fail)
+
+    async def script(hands):
+        await hands.filter("msg_id == 0x082a")
+        said = "the filter failed: ZeroDivisionError: by a test"
+        await hands.until(lambda: said in hands.status, "the failure is told")
+        assert said in hands.lines(hands.app.packets)[1]
+        assert hands.app.store.settled == 0
+        monkeypatch.undo()
+        await hands.filter("msg_id == 0x082a")
+        await hands.settle()
+        assert len(hands.app.store) == 57, "the thread still runs"
 
     drive(script)
 
