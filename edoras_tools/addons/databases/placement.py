@@ -133,11 +133,16 @@ class TypeTable:
         return result
 
     def labelled(self, number: DataType, name: str, labels: Mapping[int, str]) -> DataType:
-        """Return the type of a number whose values have labels; the number itself if it cannot have any."""
+        """Return the type of a number whose values have labels; the number itself if it cannot have any.
+
+        Args:
+            labels: label of each value, as any text; dropped where the number cannot hold the value.
+        """
         basic = number.kind
         if not labels or number.doubt or not isinstance(basic, Basic):
             return number
-        names = {value: label for value, label in labels.items() if basic.holds(value)}
+        used: set[str] = set()
+        names = {value: unique(c_name(text), used) for value, text in labels.items() if basic.holds(value)}
         same = self.enums.get(name)
         if same is None or (same.basic, same.names) != (basic, names):
             name = unique(name, self._used)

@@ -12,7 +12,6 @@ from msgspec.structs import replace
 
 from edoras_tools.addons.databases import placement
 from edoras_tools.addons.databases.documents import NESTING, Node, SheetError
-from edoras_tools.structs.messages import unique
 from edoras_tools.structs.shapes import BASIC, BasicKind, ByteOrder, Member, Range
 
 if TYPE_CHECKING:
@@ -145,7 +144,6 @@ class Types(placement.TypeTable):
     def _labels(self, node: Node, package: str) -> dict[int, str]:
         """Return the labels of an enumeration by value; a label without a value gets the next one."""
         labels: dict[int, str] = {}
-        used: set[str] = set()
         value = -1
         for item in node.inside("EnumerationList", "Enumeration"):
             try:
@@ -153,7 +151,7 @@ class Types(placement.TypeTable):
             except SheetError as error:
                 self._note(item, str(error))
             else:
-                labels.setdefault(value, unique(placement.c_name(item.attributes.get("label", "")), used))
+                labels.setdefault(value, item.attributes.get("label", ""))
         return labels
 
     def _scalar(

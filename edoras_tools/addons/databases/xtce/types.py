@@ -11,7 +11,6 @@ from msgspec.structs import replace
 
 from edoras_tools.addons.databases import placement
 from edoras_tools.addons.databases.documents import NESTING, Node, Notes, SheetError
-from edoras_tools.structs.messages import unique
 from edoras_tools.structs.shapes import BASIC, BasicKind, ByteOrder, Member, Range
 
 if TYPE_CHECKING:
@@ -195,11 +194,8 @@ class ValueTypes(placement.TypeTable):
         if kind == "Boolean" and not labels:
             basic_kind = BasicKind.BOOL
         data_type = placement.scalar(basic_kind, int(bits), order, self._like(item, encoding), doubt)
-        used: set[str] = set()
-        names = {
-            value: unique(placement.c_name(text), used) for value, text in labels.items() if not is_float
-        }
-        return self.labelled(data_type, _OWN_PREFIX.sub("", placement.c_name(node.name)), names)
+        name = _OWN_PREFIX.sub("", placement.c_name(node.name))
+        return data_type if is_float else self.labelled(data_type, name, labels)
 
     def _labels(self, item: Declared, kind: str) -> dict[int, str]:
         """Return the labels of a type's values."""

@@ -135,6 +135,12 @@ def test_texts_for_values():
     assert "s:1: Enumeration: 'x' is no number" in layout.notes
 
 
+def test_a_text_for_a_value_that_the_number_cannot_hold_takes_no_name():
+    listed = '<Enumeration value="300" label="A B"/><Enumeration value="1" label="A-B"/>'
+    layout = read(of("Enumerated", integer(8), f"<EnumerationList>{listed}</EnumerationList>"))
+    assert layout.enums["t"].names == {1: "A_B"}
+
+
 def test_unit_calibration_and_limits():
     calibrator = "<DefaultCalibrator><PolynomialCalibrator>{}</PolynomialCalibrator></DefaultCalibrator>"
     terms = '<Term exponent="0" coefficient="-40"/><Term exponent="2" coefficient="0.5"/>'
