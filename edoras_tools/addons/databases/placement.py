@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 _MOST_ELEMENTS: Final = 1 << 16
+_HIGHEST_POWER: Final = 64
 MOST_VALUE_BITS: Final = 1 << 27
 """Maximum size of a value, bits."""
 UNNAMED: Final = Member("", BASIC["byte"], 0)
@@ -51,7 +52,7 @@ class DataType(msgspec.Struct, frozen=True):
         alignment: alignment in C, bytes; for a scalar, the number of bytes that hold it.
         doubt: reason why its number cannot be read, and is shown as bytes; empty if it can.
         variable: whether its length varies, so that later entries have no fixed position.
-        like: member with its unit and limits.
+        like: member with its unit, calibration and limits.
     """
 
     kind: Basic | str
@@ -92,6 +93,18 @@ def scalar(kind: BasicKind, bits: int, order: ByteOrder | None, like: Member, do
     return DataType(
         basic, bits, scalar=True, order=order if bits > 8 else None, alignment=octets, doubt=doubt, like=like
     )
+
+
+def polynomial(terms: Mapping[float, float]) -> tuple[float, ...]:
+    """Return the coefficients of a calibration by rising power, from those of some powers.
+
+    Raises:
+        SheetError: a power is no integer of 0 to ``_HIGHEST_POWER``.
+    """
+    for power in terms:
+        if power not in range(_HIGHEST_POWER + 1):
+            raise SheetError(f"exponent {power} of a calibration is not 0 to {_HIGHEST_POWER}")
+    return tuple(terms.get(power, 0.0) for power in range(int(max(terms, default=-1)) + 1))
 
 
 class TypeTable:
@@ -148,11 +161,6 @@ class TypeTable:
             name = unique(name, self._used)
             self.enums[name] = Enumeration(name, basic, names)
         return replace(number, kind=name)
-
-    @staticmethod
-    def polynomial(terms: Mapping[int, float]) -> tuple[float, ...]:
-        """Return the coefficients of a calibration by rising power, from those of some powers."""
-        return tuple(terms.get(power, 0.0) for power in range(max(terms, default=-1) + 1))
 
     def add_struct(self, name: str, placed: Placement, doc: str, tail: int = 0) -> str:
         """Add the struct of a container; return its name, which differs from all others."""

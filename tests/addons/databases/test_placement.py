@@ -3,7 +3,7 @@
 import pytest
 
 from edoras_tools.addons.databases.documents import SheetError
-from edoras_tools.addons.databases.placement import DataType, Placement, c_name
+from edoras_tools.addons.databases.placement import DataType, Placement, c_name, polynomial
 from edoras_tools.structs.shapes import BASIC, OPEN
 
 WORD = DataType(BASIC["uint32"], 32, scalar=True, order="big", alignment=4)
@@ -32,6 +32,17 @@ def test_padding_and_the_end(machine, places, size):
     assert [(item.name, item.offset) for item in placement.members] == [("a", places[0]), ("a2", places[1])]
     assert placement.end() == size
     assert placement.wrapped is None
+
+
+def test_a_calibration_has_a_coefficient_for_each_power():
+    assert polynomial({2.0: 0.5, 0: -40.0}) == (-40.0, 0.0, 0.5)
+    assert polynomial({}) == ()
+
+
+@pytest.mark.parametrize("power", [-1, 1.5, 65])
+def test_a_power_that_no_calibration_has(power):
+    with pytest.raises(SheetError, match=f"exponent {power} of a calibration is not 0 to 64"):
+        polynomial({0: 1.0, power: 2.0})
 
 
 def test_what_wraps_one_number():

@@ -259,16 +259,14 @@ class Types(placement.TypeTable):
         attributes = [node.attributes, *(item.attributes for item in node.inside("Semantics"))]
         unit = next((item["unit"] for item in attributes if item.get("unit")), like.unit)
         like = replace(like, unit=" ".join(unit.split()), doc=node.doc)
-        terms: dict[int, float] = {}
+        terms: dict[float, float] = {}
         for item in node.inside("PolynomialCalibrator", "Term"):
             if node.tag == "LengthEntry":
                 break  # it is about counting bytes, not about the meaning of the value
             exponent = self._parameters.integer(item.required("exponent"), package)
-            if not 0 <= exponent <= NESTING:
-                raise SheetError(f"exponent {exponent} of a calibration is not 0 to {NESTING}")
             terms[exponent] = float(self._parameters.number(item.required("coefficient"), package))
         if terms:
-            like = replace(like, polynomial=self.polynomial(terms))
+            like = replace(like, polynomial=placement.polynomial(terms))
         for tag in ("Range", "ValidRange", "SafeRange", "SafeRangeSet", "NominalRange", "NominalRangeSet"):
             for holder in node.inside(tag):
                 for item in holder.walk():

@@ -44,7 +44,6 @@ _RED: Final = ("CriticalRange", "DistressRange", "SevereRange")
 """Alarm ranges that count as a limit; the first existing one is used."""
 _NUMBER: Final = re.compile(r"(0[xX][0-9a-fA-F]+)|[-+]?(?:\d+|(?=\.\d))(\.?\d*(?:[eE][-+]?\d+)?)", re.ASCII)
 _HIGHEST: Final = 1e300
-_MOST_POWER: Final = 32
 
 
 class MemberPlace(msgspec.Struct, frozen=True):
@@ -254,17 +253,15 @@ class ValueTypes(placement.TypeTable):
         return replace(like, polynomial=self._polynomial(encoding)) if encoding is not None else like
 
     def _polynomial(self, encoding: Node) -> tuple[float, ...]:
-        terms: dict[int, float] = {}
+        terms: dict[float, float] = {}
         for holder in encoding.inside("DefaultCalibrator"):
             for item in holder.children:
                 if item.tag != "PolynomialCalibrator":
                     self._notes.add(item, f"{item.tag} is not read: the number is shown as it is sent")
             for item in holder.inside("PolynomialCalibrator", "Term"):
                 power = number(item, item.required("exponent"))
-                if power not in range(_MOST_POWER + 1):
-                    raise SheetError(f"exponent {power} of a calibration is not 0 to {_MOST_POWER}")
-                terms[int(power)] = number(item, item.required("coefficient"))
-        return self.polynomial(terms)
+                terms[power] = number(item, item.required("coefficient"))
+        return placement.polynomial(terms)
 
 
 def _range(node: Node) -> Range:
