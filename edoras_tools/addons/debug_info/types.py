@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from msgspec.structs import replace
 
-from edoras_tools.addons.debug_info import entries as dwarf
+from edoras_tools.addons.debug_info import entries
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.messages import unique
 from edoras_tools.structs.shapes import BASIC, OPEN, Basic, BasicKind, ByteOrder, Enumeration, Member, Struct
@@ -36,10 +36,10 @@ class File(Protocol):
     byte_order: ByteOrder
     pointer: int
 
-    def called(self, die: dwarf.Die) -> str:
+    def called(self, die: entries.Die) -> str:
         """Return the name of a type; empty if it has none."""
 
-    def header(self, die: dwarf.Die) -> int:
+    def header(self, die: entries.Die) -> int:
         """Return the size in bytes of the cFE header at the beginning of a struct; 0 without one."""
 
 
@@ -60,11 +60,11 @@ class Maker:
         self._names: dict[int, str] = {}
         self._open: set[int] = set()
 
-    def struct(self, die: dwarf.Die, wish: str = "") -> str:
+    def struct(self, die: entries.Die, wish: str = "") -> str:
         """Make a struct and return its name."""
         if die.offset in self._names:
             return self._names[die.offset]
-        if die.offset in self._open or len(self._open) > dwarf.DEEPEST:
+        if die.offset in self._open or len(self._open) > entries.DEEPEST:
             raise ConfigError(f"{self._info.path}: {self._info.called(die) or 'a struct'} contains itself")
         self._open.add(die.offset)
         name = self._info.called(die) or wish or "Anonymous"
@@ -73,9 +73,9 @@ class Maker:
         members = [item for at, item in enumerate(listed, 1) if OPEN not in item.dims[at == len(listed) :]]
         struct = Struct(
             name,
-            dwarf.number_attribute(die, "DW_AT_byte_size"),
+            entries.number_attribute(die, "DW_AT_byte_size"),
             tuple(members),
-            union=dwarf.STRUCTS[die.tag],
+            union=entries.STRUCTS[die.tag],
             header=self._info.header(die),
         )
         self._open.discard(die.offset)
@@ -116,42 +116,42 @@ class Maker:
         alike[name] = replace(declared, name=name)
         return name
 
-    def _members(self, die: dwarf.Die, base: int, owner: str) -> Iterator[Member]:
+    def _members(self, die: entries.Die, base: int, owner: str) -> Iterator[Member]:
         names: set[str] = set()
         before: Member | None = None
-        for item in dwarf.children(die):
+        for item in entries.children(die):
             if item.tag == "DW_TAG_inheritance":
-                parent = dwarf.underlying_type(dwarf.type_of(item))
-                inner = self._members(parent, base + dwarf.offset_of(item), owner) if parent else iter(())
+                parent = entries.underlying_type(entries.type_of(item))
+                inner = self._members(parent, base + entries.offset_of(item), owner) if parent else iter(())
             elif item.tag == "DW_TAG_member" and "DW_AT_external" not in item.attributes:
                 inner = self._member(item, base, owner)
             else:
                 continue
             for part in inner:
-                member = part if before is None or dwarf.STRUCTS[die.tag] else self._behind(before, part)
+                member = part if before is None or entries.STRUCTS[die.tag] else self._behind(before, part)
                 before = member
                 name = unique(member.name, names)  # C++: a base class may have a member of that name
                 yield replace(member, name=name) if name != member.name else member
 
-    def _member(self, item: dwarf.Die, base: int, owner: str) -> Iterator[Member]:
-        name, at = dwarf.name_of(item), base + dwarf.offset_of(item)
-        kind = dwarf.underlying_type(dwarf.type_of(item))
-        if not name and kind is not None and kind.tag in dwarf.STRUCTS:
+    def _member(self, item: entries.Die, base: int, owner: str) -> Iterator[Member]:
+        name, at = entries.name_of(item), base + entries.offset_of(item)
+        kind = entries.underlying_type(entries.type_of(item))
+        if not name and kind is not None and kind.tag in entries.STRUCTS:
             yield from self._members(kind, at, owner)  # C11: an anonymous struct's members
             return
         if not name:
             return
         member = self._typed(kind, Member(name, BASIC["byte"], at), f"{owner.removesuffix('_t')}_{name}")
-        width = dwarf.number_attribute(item, "DW_AT_bit_size")
+        width = entries.number_attribute(item, "DW_AT_bit_size")
         if width:
-            size = dwarf.number_attribute(item, "DW_AT_byte_size") or self._size(member)
-            place = dwarf.bit_place(item, at, base, size, width, self._info.byte_order)
+            size = entries.number_attribute(item, "DW_AT_byte_size") or self._size(member)
+            place = entries.bit_place(item, at, base, size, width, self._info.byte_order)
             if member.dims:  # of __int128, which no ROS type holds: the bytes that contain part of it
                 place = {"offset": place["offset"], "dims": ((place["bit"] + width + 7) // 8,)}
                 yield replace(member, **place)
                 return
             if member.type == BASIC["char"]:
-                sign = dwarf.DWARF_ENCODINGS.get(dwarf.number_attribute(kind, "DW_AT_encoding"))
+                sign = entries.DWARF_ENCODINGS.get(entries.number_attribute(kind, "DW_AT_encoding"))
                 member = replace(member, type=BASIC["int8" if sign is BasicKind.INT else "uint8"])
             whole = width == 8 * self._size(member) and not place["bit"]
             member = replace(member, **({"offset": place["offset"]} if whole else place))
@@ -169,7 +169,7 @@ class Maker:
         kind = BASIC["int8"] if member.type == BASIC["char"] else member.type
         return replace(member, type=kind, offset=bit // 8, bit=bit % 8, bits=8 * self._size(member))
 
-    def extent(self, item: dwarf.Die) -> int:
+    def extent(self, item: entries.Die) -> int:
         """Return the size of a member in bytes."""
         members = list(self._member(item, 0, ""))
         return max((self._size(member) * prod(member.dims) for member in members), default=0)
@@ -181,53 +181,56 @@ class Maker:
             return self.enums[member.type].basic.size
         return self.structs[member.type].size
 
-    def _typed(self, die: dwarf.Die | None, member: Member, wish: str) -> Member:
+    def _typed(self, die: entries.Die | None, member: Member, wish: str) -> Member:
         """Return a member with the properties of its type."""
         if die is None:
             return replace(member, dims=(OPEN,))
-        if die.tag in dwarf.STRUCTS:
+        if die.tag in entries.STRUCTS:
             return replace(member, type=self.struct(die, wish))
         if die.tag == "DW_TAG_array_type":
-            inner = self._typed(dwarf.underlying_type(dwarf.type_of(die)), member, wish)
-            return replace(inner, dims=(*dwarf.dimensions(die), *inner.dims))
+            inner = self._typed(entries.underlying_type(entries.type_of(die)), member, wish)
+            return replace(inner, dims=(*entries.dimensions(die), *inner.dims))
         if die.tag == "DW_TAG_enumeration_type":
             return replace(member, type=self._enumeration(die, wish))
-        if die.tag in dwarf.POINTERS:
-            size = dwarf.number_attribute(die, "DW_AT_byte_size") or self._info.pointer
+        if die.tag in entries.POINTERS:
+            size = entries.number_attribute(die, "DW_AT_byte_size") or self._info.pointer
             return replace(member, type=BASIC[f"uint{8 * size}"], base=16)
         if die.tag == "DW_TAG_base_type":
             return self._basic(die, member)
-        size = dwarf.number_attribute(die, "DW_AT_byte_size")
+        size = entries.number_attribute(die, "DW_AT_byte_size")
         return replace(member, dims=(size,))
 
-    def _basic(self, die: dwarf.Die, member: Member) -> Member:
+    def _basic(self, die: entries.Die, member: Member) -> Member:
         size, encoding = (
-            dwarf.number_attribute(die, "DW_AT_byte_size"),
-            dwarf.number_attribute(die, "DW_AT_encoding"),
+            entries.number_attribute(die, "DW_AT_byte_size"),
+            entries.number_attribute(die, "DW_AT_encoding"),
         )
-        if dwarf.name_of(die) == "char" and size == 1:
+        if entries.name_of(die) == "char" and size == 1:
             return replace(member, type=BASIC["char"])
         if encoding == 0x03 and size in {8, 16}:  # a complex number: real, then imaginary
             return replace(member, type=BASIC[f"float{4 * size}"], dims=(2,))
-        kind = dwarf.DWARF_ENCODINGS.get(encoding)
+        kind = entries.DWARF_ENCODINGS.get(encoding)
         basic = BASIC.get(str(Basic(kind, size))) if kind else None
-        turned = dwarf.BYTE_ORDERS.get(dwarf.number_attribute(die, "DW_AT_endianity"), self._info.byte_order)
+        turned = entries.BYTE_ORDERS.get(
+            entries.number_attribute(die, "DW_AT_endianity"), self._info.byte_order
+        )
         if basic is None or turned != self._info.byte_order:
             # No ROS type holds it (e.g. a long double), or its byte order is not that of the file.
             return replace(member, type=BASIC["byte"], dims=(size,))
         return replace(member, type=basic)
 
-    def _enumeration(self, die: dwarf.Die, wish: str) -> str:
-        size = dwarf.number_attribute(die, "DW_AT_byte_size") or 4
+    def _enumeration(self, die: entries.Die, wish: str) -> str:
+        size = entries.number_attribute(die, "DW_AT_byte_size") or 4
         names: dict[int, str] = {}
-        for item in dwarf.children(die):
-            if item.tag == "DW_TAG_enumerator" and dwarf.name_of(item):
-                names.setdefault(int(item.attributes["DW_AT_const_value"].value), dwarf.name_of(item))
-        under = dwarf.underlying_type(dwarf.type_of(die))
+        for item in entries.children(die):
+            if item.tag == "DW_TAG_enumerator" and entries.name_of(item):
+                names.setdefault(int(item.attributes["DW_AT_const_value"].value), entries.name_of(item))
+        under = entries.underlying_type(entries.type_of(die))
         signed = min(names, default=0) < 0
         if under is not None and "DW_AT_encoding" in under.attributes:
             signed = (
-                dwarf.DWARF_ENCODINGS.get(dwarf.number_attribute(under, "DW_AT_encoding")) is BasicKind.INT
+                entries.DWARF_ENCODINGS.get(entries.number_attribute(under, "DW_AT_encoding"))
+                is BasicKind.INT
             )
         bits = 8 * size
         low = -(1 << (bits - 1)) if signed else 0
