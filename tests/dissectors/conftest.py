@@ -247,7 +247,7 @@ def agree_with_tshark(packets, frame, types):
     if 0 in headers.get("ccsds_sp.packet_type", []) and not any(
         "struct_length" in item.findings.labels for item in packets
     ):
-        # Without C structs housekeeping has any length; tests/addons/wireshark/test_structs.py holds it.
+        # Without C structs housekeeping has any length; tests/addons/wireshark/test_lua.py holds it.
         fields["edoras.finding"] = [
             item for item in fields.get("edoras.finding", []) if item[0] != "struct_length"
         ]

@@ -1,4 +1,4 @@
-"""The picture of the balance: bands as wide as the ledger's figures, and the same in words."""
+"""What a report draws of a capture: bands as wide as the ledger's figures, the same in words, and rates."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from collections import Counter
 from xml.etree import ElementTree as ET
 
 import pytest
-from places import ROOT
+import truth
+from merging import merge
+from places import CAPTURES, MISSIONS, ROOT
 
 from edoras_tools.addons.report.charts import bands, plots, sankey, strip
 from edoras_tools.addons.report.page import page
@@ -68,3 +70,34 @@ def test_a_report_has_what_would_be_left(result):
     text = page(result, "x.pcap", Made("edoras report x.pcap", 0))
     promised = [item.promise for item in summarize(result).problems[:3] if item.promise]
     assert re.findall(r">left ([^<]+)<", text) == promised
+
+
+@pytest.mark.parametrize(
+    ("name", "link", "topic", "sent", "lost"),
+    [
+        ("a_rover.pcap", "ci", "0x1827", 600, 92),
+        ("c1_tlm_rate_limit4.pcap.gz", "to", "0x0827", 17_663, 16_706),
+    ],
+)
+def test_loss_is_drawn_with_and_without_gaps_in_counts(name, link, topic, sent, lost):
+    drawn = plots(truth.examined(CAPTURES / name, (), ()).case)
+    [row] = [row for row in drawn.rates if (row["link"], row["label"][:6]) == (link, topic)]
+    assert min(row["seen"]) >= 0
+    assert sum(row["missing"]) * drawn.bin_s == pytest.approx(lost, rel=0.01)
+    assert sum(row["seen"] + row["missing"]) * drawn.bin_s == pytest.approx(sent, rel=0.01)
+
+
+def test_each_spacecraft_has_its_own_pictures(tmp_path, call):
+    captures = {"10.0.0.2": CAPTURES / "b_arm_single.pcap", "10.0.0.3": CAPTURES / "a_rover.pcap"}
+    whole, _ = merge(captures, tmp_path)
+    second = ["--topic", "/sc_2/cmd_vel", "-c", MISSIONS / "rover_ground.yaml"]
+    for words, numbers in (
+        ([], [1, 2]),
+        (second, [2]),
+    ):
+        page = tmp_path / f"{len(words)}.html"
+        assert call("report", whole, "-o", page, *words).code == 3
+        titles = re.findall(r"<h2>(.*?)</h2>", page.read_text(encoding="utf-8"))
+        for title in "Routes over time", "Rates against limits", "Over time", "Sizes against buffers":
+            own = [f"{title} of spacecraft {number}" for number in numbers]
+            assert [item for item in titles if item.startswith(title)] == own
