@@ -17,7 +17,7 @@ from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -133,9 +133,9 @@ def archive_page(trends: ArchiveTrends, origin: parts.Made) -> str:
             "Trends", _trends(trends, calendar), parts.colour_key((("error", "lost or unaccounted for"),))
         ),
         parts.section("Latency", _delays(trends, calendar)),
-        parts.section("Worst routes", [_routes(trends)] if trends.routes else []),
+        parts.section("Worst routes", [_routes(trends)]),
         parts.section("Worst runs", [_worst(trends)] if trends.totals["with_loss"] else []),
-        parts.section("Verdicts by rule", [_rules(trends)] if trends.rules else []),
+        parts.section("Verdicts by rule", [_rules(trends)]),
         parts.section("Not whole", _errors(trends)),
     ]
     return parts.document(
@@ -267,7 +267,8 @@ def _routes(trends: ArchiveTrends) -> str:
         )
         for row in trends.routes
     )
-    return _table(("route", "link", "runs with loss", "missing", "lost", "unaccounted", "sent"), rows)
+    heads = ("route", "link", "runs with loss", "missing", "lost", "unaccounted", "sent")
+    return parts.html_table(heads, (map(escape, row) for row in rows), "figures")
 
 
 def _worst(trends: ArchiveTrends) -> str:
@@ -280,7 +281,8 @@ def _worst(trends: ArchiveTrends) -> str:
         for row in runs[:_MOST_WORST]
         if row["lost"] + row["unaccounted"]
     )
-    return _table(("run", "began (UTC)", "worst", "missing", "lost", "unaccounted", "datagrams"), rows)
+    heads = ("run", "began (UTC)", "worst", "missing", "lost", "unaccounted", "datagrams")
+    return parts.html_table(heads, (map(escape, row) for row in rows), "figures")
 
 
 def _rules(trends: ArchiveTrends) -> str:
@@ -289,7 +291,8 @@ def _rules(trends: ArchiveTrends) -> str:
         [*(row[name] for name in names), *(units.count(row[name]) for name in figures)]
         for row in trends.rules
     )
-    return _table(("rule", "severity", "for example", "runs", "verdicts", "lost"), rows, "rules")
+    heads = ("rule", "severity", "for example", "runs", "verdicts", "lost")
+    return parts.html_table(heads, (map(escape, row) for row in rows), "rules")
 
 
 def _errors(trends: ArchiveTrends) -> Iterable[str]:
@@ -297,12 +300,6 @@ def _errors(trends: ArchiveTrends) -> Iterable[str]:
         lines = "".join(f"<li>{escape(line)}</li>" for line in trends.errors[:_MOST_ERRORS])
         rest = len(trends.errors) - _MOST_ERRORS
         yield f"<ul>{lines}</ul>" + (f'<p class="dim">and {rest:,} more</p>' if rest > 0 else "")
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], style: str = "figures") -> str:
-    head = "".join(f"<th>{item}</th>" for item in heads)
-    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
-    return f'<div class="scroll"><table class="{style}"><tr>{head}</tr>{body}</table></div>'
 
 
 def _missing(row: Mapping[str, Any], *figures: str) -> list[str]:

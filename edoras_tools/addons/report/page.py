@@ -18,7 +18,7 @@ from edoras_tools.render.pages import parts
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from edoras_tools.diagnosis.examination import Diagnosis
 
@@ -147,7 +147,7 @@ def _many(result: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
     worst = max(several, key=lambda members: sum(item.lost or 0 for item in members))
     more = f", the first {_MOST_VERDICTS}" if len(every) > _MOST_VERDICTS else ""
     summary = f"{len(every):,} verdicts of {escape(every[0].rule)}{more}"
-    table = _table(("when", "what", "lost"), rows, ' class="alike"')
+    table = parts.html_table(("when", "what", "lost"), rows, "alike")
     return f"{_verdict(result, worst)}<details><summary>{summary}</summary>{table}</details>"
 
 
@@ -166,7 +166,7 @@ def _verdict(result: Diagnosis, members: Sequence[Verdict]) -> str:
             )
             for item in members
         )
-        spans = _table(("when", "lost", "of", "", "confidence"), rows, ' class="spans"')
+        spans = parts.html_table(("when", "lost", "of", "", "confidence"), rows, "spans")
     evidence = "".join(f"<li>{escape(line)}</li>" for line in worst.evidence)
     return (
         f'<article class="verdict {worst.severity.label}"><p class="what">{escape(reason)}</p>'
@@ -181,13 +181,6 @@ def _remedy(text: str, promise: str = "") -> str:
     marked = "".join(f"<code>{piece}</code>" if place % 2 else piece for place, piece in enumerate(pieces))
     rest = f'<span class="dim left">left {promise}</span>' if promise else ""
     return f'<p class="remedy">{marked}{rest}</p>' if text else ""
-
-
-def _table(heads: Iterable[str], rows: Iterable[Iterable[str]], style: str = "") -> str:
-    """Return a table of HTML cells; empty without rows."""
-    head = "".join(f"<th>{name}</th>" for name in heads)
-    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
-    return f'<div class="scroll"><table{style}><tr>{head}</tr>{body}</table></div>' if body else ""
 
 
 def _when(result: Diagnosis, item: Verdict) -> str:
@@ -242,7 +235,7 @@ def _sizes(drawn: charts.Plots, whose: str) -> str:
 
     sizes = ((escape(row["label"]), row["link"].upper(), row["bytes"], row["room"]) for row in drawn.sizes)
     rows = ((name, link, meter(used, room), f"{used:,}", f"{room:,}") for name, link, used, room in sizes)
-    table = _table(("route", "link", "", "largest", "buffer"), rows)
+    table = parts.html_table(("route", "link", "", "largest", "buffer"), rows)
     return parts.section(f"Sizes against buffers{whose}", [table])
 
 
@@ -265,7 +258,7 @@ def _balance(result: Diagnosis) -> str:
     )
     both = "In and Twice are" if any(name == "duplicated" for name, _ in figures) else "In is"
     lead = f'<p class="dim">{both} the sum of the figures that follow, in every row.</p>'
-    table = _table(titles, (map(escape, row) for row in rows), ' class="balance"')
+    table = parts.html_table(titles, (map(escape, row) for row in rows), "balance")
     return parts.section("Balance", [table], lead)
 
 
@@ -280,7 +273,7 @@ def _routes(result: Diagnosis) -> str:
         )
         for row in result.routes
     )
-    return parts.section("Accounts", [_table(heads, (map(escape, row) for row in rows))])
+    return parts.section("Accounts", [parts.html_table(heads, (map(escape, row) for row in rows))])
 
 
 def _habits(result: Diagnosis) -> str:

@@ -71,6 +71,19 @@ def section(title: str, inside: Iterable[str], lead: str = "") -> str:
     return f'<section id="{anchor}"><h2>{title}</h2>{lead}{drawn}</section>' if drawn else ""
 
 
+def html_table(heads: Iterable[str], rows: Iterable[Iterable[str]], style: str = "") -> str:
+    """Return a table; empty without rows.
+
+    Args:
+        rows: cells as HTML: the caller escapes what is text.
+        style: class of the table.
+    """
+    head = "".join(f"<th>{name}</th>" for name in heads)
+    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
+    kind = f' class="{style}"' if style else ""
+    return f'<div class="scroll"><table{kind}><tr>{head}</tr>{body}</table></div>' if body else ""
+
+
 def colour_key(entries: Sequence[tuple[str, str]], style: str = "") -> str:
     """Return the legend of colours: each with its text."""
     spans = "".join(f'<span style="background:var(--{colour})"></span>{text}' for colour, text in entries)
