@@ -111,15 +111,20 @@ def _mode(config: zenoh.Config) -> str:
     return str(json.loads(config.get_json("mode")) or _MODES[0])
 
 
+def _reported(error: zenoh.ZError, what: str, remedy: str = "") -> ConfigError:
+    """Return an error of Zenoh in one line, without positions in its source files."""
+    text = _PLACE.sub("", str(error))
+    inner = _INNER.search(text)
+    return ConfigError(f"{what}: {(inner[1] if inner else text).strip(' .!')}{remedy}")
+
+
 @contextmanager
 def _zenoh_errors(what: str, remedy: str = "") -> Iterator[None]:
-    """Report an error of Zenoh as a ``ConfigError``: one line, without positions in its source files."""
+    """Report an error of Zenoh, see ``_reported``."""
     try:
         yield
     except zenoh.ZError as error:
-        text = _PLACE.sub("", str(error))
-        inner = _INNER.search(text)
-        raise ConfigError(f"{what}: {(inner[1] if inner else text).strip(' .!')}{remedy}") from error
+        raise _reported(error, what, remedy) from error
 
 
 def _settings(options: Mapping[str, str], *, defaults: bool) -> Iterator[tuple[str, str, str]]:
@@ -240,11 +245,10 @@ class ZenohGraph:
 
         def publish(cdr: bytes) -> None:
             try:
-                with _zenoh_errors(f"{topic}: cannot be published on"):
-                    put(cdr, attachment=attach(next(numbers), now(), identity.GID, source))
-            except ConfigError:
+                put(cdr, attachment=attach(next(numbers), now(), identity.GID, source))
+            except zenoh.ZError as error:
                 if not self._closed:
-                    raise
+                    raise _reported(error, f"{topic}: cannot be published on") from error
 
         return publish
 

@@ -321,6 +321,16 @@ def test_a_router_may_come_later(graphs, jazzy, until):
         judge.close()
 
 
+def test_an_error_of_publishing_is_one_line(judge, graphs, jazzy):
+    graph = graphs(jazzy, judge.port)
+    publish = graph.advertise("/pose", TWIST, Qos())
+    for entity in graph._entities:
+        entity.undeclare()
+    with pytest.raises(ConfigError, match=r"^/pose: cannot be published on: [^\n]+$"):
+        publish(b"x")
+    graph._entities.clear()
+
+
 def test_nothing_is_heard_once_closed(judge, graphs, jazzy, until):
     heard, going = [], threading.Event()
     before = set(threading.enumerate())
