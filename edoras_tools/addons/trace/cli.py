@@ -216,14 +216,14 @@ def hz(
     words = list(arguments or ())
     options.check_duration(live.duration, [Path(item) for item in words if Path(item).exists()])
     if live.graph.ros:
-        doors.part("graph_hz")(words, live, decoding, json=printing.json)
+        doors.part("graph_hz")(words, live.graph, live.duration, live.window, decoding, json=printing.json)
         return
     if topic is None and words and not (words[-1] == "-" or Path(words[-1]).exists()):
         topic = words.pop()
     try:
         _hop_rates(words, topic, live, printing, decoding.settings(constants=True))
     except NoDatagramsError:
-        doors.part("graph_hz")(arguments or (), live._replace(duration=None), decoding, json=printing.json)
+        doors.part("graph_hz")(arguments or (), live.graph, None, live.window, decoding, json=printing.json)
 
 
 def _hop_rates(

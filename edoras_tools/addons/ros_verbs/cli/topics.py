@@ -247,10 +247,18 @@ def delay(*, arguments: Arguments = None, how: MeasureOptions) -> None:
     _measure("delay", arguments, how)
 
 
-def graph_hz(arguments: Sequence[str], live: Any, decoding: options.DecodingOptions, *, json: bool) -> None:
-    """Show the rates of topics of a graph or a recording, for ``edoras hz``; ``live`` is its input."""
-    source = SourceOptions(duration=live.duration, graph=live.graph)
-    _measure("hz", arguments, MeasureOptions(source, live.window, json, decoding))
+def graph_hz(
+    arguments: Sequence[str],
+    graph: RosOptions,
+    duration: int | None,
+    window: int | None,
+    decoding: options.DecodingOptions,
+    *,
+    json: bool,
+) -> None:
+    """Show the rates of topics of a graph or a recording, for ``edoras hz``."""
+    source = SourceOptions(duration=duration, graph=graph)
+    _measure("hz", arguments, MeasureOptions(source, window, json, decoding))
 
 
 topic = command_group("topic", "List topics, or say more of one.")
