@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from importlib.resources import as_file, files
+from itertools import chain
 from threading import Event
 from typing import TYPE_CHECKING, Final
 
@@ -72,7 +73,7 @@ class SimulatedSource(SimulationSource):
 
     def __init__(self, simulation: Simulation, duration_ns: int) -> None:
         begin_ns, end_ns = simulation.now, simulation.now + duration_ns
-        times = [*range(begin_ns + SECOND, end_ns, SECOND), end_ns]
+        times = chain(range(begin_ns + SECOND, end_ns, SECOND), [end_ns])
         super().__init__(simulation, (list(simulation.run(until_ns)) for until_ns in times))
 
 

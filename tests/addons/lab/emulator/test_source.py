@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import tracemalloc
 
 import pytest
 from scapy.layers.inet import IP, UDP
@@ -26,6 +27,16 @@ def test_every_datagram_comes_through_whole(scenario):
         assert datagram.number == number
         assert (datagram.time_ns, datagram.payload) == (sent.time_ns, sent.payload)
         assert (datagram.source, datagram.destination) == (sent.source, sent.destination)
+
+
+def test_a_long_simulation_takes_no_memory_before_it_runs():
+    simulation = Simulation(scenario="rover", start_ns=START_NS)
+    tracemalloc.start()
+    source = SimulatedSource(simulation, 100_000 * SECOND)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 100_000
+    assert len(next(source.batches()))
 
 
 def test_scapy_reads_the_frames():
