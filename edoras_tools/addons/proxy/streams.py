@@ -29,7 +29,9 @@ import msgspec
 from edoras_tools.addons.proxy.stream_faults import StreamFaults
 from edoras_tools.errors import os_errors
 from edoras_tools.io.net.sockets import local_endpoint
+from edoras_tools.links.framing import NOT_A_MESSAGE
 from edoras_tools.links.table import protocol
+from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from edoras_tools.addons.proxy.plan import ProxyPlan
@@ -292,8 +294,9 @@ class StreamProxy:
         framing = protocol(self._plan.link).framing
         if framing is None or pipe.size > framing.largest:
             return bool(pipe.waiting)
-        messages, _, is_foreign = framing.cut(b"".join(piece for _, piece in pipe.waiting))
-        return bool(messages) or is_foreign
+        data = b"".join(piece for _, piece in pipe.waiting)
+        length = framing.length(memoryview(data + bytes(PADDING)), 0, len(data))
+        return length == NOT_A_MESSAGE or 0 < length <= len(data)
 
     def _sleep(self) -> None:
         """Sleep until a source with space sends, a target that was full accepts more, or bytes are due."""

@@ -206,6 +206,26 @@ def test_the_target_hears_nothing_of_a_client_that_sent_no_message(server, conne
             server.accept()
 
 
+@pytest.mark.parametrize("data", [HELLO * 3 + HELLO[:-1], b"\xff" * 40])
+def test_the_first_message_alone_is_measured_or_what_is_none(server, data, monkeypatch):
+    measured, length = [], type(SBN.framing).length
+
+    def measure(self, view, at, end):
+        measured.append(at)
+        return length(self, view, at, end)
+
+    monkeypatch.setattr(type(SBN.framing), "length", measure)
+    with relay(server.getsockname()[1]) as made:
+        client = socket.create_connection(("127.0.0.1", made.endpoint.port))
+        with client:
+            client.sendall(data)
+            end = server.accept()[0]
+            with end:
+                end.settimeout(PATIENCE_S)
+                assert end.recv(len(data), socket.MSG_WAITALL) == data
+    assert set(measured) == {0}
+
+
 def test_bytes_before_the_end_reach_the_target_though_the_client_has_left(server):
     with relay(server.getsockname()[1], "delay:50ms,to=cfs") as made:
         with socket.create_connection(("127.0.0.1", made.endpoint.port)) as client:
