@@ -18,7 +18,7 @@ from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     import socket
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from typing_extensions import Self
 
@@ -77,12 +77,11 @@ def serve(
             selector.register(opened, selectors.EVENT_READ, partial(take, endpoint, opened))
 
         def take(endpoint: Endpoint, opened: socket.socket, now: int) -> None:
-            with suppress(OSError):  # the error of an earlier datagram
-                for data, _ in received(opened):
-                    if watch:
-                        watch.received(endpoint, data)
-                    # Queued, not delivered: the simulation's clock still has the time of its last run.
-                    simulation.feed(now, endpoint, data)
+            for data in _waiting(opened):
+                if watch:
+                    watch.received(endpoint, data)
+                # Queued, not delivered: the simulation's clock still has the time of its last run.
+                simulation.feed(now, endpoint, data)
 
         streams: PeerStreams | None = None
         if cfs.profile.sbn_tcp:
@@ -148,6 +147,12 @@ class Served:
     def __exit__(self, *_error: object) -> None:
         self._stop.set()
         self._thread.join()
+
+
+def _waiting(opened: socket.socket) -> Iterator[bytes]:
+    with suppress(OSError):  # the error of an earlier datagram
+        for data, _ in received(opened):
+            yield data
 
 
 def _send(source: socket.socket, item: WireDatagram) -> int:

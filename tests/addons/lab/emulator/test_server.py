@@ -74,6 +74,22 @@ def test_a_demo_runs_on_its_own(profile):
         until(lambda: simulation.apps.sbn.node.peers[Peer(0x42, 3)].connected)
 
 
+def test_an_error_of_who_watches_is_not_taken_for_one_of_a_socket(profile):
+    class FullDisk:
+        def received(self, endpoint, data):
+            raise OSError("no space left")
+
+        def sent(self, item):
+            pass
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
+        command = cfe.emit_command(0x1884, 0)
+        send = lambda: ground.sendto(command, (HOST, profile.ci_port))  # noqa: E731
+        simulation = Simulation(profile, "rover", bridges=False)
+        with pytest.raises(OSError, match="no space left"):
+            serve(simulation, HOST, duration=PATIENCE_S, ready=send, watch=FullDisk())
+
+
 def test_it_says_when_it_is_ready_and_ends_after_its_duration(profile):
     told = []
     assert serve(Simulation(profile), HOST, duration=0.3, ready=lambda: told.append("ready")) >= 0
