@@ -180,7 +180,7 @@ class Builds:
         Args:
             usual: headers of the source as a whole.
             places: places of conversations, see ``conversations``.
-            headers: headers of each, u8: one bit for each of ``cfe.TOLD``; 0 if none was detected.
+            headers: headers of each, u8: one bit for each of ``cfe.DETECTABLE``; 0 if none was detected.
         """
         self.usual = cfe.HEADERS.index(usual)
         self._headers[places] = headers
@@ -231,7 +231,7 @@ class Builds:
         """Return the first headers of each packet's conversation that explain it, or else that allow it."""
         out, fitting = np.full(len(allowed), self.usual, np.uint8), Fitting(*self._known, head, length)
         for fits in (fitting.allowed, fitting.by):
-            for number, headers in reversed(list(enumerate(cfe.TOLD))):
+            for number, headers in reversed(list(enumerate(cfe.DETECTABLE))):
                 out[fits(headers) & ((allowed >> number & 1) != 0)] = number
         return out
 

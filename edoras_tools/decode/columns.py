@@ -134,7 +134,7 @@ class ColumnDecoder:
         """Decode the results that depend on earlier batches, of a batch with at least one row."""
         link = link_columns(batch, self.context)
         if not self._variants.settled:
-            self._variants.look(batch, link)
+            self._variants.examine(batch, link)
         rows = np.flatnonzero(link)
         part = batch if len(rows) == len(batch) else batch.take(rows)
         read = _Pass(self.context, part, blank_columns(len(part), leave_out=_PACKET_COLUMNS))

@@ -1,6 +1,6 @@
 """Detects the headers and envelopes of a source from its first packets.
 
-Three kinds of build are in use (:data:`edoras_tools.wire.cfe.TOLD`), and five formats of the envelope.
+Three kinds of build are in use (:data:`edoras_tools.wire.cfe.DETECTABLE`), and five formats of the envelope.
 Nothing in a packet names them, so each sound packet is a vote for every kind that fits it:
 
 1. Telemetry with a 16-byte header has four spare bytes of 0 at its end. If they are not 0, the bytes are
@@ -56,7 +56,7 @@ _SAMPLE: Final = 256
 """Packets of a later batch that are examined, and packets that must have passed before."""
 _NAMED: Final = 3
 _EXTENDED: Final = cfe.HEADERS.index(cfe.WITH_EXTENDED)
-_PLAIN: Final = len(cfe.TOLD)
+_PLAIN: Final = len(cfe.DETECTABLE)
 """Vote of a command without an extended header, which is the same with both telemetry headers."""
 _NOTHING: Final = _PLAIN + 1
 _LEAST: Final = 2
@@ -115,7 +115,7 @@ class Variants:
         self._seek_envelopes = {at for at, route in enumerate(routes) if seek and not route.envelope}
         none = np.zeros(0, np.int64)
         self._sample = _Kept(np.zeros((0, LOOKED_AT), np.uint8), none, none, none)
-        self._told_at = 0
+        self._last_count = 0
         self._left = np.full(PLACES, _FIRST * _UNSOUND, np.int64)
         self._passed = self._since = 0
         self._votes = np.zeros((_NOTHING + 1, PLACES), np.int64)
@@ -123,19 +123,19 @@ class Variants:
         self._note = ""
         self._all_seen = self.settled = not (self._seek_headers or seek or context.options.time is None)
 
-    def look(self, batch: PacketBatch, link: Octets) -> None:
+    def examine(self, batch: PacketBatch, link: Octets) -> None:
         """Examine a batch that is about to be decoded; ``link`` has the link of each row."""
         rows = np.flatnonzero(self._packets[link])
         if not self._all_seen:
             self._sample = self._sample.and_(self._sound(batch, rows[:_MOST], link))
             count = len(self._sample.length)
             # Live batches are small: the result is computed again each time the number has doubled.
-            if count >= min(2 * self._told_at, _ENOUGH) and count > self._told_at:
-                self._told_at = count
-                self._tell()
+            if count >= min(2 * self._last_count, _ENOUGH) and count > self._last_count:
+                self._last_count = count
+                self._detect()
             self._all_seen = count >= _ENOUGH
         if self._seek_headers and len(rows):
-            self._look_at_conversations(batch, rows, link)
+            self._examine_conversations(batch, rows, link)
         self.settled = self._all_seen and not self._seek_headers
 
     def _sound(self, batch: PacketBatch, rows: Places, link: Octets) -> _Kept:
@@ -151,12 +151,12 @@ class Variants:
             sound &= ccsds.PRIMARY.column("secondary_header_flag", head) == 1
         return _Kept(head[sound], length[sound], batch.time_ns[rows][sound], rows[sound])
 
-    def _tell(self) -> None:
+    def _detect(self) -> None:
         context = self._context
         if self._seek_headers:
             votes = [int(part.sum()) for part in self._explained(self._sample)]
             best = int(np.argmax(votes))
-            headers = cfe.TOLD[best] if votes[best] >= _LEAST else cfe.STANDARD
+            headers = cfe.DETECTABLE[best] if votes[best] >= _LEAST else cfe.STANDARD
             if headers is not context.headers:
                 context.headers = headers
                 context.described["headers"] = headers.name
@@ -166,10 +166,10 @@ class Variants:
                 )
             self._settle()
         if context.options.envelope is None:
-            self._tell_envelopes()
-        self._tell_time()
+            self._detect_envelopes()
+        self._detect_time()
 
-    def _tell_time(self) -> None:
+    def _detect_time(self) -> None:
         """Detect the format of mission time in telemetry headers, if no other fits (rule 6)."""
         context, headers = self._context, self._context.headers
         timed = (self._sample.length >= headers.telemetry_bytes) & ~_commands(self._sample)
@@ -203,13 +203,13 @@ class Variants:
     def _explained(self, sample: _Kept) -> list[Mask]:
         """Return which packets each kind of headers explains; an extended header's clock must run on."""
         fitting = self._fitting(sample)
-        explained = [fitting.by(headers) for headers in cfe.TOLD]
+        explained = [fitting.by(headers) for headers in cfe.DETECTABLE]
         timed = np.flatnonzero(explained[_EXTENDED] & ~_commands(sample))
         if len(timed):
             explained[_EXTENDED][timed] = _goes_on(sample.take(timed))
         return explained
 
-    def _look_at_conversations(self, batch: PacketBatch, rows: Places, link: Octets) -> None:
+    def _examine_conversations(self, batch: PacketBatch, rows: Places, link: Octets) -> None:
         """Count, for some packets of each conversation, the first headers that explain them."""
         place = conversations(batch)
         place = place if len(rows) == len(place) else place[rows]
@@ -239,14 +239,16 @@ class Variants:
                 changed = True
         if changed:
             if not self._all_seen:
-                self._told_at = len(self._sample.length)
-                self._tell()
+                self._last_count = len(self._sample.length)
+                self._detect()
             self._settle()
 
     def _first(self, sample: _Kept, conversation: Places) -> Places:
         """Return the first kind that explains each packet; ``_PLAIN`` for plain commands, or ``_NOTHING``."""
         fitting = self._fitting(sample)
-        first = np.select([fitting.by(headers) for headers in cfe.TOLD], range(len(cfe.TOLD)), _NOTHING)
+        first = np.select(
+            [fitting.by(headers) for headers in cfe.DETECTABLE], range(len(cfe.DETECTABLE)), _NOTHING
+        )
         timed = np.flatnonzero((first == _EXTENDED) & ~_commands(sample))
         for _, members in by_value(conversation[timed]):
             if len(members) > 1:
@@ -278,7 +280,7 @@ class Variants:
             more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
             kinds = {
                 headers.name
-                for number, headers in enumerate(cfe.TOLD)
+                for number, headers in enumerate(cfe.DETECTABLE)
                 for bits in others.values()
                 if bits >> number & 1
             }
@@ -288,7 +290,7 @@ class Variants:
             )
             context.notes.append(self._note)
 
-    def _tell_envelopes(self) -> None:
+    def _detect_envelopes(self) -> None:
         """Give each route the envelope format of most of its packets."""
         context = self._context
         msg_ids = context.msg_ids

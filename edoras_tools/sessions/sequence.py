@@ -276,7 +276,7 @@ class SequenceStream(msgspec.Struct, eq=False):
         strand = self._strands[0]
         strand.prints[strand.last % REPEATED] = newest
 
-    def take(self, runs: _Runs, index: int, out: _Told) -> None:
+    def take(self, runs: _Runs, index: int, out: _Results) -> None:
         """Take a run; its results go to ``out``."""
         begin, end = int(runs.begins[index]), int(runs.ends[index])
         prints, boots, place = runs.prints[begin:end], runs.boots[begin:end], int(runs.places[begin])
@@ -284,7 +284,7 @@ class SequenceStream(msgspec.Struct, eq=False):
         if len(self._strands) == 1 and (self._strands[0].last + 1) % MODULUS == first:
             # A single strand continues, independent of the boots.
             self._strands[0].advance(prints, _newest(boots))
-            self._went_on(self._strands[0], place + len(prints) - 1, out)
+            self._continue_with(self._strands[0], place + len(prints) - 1, out)
             return
         while at < len(prints):
             count, out.row, boot = (first + at) % MODULUS, int(runs.rows[begin + at]), int(boots[at])
@@ -296,13 +296,13 @@ class SequenceStream(msgspec.Struct, eq=False):
                 # The boot of each packet selects one of several strands.
                 end = len(prints) if len(self._strands) == 1 else _same_boot(boots, at)
                 ready[0].advance(prints[at:end], _newest(boots[at:end]))
-                self._went_on(ready[0], place + end - 1, out)
+                self._continue_with(ready[0], place + end - 1, out)
                 at = end
                 continue
             self._jumped(strands, _Packet(count, place + at, boot, int(prints[at])), out)
             at += 1
 
-    def take_all(self, runs: _Runs, first: int, end: int, out: _Told) -> None:
+    def take_all(self, runs: _Runs, first: int, end: int, out: _Results) -> None:
         """Take the runs from ``first`` to before ``end``, each of which is ahead of the one before."""
         self.take(runs, first, out)
         newest = int(runs.count[runs.ends[first] - 1])
@@ -311,7 +311,7 @@ class SequenceStream(msgspec.Struct, eq=False):
             for index in range(first + 1, end):
                 self.take(runs, index, out)
 
-    def _go_ahead(self, runs: _Runs, first: int, end: int, out: _Told) -> bool:
+    def _go_ahead(self, runs: _Runs, first: int, end: int, out: _Results) -> bool:
         """Take runs of which each is ahead, if all may be of one boot; return whether they were taken."""
         (strand,) = self._strands
         begin, stop = runs.begins[first], runs.ends[end - 1]
@@ -335,10 +335,10 @@ class SequenceStream(msgspec.Struct, eq=False):
         columns = ends - missing, ends, out.first_row + rows[jumps]
         strand.holes += map(_Hole, *(column[kept].tolist() for column in columns))
         self.leaps += int((missing >= WINDOW).sum())
-        self._went_on(strand, int(runs.places[stop - 1]), out)
+        self._continue_with(strand, int(runs.places[stop - 1]), out)
         return True
 
-    def _jumped(self, strands: list[_Strand], packet: _Packet, out: _Told) -> None:
+    def _jumped(self, strands: list[_Strand], packet: _Packet, out: _Results) -> None:
         """Take a packet that is not the next of any strand."""
         decided = self._strands and (
             self._late(strands or self._strands, packet, out, missed=True)
@@ -350,7 +350,7 @@ class SequenceStream(msgspec.Struct, eq=False):
         if not decided:
             self._begin(_new_strand(packet, packet.count), packet.place, out)
 
-    def _late(self, strands: list[_Strand], packet: _Packet, out: _Told, *, missed: bool) -> bool:
+    def _late(self, strands: list[_Strand], packet: _Packet, out: _Results, *, missed: bool) -> bool:
         for strand in strands:
             position = strand.position(packet.count)
             hole = strand.hole(position)
@@ -384,7 +384,7 @@ class SequenceStream(msgspec.Struct, eq=False):
             return True
         return False
 
-    def _divide(self, strand: _Strand, hole: _Hole, position: int, packet: _Packet, out: _Told) -> None:
+    def _divide(self, strand: _Strand, hole: _Hole, position: int, packet: _Packet, out: _Results) -> None:
         """Attribute the packets before a hole to another sender: a strand that is now at ``position``."""
         taken_back = max(strand.behind_steps - 1, 0)
         self.late -= taken_back
@@ -403,9 +403,9 @@ class SequenceStream(msgspec.Struct, eq=False):
         other.holes = [*strand.holes[:index], *before]
         strand.holes = [_unknown(hole.end), *strand.holes[index + 1 :]]
         self._add(other)
-        self._went_on(other, packet.place, out)
+        self._continue_with(other, packet.place, out)
 
-    def _again(self, strands: list[_Strand], packet: _Packet, out: _Told) -> bool:
+    def _again(self, strands: list[_Strand], packet: _Packet, out: _Results) -> bool:
         for strand in strands:
             position = strand.position(packet.count)
             if not strand.last - REPEATED < position <= strand.last or strand.hole(position):
@@ -419,7 +419,7 @@ class SequenceStream(msgspec.Struct, eq=False):
                 return True  # it does not count
         return False
 
-    def _ahead(self, strands: list[_Strand], packet: _Packet, out: _Told, reach: int) -> bool:
+    def _ahead(self, strands: list[_Strand], packet: _Packet, out: _Results, reach: int) -> bool:
         step, strand = MODULUS, None
         for item in strands:
             if 0 < (own := item.position(packet.count) - item.last) < step:
@@ -436,10 +436,10 @@ class SequenceStream(msgspec.Struct, eq=False):
         strand.last += step - 1
         strand.advance([packet.print_], packet.boot)
         strand.behind_steps = 0
-        self._went_on(strand, packet.place, out)
+        self._continue_with(strand, packet.place, out)
         return True
 
-    def _begin(self, strand: _Strand, place: int, out: _Told) -> None:
+    def _begin(self, strand: _Strand, place: int, out: _Results) -> None:
         if self._strands:
             strand.follows = self._strands[0]
             self.moved = True
@@ -454,7 +454,7 @@ class SequenceStream(msgspec.Struct, eq=False):
         remembered = [item for item in self._strands if strand.place - item.place <= _REMEMBERED]
         self._strands = [strand, *remembered[: _MOST_STRANDS - 1]]
 
-    def _went_on(self, strand: _Strand, place: int, out: _Told) -> None:
+    def _continue_with(self, strand: _Strand, place: int, out: _Results) -> None:
         """Put a strand first; strands that began after it were no restarts of it."""
         strand.place = place
         strand.moved = self.moved = True
@@ -468,7 +468,7 @@ class SequenceStream(msgspec.Struct, eq=False):
                 self.restarts -= 1
                 out.add("restarts", -1)
 
-    def _find(self, hole: _Hole, count: int, out: _Told) -> None:
+    def _find(self, hole: _Hole, count: int, out: _Results) -> None:
         """Record that some counts of a hole are not missing after all."""
         if hole.row != _NOT_MISSED:
             self.missing -= count
@@ -485,7 +485,7 @@ class _Packet(msgspec.Struct, frozen=True, eq=False):
     print_: int
 
 
-class _Told(msgspec.Struct, eq=False):
+class _Results(msgspec.Struct, eq=False):
     """The result columns of a batch while it is followed.
 
     Attributes:
@@ -548,7 +548,7 @@ class SequenceCounts:
         """Follow the counts of a batch's packets that have one; return the results for its rows."""
         if self._newest is not None and self._newest[0] is batch:
             return self._newest[1]
-        out = _Told(
+        out = _Results(
             {
                 name: np.zeros(len(batch), np.int64 if name == "refilled_row" else np.int32)
                 for name in SequenceRows.__struct_fields__
@@ -585,7 +585,7 @@ class SequenceCounts:
             column[silent] = -1 if name == "stream" else 0
         return SequenceRows(**joined)
 
-    def _follow(self, batch: PacketBatch, columns: Columns, groups: _Groups, out: _Told) -> None:
+    def _follow(self, batch: PacketBatch, columns: Columns, groups: _Groups, out: _Results) -> None:
         rows, begins = groups.rows, groups.begins
         sizes = np.diff(begins, append=len(rows))
         stream_of = np.array([self._stream(item) for item in groups.keys.tolist()])

@@ -268,9 +268,9 @@ WITH_EXTENDED: Final = Headers("extended header", True, COMMAND_EXTENDED, TELEME
 WITH_EXTENDED_2: Final = replace(
     WITH_EXTENDED, name="extended header and MsgIds of version 2", msg_ids=VERSION_2
 )
-TOLD: Final = (STANDARD, SHORT, WITH_EXTENDED)
+DETECTABLE: Final = (STANDARD, SHORT, WITH_EXTENDED)
 """The kinds of build that can be detected from the bytes, the usual one first."""
-HEADERS: Final = (*TOLD, WITH_EXTENDED_2)
+HEADERS: Final = (*DETECTABLE, WITH_EXTENDED_2)
 """Every kind of build."""
 
 _SECOND: Final = HEADERS.index(WITH_EXTENDED_2)

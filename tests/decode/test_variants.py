@@ -62,7 +62,7 @@ def routes(path, **options):
 
 
 @pytest.mark.each(3)
-@pytest.mark.parametrize("headers", cfe.TOLD, ids=lambda item: item.name)
+@pytest.mark.parametrize("headers", cfe.DETECTABLE, ids=lambda item: item.name)
 def test_the_headers_of_a_real_capture_are_told_from_its_bytes(tmp_path, headers):
     path = rewritten(CAPTURES / "a_rover.pcap", tmp_path / "x.pcap", lambda data: with_headers(data, headers))
     report = routes(path)

@@ -274,7 +274,7 @@ class Alignment(NamedTuple):
         return f"{way} by {seconds(offset, 3)}, {low:.4f} to {high:.4f} s, {drift}, measured by {self.by}"
 
 
-class _Told(msgspec.Struct, frozen=True):
+class _Estimate(msgspec.Struct, frozen=True):
     """The result of one kind of evidence.
 
     Attributes:
@@ -296,11 +296,11 @@ class _Told(msgspec.Struct, frozen=True):
     here: Integers = msgspec.field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
-    def of(cls, pairs: Sequence[Ordered], by: str, loose_ns: int = 0) -> _Told | None:
+    def of(cls, pairs: Sequence[Ordered], by: str, loose_ns: int = 0) -> _Estimate | None:
         lines = ClockLines.of(pairs, loose_ns)
         return cls(pairs, lines, by, loose_ns) if lines else None
 
-    def narrowed(self, pairs: Sequence[Ordered], by: str = "") -> _Told:
+    def narrowed(self, pairs: Sequence[Ordered], by: str = "") -> _Estimate:
         """Return the result with further pairs; the same result if they contradict it."""
         lines = self.lines.within(pairs)
         if not pairs or not lines:
@@ -338,7 +338,7 @@ def align(first: Side, second: Side) -> Alignment | None:
         shift = _by_counts(first, second, coarse) or coarse
         about = shift.line if shift else None
         pairs = [*_related(*sides, about, back=False), *_related(*sides[::-1], about, back=True)]
-        ordered = _Told.of(pairs, "what came before what") if pairs else None
+        ordered = _Estimate.of(pairs, "what came before what") if pairs else None
         if shift and ordered:
             shift = shift.narrowed(ordered.pairs, ordered.by)
         shift = shift or ordered
@@ -377,11 +377,11 @@ def align_ways(first_ns: Integers, second_ns: Integers, back: Mask) -> Alignment
         ]
     elif not back.any():
         pairs = one_way(first_ns, second_ns)
-    shift = next(filter(None, (_Told.of(pairs, _BOTH, loose_ns) for loose_ns in _LOOSE_NS)), None)
+    shift = next(filter(None, (_Estimate.of(pairs, _BOTH, loose_ns) for loose_ns in _LOOSE_NS)), None)
     return shift.since(int(second_ns.min())) if shift else None
 
 
-def _shared(first: Side, second: Side) -> _Told | None:
+def _shared(first: Side, second: Side) -> _Estimate | None:
     """Return the result from datagrams in both captures (evidence 1); None if too few, or inconsistent."""
     a, b = first.rows, second.rows
     one = _one(first, second)
@@ -403,18 +403,18 @@ def _shared(first: Side, second: Side) -> _Told | None:
         return None
     ours, theirs, senders = ours[near], theirs[near], senders[near]
     times = a.time_ns[ours], b.time_ns[theirs]
-    best: _Told | None = None
+    best: _Estimate | None = None
     for host in sorted(set(senders.tolist())):
         sent = senders == host
         if sent.all():
             break
         out, back = (Ordered(times[0][way], times[1][way]) for way in (sent, ~sent))
-        fit = _Told.of([out, back._replace(back=True)], _BOTH)
+        fit = _Estimate.of([out, back._replace(back=True)], _BOTH)
         if fit and (best is None or fit.lines.width < best.lines.width):
             best = fit
     if best is None:
         # All go one way, or both captures are at one place: delays are assumed no longer than they vary.
-        best = _Told.of(one_way(*times), _BOTH)
+        best = _Estimate.of(one_way(*times), _BOTH)
     if best is None:
         return None
     then = best.line.set_back(b.time_ns)
@@ -533,7 +533,7 @@ def _moved(first: Side, second: Side) -> Integers:
     return np.array([number.get(endpoint, -1) for endpoint in second.endpoints] or [-1])
 
 
-def _by_counts(first: Side, second: Side, coarse: _Told | None) -> _Told | None:
+def _by_counts(first: Side, second: Side, coarse: _Estimate | None) -> _Estimate | None:
     """Return the result from sequence counts that go on in the other capture (evidence 2); None without any.
 
     Args:
@@ -563,7 +563,7 @@ def _by_counts(first: Side, second: Side, coarse: _Told | None) -> _Told | None:
         return None
     by = "sequence counts that go on from one to the other"
     # Packets that overtake each other contradict strict bounds.
-    return next(filter(None, (_Told.of(near, by, loose_ns) for loose_ns in _LOOSE_NS)), None)
+    return next(filter(None, (_Estimate.of(near, by, loose_ns) for loose_ns in _LOOSE_NS)), None)
 
 
 def _key(rows: Rows, source: Integers, ahead: int) -> Prints:
@@ -577,7 +577,7 @@ def _key(rows: Rows, source: Integers, ahead: int) -> Prints:
     return np.where(valid, key | np.uint64(1), np.uint64(0))
 
 
-def _mission_times(first: Side, second: Side) -> _Told | None:
+def _mission_times(first: Side, second: Side) -> _Estimate | None:
     """Return the result from mission times of common boots (evidence 3); None if there are none, or a tie."""
     ours, theirs = first.instances, second.instances
     pairs = [
@@ -601,7 +601,7 @@ def _mission_times(first: Side, second: Side) -> _Told | None:
         return None  # several boots fit equally
     # Boots of one cFS follow each other: only pairs of the same boot agree with each other.
     same = [pairs[at] for at in order[group == int(votes.argmax())].tolist()]
-    shift = _Told.of([_of_boot(first, second, pair) for pair in same], MISSION_TIME)
+    shift = _Estimate.of([_of_boot(first, second, pair) for pair in same], MISSION_TIME)
     alike = [step for pair in same for step in _same_ways(first, second, pair)]
     return replace(shift, near=[int(np.median(alike))]) if shift and alike else shift
 

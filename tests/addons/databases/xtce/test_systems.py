@@ -216,7 +216,7 @@ def again(layout, headers=cfe.STANDARD):
 
 
 @pytest.mark.quick("cfe-16*", "rover-12*", "rover-extended*")
-@pytest.mark.parametrize("headers", cfe.TOLD, ids=lambda item: item.name)
+@pytest.mark.parametrize("headers", cfe.DETECTABLE, ids=lambda item: item.name)
 @pytest.mark.parametrize("name", ["cfe", "rover"])
 def test_what_we_wrote_is_read_as_it_was(name, headers):
     rover = [SAMPLES / f"structs/rover_{item}.xml" for item in ("app", "topics")]
