@@ -337,7 +337,7 @@ class Case:
         # Cut frames cannot be matched with their answers, but CI's surplus over the capture still counts.
         cut = self.rows.has(Finding.CAPTURE_CUT).any() and not quality.lacks_answered
         own = [item for item in self.ingests if item.not_captured and cut]
-        counts = ((item.endpoint, item.taken + item.not_captured, item.not_captured) for item in own)
+        counts = ((item.endpoint, item.read_count + item.not_captured, item.not_captured) for item in own)
         more = [Evidence("ci_counts", *item) for item in counts]
         once = len(self.rows) - (twice := self.prepared.copies)
         if once < twice and not self.prepared.perhaps_undelivered.any():  # Lincoln-Petersen

@@ -381,7 +381,7 @@ class LedgerWay:
             hop = self._hops[-1]
             hop.entries.append(LedgerEntry(self.traffic, hop.name, ending, number, cause, **about))
 
-    def lose(self, losses: Iterable[Loss], kinds: frozenset[str]) -> None:
+    def add_losses(self, losses: Iterable[Loss], kinds: frozenset[str]) -> None:
         """Add an entry at the last hop for each loss of the named kinds."""
         for loss in losses:
             if loss.kind in kinds:
@@ -509,8 +509,8 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     lost = {"lost": "0x803, and what cFS refuses by itself"} if case.tracks else all_out or {"lost": _NO_BUS}
     way.hop(BUS, {"in": way.counted_by, **lost})
     if not fate.seen:
-        way.lose(losses, _BEHIND_BUS)
-    way.lose(losses, _ON_BUS)
+        way.add_losses(losses, _BEHIND_BUS)
+    way.add_losses(losses, _ON_BUS)
     for item, number, refused in case.commands.refused_of.get(stream, ()):
         _refuse(way, item, number, refused)
     came = 0 if fate.reached is None else fate.reached + fate.ends["unaccounted"] + fate.ends["elsewhere"]
@@ -553,7 +553,7 @@ def _by_relay(way: LedgerWay, relayed: LostInRelay, losses: Sequence[Loss]) -> l
     """Add the hop of a relay that was captured on both sides; return the losses at other hops."""
     way.hop(relayed.hop, {"in": SEEN, "out": SEEN}, **relayed.figures)
     own = [loss for loss in losses if loss.hop == relayed.hop]
-    way.lose(own, frozenset({"network"}))
+    way.add_losses(own, frozenset({"network"}))
     way.end("uncertain", len(relayed.lost_ns) - sum(loss.lost for loss in own))
     return [loss for loss in losses if loss.hop != relayed.hop]
 
@@ -605,14 +605,14 @@ def _add_reader(
         accounts = case.ingests_at(stream.receiver)
         by = "the kernel's counter of its socket" if any(item.by_kernel for item in accounts) else "0x884"
         way.hop(CI_HOP, {"in": SEEN, **({"out": by} if accounts else all_out or {"lost": _NO_INGEST})})
-        way.lose(losses, _BEFORE_CI)
+        way.add_losses(losses, _BEFORE_CI)
         _lose_damaged(way, case.damaged_of(stream))
         way.end("waiting", fate.ends["queued"])
         way.end("uncertain", fate.ends["crowded"])
         way.end("not_captured", min(fate.ends["late"], way.left))
     elif any(loss.kind in _NOT_READ for loss in losses) or len(case.damaged_of(stream)):
         way.hop(SBN_SOCKET, {"in": SEEN, "out": "not counted: what came out, and what the bus counts"})
-        way.lose(losses, _NOT_READ)
+        way.add_losses(losses, _NOT_READ)
         _lose_damaged(way, case.damaged_of(stream))
 
 
@@ -623,7 +623,7 @@ def _add_application(case: Case, fate: Fate, way: LedgerWay) -> None:
     onward = tuple(dict.fromkeys((out.link.label, out.msg_id) for out in outs))
     sources = {"in": _NOT_LOST, "out": f"same values on {ways}"}
     way.hop(APPLICATION, sources, duplicated=fate.doubled, onward=onward)
-    way.lose(case.losses_of(fate.stream), _BEHIND_BUS)
+    way.add_losses(case.losses_of(fate.stream), _BEHIND_BUS)
     way.end("superseded", fate.ends["superseded"])
     way.end("waiting", fate.waiting - fate.ends["uncertain"])
     doubts = sum(fate.ends[how] for how in ("uncertain", "missed", "held", "elsewhere", "beyond"))
@@ -640,7 +640,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     by = _COUNT if stream.counted else f"{SEEN}: it has no sequence count"
     lost = "0x803" if owner in case.tracks else "not counted: no 0x803 is here"
     way.hop(case.pipe_of(stream), {"in": by, "lost": lost})
-    way.lose(losses, _AT_PIPE)
+    way.add_losses(losses, _AT_PIPE)
     way.end("shared", telemetry.ended(stream, "shared"))
     way.end("not_captured", max(0, telemetry.ended(stream, "closed") - _lost_upstream(case, stream)))
     if silenced := [(number, among) for of, number, among in telemetry.silenced if of is stream and number]:
@@ -655,7 +655,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
         _by_proxy(way, faults.dropped, dropped, doubled)
     sources = {"in": by, "out": SEEN}
     way.hop(BEHIND, sources, duplicated=stream.duplicates - doubled if stream.counted else 0)
-    way.lose(losses, _BEHIND_PIPE)
+    way.add_losses(losses, _BEHIND_PIPE)
     _lose_damaged(way, case.damaged_of(stream).take(slice(telemetry.ended(stream, "damaged"))))
     way.end("not_captured", telemetry.ended(stream, "away"))
     way.end("uncertain", sum(telemetry.ends[stream][how] for how in ("uncertain", "undecided", "astray")))
@@ -735,7 +735,7 @@ def _unseen(case: Case, loss: Loss) -> LedgerWay:
     msg_id = None if loss.msg_id == NO_MSG_ID else loss.msg_id
     way = LedgerWay(LedgerTraffic(msg_id=msg_id, instance=case.label(loss.instance)), loss.lost)
     way.hop(loss.hop, _BY_BUS, among=loss.rivals)
-    way.lose([loss], frozenset({loss.kind}))
+    way.add_losses([loss], frozenset({loss.kind}))
     return way
 
 

@@ -84,7 +84,7 @@ class Part(msgspec.Struct):
         owner: cFS instance whose pipe the stream comes out of.
         missing: number of missing messages.
         kinds: counters that surely compete for them (rule 2), the likelier first.
-        taken: counts that were assigned to them, by counter.
+        assigned: counts that were assigned to them, by counter.
         shared: messages of them that may be among counts of several kinds of traffic.
         watched: whether the counters were captured most of the time.
         outside: messages missing before the first sample of the counters or after the last.
@@ -102,7 +102,7 @@ class Part(msgspec.Struct):
     among: Among
     missing: int = 0
     kinds: tuple[PipeKind, ...] = ()
-    taken: Counter[PipeKind] = msgspec.field(default_factory=Counter)
+    assigned: Counter[PipeKind] = msgspec.field(default_factory=Counter)
     shared: int = 0
     watched: bool = False
     outside: int = 0
@@ -213,16 +213,16 @@ class Telemetry:
             part = self.parts[claim.key]
             for (at, kind), number in claim.by_kind().items():
                 if at == part.owner:
-                    part.taken[kind] += number
+                    part.assigned[kind] += number
             if claim.rank == Rank.POSSIBLE:  # behind the last message that came, where no gap shows it
-                part.missing += sum(claim.taken.values())
+                part.missing += sum(claim.assigned.values())
             else:
                 part.shared += claim.reserved
         for part in self.parts:
             if part.closed:
-                self._tell_closed(part)
+                self._make_closed_losses(part)
             else:
-                self._tell(part)
+                self._make_open_losses(part)
 
     def _claim(self, stream: Stream) -> None:
         """Divide the missing messages of a stream into parts, and add their claims."""
@@ -400,27 +400,27 @@ class Telemetry:
                     return "stopped", sbn.NAME, text
         return None
 
-    def _tell_closed(self, part: Part) -> None:
+    def _make_closed_losses(self, part: Part) -> None:
         """Turn a closed part into losses: all of it if the closing lost it, else those that were counted."""
         pipe = self._case.pipe_of(part.stream)
         texts = {
             kind: f"0x803: {COUNTER_NAMES[kind]} +{number:,} while nobody emptied {pipe}"
-            for kind, number in part.taken.items()
+            for kind, number in part.assigned.items()
         }
         if part.cause is not None:
             kind_, hop, text = part.cause
             part.evidence = [text, *texts.values()]
-            at_pipe = part.taken if kind_ == "route" else Counter()  # these had reached the pipe
+            at_pipe = part.assigned if kind_ == "route" else Counter()  # these had reached the pipe
             for kind, number in at_pipe.items():
                 self._lose(part, kind, number, part.missing, "high")
             if rest := part.missing - at_pipe.total():
                 self._lose(part, kind_, rest, part.missing, "high").hop = hop
             return
         idle = "Telemetry Output was not sending then: it would not have sent them either"
-        for kind, number in part.taken.items():
+        for kind, number in part.assigned.items():
             part.evidence = [texts[kind], idle]
             self._lose(part, kind, number, part.missing, "medium")
-        rest = part.missing - part.taken.total()
+        rest = part.missing - part.assigned.total()
         if part.silenced:
             self.silenced.append((part.stream, rest, part.among))
         else:
@@ -496,14 +496,14 @@ class Telemetry:
         most = int(gaps.max(initial=0))
         return most if (gaps > 0).sum() >= _FEW_ROUNDS else max(most, int(0.7 * part.span.offered_hz + 2))
 
-    def _tell(self, part: Part) -> None:
+    def _make_open_losses(self, part: Part) -> None:
         """Turn an open part into losses, by where its messages were lost."""
-        rest = part.missing - part.taken.total() - part.shared
+        rest = part.missing - part.assigned.total() - part.shared
         self.ends[part.stream]["shared"] += part.shared
-        likeliest = max(part.taken, key=lambda kind: part.taken[kind], default=None)
+        likeliest = max(part.assigned, key=lambda kind: part.assigned[kind], default=None)
         more = max(0, min(rest, part.outside)) if part.kinds and likeliest is not None else 0
         if likeliest is not None:  # outside the samples: a pipe that was full before and after was full then
-            part.taken[likeliest] += more
+            part.assigned[likeliest] += more
         rest -= more
         of = part.span.count + part.missing
         grown = [self._grown(part, name) for name in COUNTERS.values()]
@@ -512,7 +512,7 @@ class Telemetry:
             if part.owner in self._counts
             else "0x803 of this cFS is not in the capture, so its counters cannot tell where"
         )
-        for cause, number in part.taken.items():
+        for cause, number in part.assigned.items():
             if number:
                 self._lose(part, cause, number, of, "high").uncounted = more * (cause == likeliest)
         dropped = self._never_whole(part)

@@ -138,9 +138,9 @@ class Claim(msgspec.Struct):
         instances: cFS instances that may have counted them.
         rank: order of service, lowest first.
         flow: their stream, or whatever else identifies their traffic.
-        taken: counts that were assigned to them, by place.
+        assigned: counts that were assigned to them, by place.
         reserved: counts that they share with claims of other traffic.
-        doubted: messages that are not in ``number``, because the capture may have missed them.
+        perhaps_missed: messages that are not in ``number``, because the capture may have missed them.
     """
 
     key: int
@@ -151,25 +151,25 @@ class Claim(msgspec.Struct):
     instances: Sequence[int]
     rank: int = 0
     flow: Hashable = None
-    taken: dict[Place, int] = msgspec.field(default_factory=dict)
+    assigned: dict[Place, int] = msgspec.field(default_factory=dict)
     reserved: int = 0
-    doubted: int = 0
+    perhaps_missed: int = 0
 
     @property
     def open(self) -> int:
         """Number of messages that no count explains yet."""
-        return self.number - sum(self.taken.values()) - self.reserved
+        return self.number - sum(self.assigned.values()) - self.reserved
 
     def give(self, place: Place, number: int) -> None:
         """Assign counts, or take some back if ``number`` is negative."""
-        self.taken[place] = self.taken.get(place, 0) + number
-        if not self.taken[place]:
-            del self.taken[place]
+        self.assigned[place] = self.assigned.get(place, 0) + number
+        if not self.assigned[place]:
+            del self.assigned[place]
 
     def by_kind(self) -> dict[tuple[int, PipeKind], int]:
         """Return the assigned counts by instance and kind."""
         counts: dict[tuple[int, PipeKind], int] = {}
-        for (instance, kind, _), number in self.taken.items():
+        for (instance, kind, _), number in self.assigned.items():
             counts[instance, kind] = counts.get((instance, kind), 0) + number
         return counts
 
@@ -200,7 +200,7 @@ def _tables(
     counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0, kinds: int = len(COUNTERS)
 ) -> dict[tuple[int, PipeKind], _Table]:
     """Return a table of claims for each counter that has counts left, or that a path may lead through."""
-    used = {place[:2] for claim in claims for place in claim.taken}
+    used = {place[:2] for claim in claims for place in claim.assigned}
     return {
         (at, kind): _Table((at, kind), own, claims, slack_ns, kinds)
         for at, own in counts.items()
@@ -290,7 +290,7 @@ def hand_on(
         claims: claims that receive them.
     """
     table = _Table((instance, kind), counts, claims, 0, len(COUNTERS))
-    for place, number in (item for each in givers for item in each.taken.items()):
+    for place, number in (item for each in givers for item in each.assigned.items()):
         rest = number
         for at in sorted(table.within(place[2]), key=lambda at: claims[at].rank):
             if part := min(rest, claims[at].open):
@@ -325,10 +325,10 @@ def settle_rest(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
     settle(counts, [claim for claim in claims if claim.rank == Rank.MISSING], _APART_NS)
 
 
-def settle_doubted(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
+def settle_perhaps_missed(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
     """Assign what is left to messages that the capture may have missed: a count proves them lost."""
     for claim in claims:
-        claim.number, claim.doubted = claim.number + claim.doubted, 0
+        claim.number, claim.perhaps_missed = claim.number + claim.perhaps_missed, 0
     settle_rest(counts, claims)
     settle(counts, [claim for claim in claims if claim.rank == Rank.MISSING], FAR_NS)
 
@@ -389,13 +389,13 @@ def share_open(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Sh
     """
     claims = [claim for claim in claims if claim.rank in (Rank.PRESSED, Rank.ABSENT)]
     open_ = {claim.flow for claim in claims if claim.open}
-    flows = dict.fromkeys(claim.flow for claim in claims if claim.taken and open_ - {claim.flow})
+    flows = dict.fromkeys(claim.flow for claim in claims if claim.assigned and open_ - {claim.flow})
     trials = [(flow, *_others(counts, claims, flow)) for flow in flows]
     shared: dict[tuple[int, PipeKind], Shared] = {}
     for flow, places, takers in trials:
         for item in (item for item in claims if item.flow == flow):
-            for place in [place for place in item.taken if place in places]:
-                number = min(item.taken[place], places[place])
+            for place in [place for place in item.assigned if place in places]:
+                number = min(item.assigned[place], places[place])
                 places[place] -= number
                 item.give(place, -number)
                 item.reserved += number
@@ -418,11 +418,11 @@ def _others(
     others, places = [item for item in claims if item.flow != flow], Counter[Place]()
     for item in claims:
         if item.flow == flow:
-            places.update({place: number for place, number in item.taken.items() if place[2] != BEFORE})
+            places.update({place: number for place, number in item.assigned.items() if place[2] != BEFORE})
     for (at, kind, second), number in places.items():
         rest[at].left[kind][second] += number
         places[at, kind, second] = int(rest[at].left[kind][second])
-    copies = [replace(item, taken=dict(item.taken)) for item in others]
+    copies = [replace(item, assigned=dict(item.assigned)) for item in others]
     _improve(_tables(rest, copies), copies)
     for at, kind, second in places:
         places[at, kind, second] -= int(rest[at].left[kind][second])
@@ -483,9 +483,9 @@ class _Table:
 
     def _unseen(self, second: int, rivals: Sequence[Rival], span: Sequence[int]) -> list[Rival]:
         own = [rival for rival in rivals if (rival.instance, rival.kind) == (self.instance, self.kind)]
-        doubted = (claim for claim in map(self._claims.__getitem__, self.within(second)) if claim.doubted)
+        more = (claim for claim in map(self._claims.__getitem__, self.within(second)) if claim.perhaps_missed)
         at = self.instance, self.kind, span[0], span[1]
-        own += [Rival(item.flow, *at, item.doubted) for item in doubted]
+        own += [Rival(item.flow, *at, item.perhaps_missed) for item in more]
         return [rival for rival in own if rival.start_ns <= span[1] and span[0] <= rival.end_ns]
 
     def give_surplus(
@@ -549,7 +549,7 @@ def _improve(
             if alone:
                 ways = _ways_from(tables, claims, place, set())
                 may = (claims[at] for _, _, fresh in ways for at in fresh)
-                if len({claim.flow for claim in may if claim.open or claim.doubted}) != 1:
+                if len({claim.flow for claim in may if claim.open or claim.perhaps_missed}) != 1:
                     continue
             while table.left[second] and (path := _path(tables, claims, place, dead)):
                 _shift(table, claims, path)
@@ -560,7 +560,7 @@ def _shift(table: _Table, claims: Sequence[Claim], path: Sequence[tuple[Place, i
     second = path[0][0][2]
     moved = min(int(table.left[second]), claims[path[-1][1]].open)
     for (place, _), (_, before) in zip(path[1:], path, strict=False):
-        moved = min(moved, claims[before].taken[place])
+        moved = min(moved, claims[before].assigned[place])
     for place, at in path:
         claims[at].give(place, moved)
     for (place, _), (_, before) in zip(path[1:], path, strict=False):
@@ -613,7 +613,7 @@ def _ways_from(
             reached.update(fresh)
             yield place, giver, fresh
             todo += [
-                (other, at) for at in fresh for other in claims[at].taken if (other[0], other[1]) in tables
+                (other, at) for at in fresh for other in claims[at].assigned if (other[0], other[1]) in tables
             ]
 
 

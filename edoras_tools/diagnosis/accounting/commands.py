@@ -10,7 +10,8 @@ Each step gives a fate to messages that have none yet, so the order of the steps
 6. Of messages that an application takes in one round and of which it sends on the last, the others are
    superseded.
 7. A message that nothing explains is unaccounted for.
-8. A loss that no counter explains, and that the capture may only have missed, becomes uncertain (``doubt``).
+8. A loss that no counter explains, and that the capture may only have missed, becomes uncertain
+   (``make_uncertain``).
 """
 
 from __future__ import annotations
@@ -122,7 +123,7 @@ class Commands:
         leftover = Leftover(case, self.fates, pipes)
         leftover.take_reported()
         if case.quality.lacks_answered:
-            leftover.leave_away()
+            leftover.exclude_outages()
         shared = claims.settle_known(counts, every, leftover.rivals())
         if case.quality.lacks_answered:  # a missing message may be lost, or only missed by the capture
             shared += claims.share_open(counts, every)
@@ -131,7 +132,7 @@ class Commands:
             open_[claim.flow] += claim.open
         claims.settle_first(counts, every, most_missed(case, open_))
         self._tails = {
-            item.flow: sum(item.taken.values()) for item in every if item.rank == claims.Rank.POSSIBLE
+            item.flow: sum(item.assigned.values()) for item in every if item.rank == claims.Rank.POSSIBLE
         }
         # The counts become losses. What is still missing may be lost where no counter is, or before CI.
         pipes.make_losses()
@@ -148,12 +149,12 @@ class Commands:
             before_ci.outnumbered(account)
         leftover.share(shared)
         claims.settle_rest(counts, every)
-        claims.settle_doubted(counts, every)
-        leftover.doubt_gaps(telemetry.claims)
+        claims.settle_perhaps_missed(counts, every)
+        leftover.make_uncertain(telemetry.claims)
         telemetry.make_losses()
         self._name([item for item in case.refused if item.by_type])
         # Step 8, and what concerns few messages: refusals, streams that can only be compared by number.
-        doubt(case, telemetry, fates, self.losses)
+        make_uncertain(case, telemetry, fates, self.losses)
         leftover.make_losses()
         self.uncaptured = leftover.uncaptured
         self._take_back_refused()
@@ -709,7 +710,7 @@ def _in_order(hop: Hop) -> tuple[Places, Places]:
 
 
 def hold_back(case: Case, every: Sequence[Claim]) -> None:
-    """Remove from claims the messages that the capture may have missed, and keep them as ``doubted``.
+    """Remove from claims the messages that the capture may have missed, and keep them as ``perhaps_missed``.
 
     This concerns gaps that no event names and where no pipe was full. If the capture surely missed frames,
     messages sent while nobody received them are served before all others, because they are lost in any case.
@@ -727,7 +728,7 @@ def hold_back(case: Case, every: Sequence[Claim]) -> None:
         for stream in case.streams:
             own = groups.get(stream, [])
             for claim, share in zip(own, _missed(case, stream, [item.number for item in own]), strict=True):
-                claim.number, claim.doubted = claim.number - share, claim.doubted + share
+                claim.number, claim.perhaps_missed = claim.number - share, claim.perhaps_missed + share
 
 
 def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
@@ -752,7 +753,7 @@ def most_missed(case: Case, lacking: Counter[Hashable]) -> dict[Hashable, int]:
     return {item: case.perhaps_missed(len(item), lacking[item]) for item in case.streams if item in lacking}
 
 
-def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Sequence[Loss]) -> None:
+def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], losses: Sequence[Loss]) -> None:
     """Make losses uncertain that the capture may only have missed.
 
     No loss becomes uncertain if a capture that misses such a share of frames would have shown it elsewhere;

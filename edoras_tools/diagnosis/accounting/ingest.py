@@ -84,7 +84,7 @@ class Before(msgspec.Struct, frozen=True):
         start_ns: the first of them was sent after this time.
         end_ns: the last of them was sent at this time at the latest.
         more: number of later datagrams that may be lost too, or waiting; counts cannot distinguish these.
-        said: text of the event or command that shows it; empty if there is none.
+        proof: text of the event or command that shows it; empty if there is none.
     """
 
     cause: Cause
@@ -92,7 +92,7 @@ class Before(msgspec.Struct, frozen=True):
     start_ns: int
     end_ns: int
     more: int = 0
-    said: str = ""
+    proof: str = ""
 
     @property
     def since_ns(self) -> int:
@@ -109,7 +109,7 @@ class Ingest(msgspec.Struct):
         rows: intp, rows of the datagrams to it, in order of time.
         first_ns: time of its first count in the capture.
         last_ns: time of its last count.
-        taken: datagrams that it read between these two, all restarts included.
+        read_count: datagrams that it read between these two, all restarts included.
         losses: losses before it, in order of time.
         waiting: datagrams that were sent before ``last_ns`` and may be waiting in its socket then.
         unread: those of ``waiting`` that were sent before its last count was made.
@@ -129,7 +129,7 @@ class Ingest(msgspec.Struct):
     rows: Places
     first_ns: int
     last_ns: int
-    taken: int = 0
+    read_count: int = 0
     losses: list[Before] = msgspec.field(default_factory=list)
     waiting: int = 0
     unread: int = 0
@@ -148,7 +148,7 @@ class Ingest(msgspec.Struct):
             self.losses.pop()
         self.losses.append(loss)
 
-    def spare(self, again_ns: Integers) -> None:
+    def concede_copies(self, again_ns: Integers) -> None:
         """Make network losses uncertain that copies can explain, and take back those that came late.
 
         The capture may have doubled a datagram that was sent once: then one loss less is proven. And
@@ -159,7 +159,7 @@ class Ingest(msgspec.Struct):
         """
         self.unsure += self._take_back(lambda end_ns: int((again_ns <= end_ns).sum()))
         later = self._take_back(lambda _: self.not_captured)
-        self.taken, self.not_captured = self.taken + later, self.not_captured - later
+        self.read_count, self.not_captured = self.read_count + later, self.not_captured - later
 
     def _take_back(self, most: Callable[[int], int]) -> int:
         """Take back network losses; return how many.
@@ -214,7 +214,7 @@ def ingests(case: Case) -> list[Ingest]:
                     account = even if is_so else replace(late, unsure=account.unsure)
                 elif counter.stood and (more := account.lost_on_network - late.lost_on_network) > 0:
                     account = replace(late, unsure=account.unsure + more)
-            account.spare(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
+            account.concede_copies(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
             accounts.append(account)
     return [*accounts, *_by_kernel(case, to_ci, {item.endpoint for item in accounts})]
 
@@ -411,7 +411,7 @@ class _Counted:
             last, crowded = first, bool(busy[-1])
             idle = np.flatnonzero(drained[1:])
             idle_ns = int(self._seen[first + 1 + idle[-1]]) if len(idle) else idle_ns
-        account.taken = int(sent[-1]) - lost - account.waiting
+        account.read_count = int(sent[-1]) - lost - account.waiting
         account.unread = max(0, account.waiting - int(sent[-1] - self._sent_until(own[-1].made_ns)))
         self._stop(account)
         return account
@@ -495,7 +495,7 @@ class _Counted:
                     since_ns = surely_ns
                 if unread := int((self._sent_ns > since_ns).sum()):
                     span = since_ns, int(self._sent_ns[-1])
-                    account.losses.append(Before("ci_stopped", unread, *span, said=item.witness))
+                    account.losses.append(Before("ci_stopped", unread, *span, proof=item.witness))
 
     def _outages(self) -> list[Outage]:
         """Return the outages of this CI."""
@@ -808,7 +808,7 @@ class BeforeCi:
         # Streams of which it is known how many CI read: by a counter, or because all that it reads comes out.
         seen = [fate for fate in fates if fate.refused or (fate.seen and not fate.keeps_newest)]
         evidence = _evidence(account, before)
-        bounded = before.said or before.cause in _OUTAGES
+        bounded = before.proof or before.cause in _OUTAGES
         surely: list[_May] = []
         if before.cause in _OUTAGES:
             closed, may = self._case.unreachable.closed, self._open(fates, before, before.since_ns)
@@ -820,7 +820,7 @@ class BeforeCi:
                 since_ns = int(sent_ns[-before.lost :].min(initial=before.end_ns)) - 1
                 surely = self._open(fates, before, since_ns)
             rest -= self._answered(surely or may)
-        if before.said:
+        if before.proof:
             surely = []
             for fate in fates:  # CI was stopped: what waits will never be read
                 never = fate.waits & (fate.stream.time_ns > before.since_ns)
@@ -915,7 +915,7 @@ class BeforeCi:
             return  # datagrams that CI counted beyond these may be those that the capture missed
         until_ns = account.last_ns - _HELD_NS  # its last count has all that came out by then
         came_out = sum(int((out.time_ns <= until_ns).sum()) for out in outs)
-        read, streams = account.taken + account.not_captured, [fate.stream for fate in fates]
+        read, streams = account.read_count + account.not_captured, [fate.stream for fate in fates]
         on_bus = sum(loss.lost for loss in self.losses if loss.stream in streams and loss.kind in COUNTERS)
         text = f"CI read {read:,}, of which {came_out:,} came out of the application: so many others did not"
         for fate in fates:
@@ -976,10 +976,11 @@ class BeforeCi:
 
 
 def _evidence(account: Ingest, before: Before) -> list[str]:
-    if before.said:
-        return [before.said]
+    if before.proof:
+        return [before.proof]
     if account.by_kernel:
         of = f"{before.lost:,} of {len(account.rows):,} datagrams"
         return [f"/edoras/host: {of} dropped in its socket (the kernel's counter)"]
-    of = f"{account.taken:,} of {account.taken + account.lost + account.waiting:,} datagrams sent to it"
+    sent = account.read_count + account.lost + account.waiting
+    of = f"{account.read_count:,} of {sent:,} datagrams sent to it"
     return [f"0x884: CI took {of}", f"{before.lost:,} of them lost between two of its counts"]

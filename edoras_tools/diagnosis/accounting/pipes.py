@@ -195,14 +195,14 @@ class Pipes:
         for claim in self.claims:
             own, at = self._whose[claim.key], 0
             if own.standing == _INTO_STOP:  # the stop is their cause: ``closed.Stops`` makes that loss
-                own.fate.counted_in_stop[int(own.fate.stop[own.rows[0]])] += sum(claim.taken.values())
+                own.fate.counted_in_stop[int(own.fate.stop[own.rows[0]])] += sum(claim.assigned.values())
                 continue
             cut = own.fate.stream.spans[own.span]
             rows = np.arange(cut.first, cut.last + 1)
-            among = rows[_standing(own.fate)[own.standing][rows]] if claim.taken else rows
+            among = rows[_standing(own.fate)[own.standing][rows]] if claim.assigned else rows
             for (instance, kind), number in claim.by_kind().items():
-                first = (instance, kind, BEFORE) in claim.taken
-                self.lose(own.fate.stream, cut, kind, number, instance, among, first=first)
+                first = (instance, kind, BEFORE) in claim.assigned
+                self.add_loss(own.fate.stream, cut, kind, number, instance, among, first=first)
                 places = own.rows[at : at + number]
                 own.fate.open[places] = own.fate.waits[places] = own.fate.blind[places] = False
                 at += number
@@ -221,7 +221,7 @@ class Pipes:
         wakes = 1 + int(np.searchsorted(times, went_ns)) // profile.ci_datagrams_per_wake
         return out_ns - wakes * profile.ci_wake_ns - LEAD_NS
 
-    def lose(
+    def add_loss(
         self,
         stream: Stream,
         cut: Span,
@@ -444,7 +444,7 @@ class Leftover:
         """
         for item in shared:
             self._together(item, {self._labels(flow) for flow in item.flows})
-        self.leave_away()
+        self.exclude_outages()
         for instance, counts in self._counts.items():
             for kind, rest in counts.left.items():
                 if rest.any() or counts.first.get(kind, 0):
@@ -453,7 +453,7 @@ class Leftover:
                 counts.older += int(rest[old].sum())
                 rest[old] = 0
 
-    def leave_away(self) -> None:
+    def exclude_outages(self) -> None:
         """Leave the counts that may be of messages sent while the capturing interface was away to these."""
         for instance, counts in self._counts.items():
             away = self._away(counts)
@@ -479,9 +479,9 @@ class Leftover:
         """Assign one count to every loss event, and make losses of those whose traffic is not captured."""
         for item, report, kind in self._absent():
             for claim in self._settled(item, report, kind):
-                if number := sum(claim.taken.values()):
+                if number := sum(claim.assigned.values()):
                     times = claim.low_ns, claim.high_ns
-                    self._blame(
+                    self._make_loss(
                         self._from_events(item, report), range(0), (item.instance, kind), number, times
                     )
         # At the pipe of an application whose output is captured, they are among the messages that lack there.
@@ -551,7 +551,7 @@ class Leftover:
             if alone and len(_full(stream.time_ns[-limit:], pipe.round_ns, limit)):
                 yield Rival(stream, at, "limit", last_ns, last_ns + LATE_NS)
 
-    def doubt_gaps(self, claims: Sequence[Claim]) -> None:
+    def make_uncertain(self, claims: Sequence[Claim]) -> None:
         """Count messages as uncertain that may have caused the counts which gaps were given.
 
         This is so where gaps show that telemetry was lost behind cFS, too: then a gap need not be a count.
@@ -562,7 +562,7 @@ class Leftover:
         behind = {at for own in claims if own.rank == Rank.MISSING and own.open for at in own.instances}
         places: Counter[Place] = Counter()
         for own in claims:
-            places.update(own.taken if own.rank == Rank.PRESSED else ())
+            places.update(own.assigned if own.rank == Rank.PRESSED else ())
         for at, kind in {place[:2] for place in places if place[0] in behind}:
             both = [(place[2], most) for place, most in places.items() if place[:2] == (at, kind)]
             spans = [(self._counts[at].span([second]), most) for second, most in both if second != BEFORE]
@@ -575,7 +575,10 @@ class Leftover:
     def make_losses(self) -> None:
         """Make losses of an unknown MsgId of the counts that nothing explains."""
         for instance, counts in self._counts.items():
-            away, places = self._away(counts).tolist(), (own.taken.items() for own in self._pipes.claims)
+            away, places = (
+                self._away(counts).tolist(),
+                (own.assigned.items() for own in self._pipes.claims),
+            )
             assigned: Counter[PipeKind] = Counter()
             for place, part in chain.from_iterable(places):
                 assigned[place[1]] += part * (place[0] == instance and place[2] != BEFORE and away[place[2]])
@@ -617,7 +620,7 @@ class Leftover:
                     if fate is not None:
                         fate.ends["shared"] += most - share
                 if share:
-                    self._blame(rivals[0], active_[0][1], (instance, kind), share, times)
+                    self._make_loss(rivals[0], active_[0][1], (instance, kind), share, times)
             elif rivals:
                 for item in rivals:
                     if (fate := self._fates.get(item.stream)) is not None:
@@ -751,7 +754,7 @@ class Leftover:
         own = (item for item in self._case.outages if item.system == system and pipe.startswith(item.app))
         return next((item for item in own if item.start_ns <= time_ns < item.ended_ns), None)
 
-    def _blame(
+    def _make_loss(
         self, item: _Candidate, spans: range, at: tuple[int, PipeKind], number: int, times: tuple[int, int]
     ) -> None:
         instance, kind = at
@@ -765,7 +768,7 @@ class Leftover:
                 fate.followed += max(0, number - int((~fate.undecidable[rows]).sum()))
             among = Among(item.stream, rows if fate is None else rows[fate.open[rows]])
             if item.events is not None and not ended:
-                self._pipes.lose(item.stream, cut, kind, number, instance, among.rows)
+                self._pipes.add_loss(item.stream, cut, kind, number, instance, among.rows)
                 return
         text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
         evidence = [text, "no event names it: suppressed, filtered, or lost itself"]

@@ -136,7 +136,7 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
     """
     lost = [loss for loss in case.losses if loss.closed]
     closed = [
-        (part, part.missing - part.taken.total())
+        (part, part.missing - part.assigned.total())
         for part in case.telemetry.parts
         if part.closed and not (part.silenced or part.unexplained or part.cause) and part.stream.link is TO
     ]

@@ -332,7 +332,7 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
             yield note(
                 f"CI counted {plural(account.not_captured, 'datagram')} more than the capture shows: the "
                 "capture missed some, another sender's do not pass here, or the network doubles some",
-                f"0x884: CI took {account.taken + account.not_captured:,}",
+                f"0x884: CI took {account.read_count + account.not_captured:,}",
                 place=("ci", "capture"),
                 span=(account.first_ns, account.last_ns),
                 remedy="capture on the cFS host",
@@ -371,10 +371,10 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
         if account.unread > socket.reads and more_at_once(sent_ns, socket.round_ns, socket.reads):
             yield warning(
                 f"{plural(account.unread, 'datagram')} wait in CI's socket, or were dropped: {reads}",
-                f"0x884: CI took {account.taken:,}",
+                f"0x884: CI took {account.read_count:,}",
                 f"a socket holds about {case.profile.socket_queue:,}, unless it was given more room",
                 place=("ci", CI_SOCKET),
-                of=account.taken + account.lost + account.waiting,
+                of=account.read_count + account.lost + account.waiting,
                 span=(account.first_ns, account.last_ns),
                 remedy=f"send at most {ceiling:.0f} commands a second in all",
                 confidence="medium",

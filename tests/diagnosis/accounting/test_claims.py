@@ -9,7 +9,7 @@ from edoras_tools.diagnosis.accounting.claims import (
     Rank,
     Rival,
     settle,
-    settle_doubted,
+    settle_perhaps_missed,
     settle_possible,
     shares,
 )
@@ -44,7 +44,7 @@ def test_as_many_as_possible_are_explained(claims, left):
     if claims[1].rank:
         there = counts([1, 1], [1, 0])
     settle({0: there}, claims)
-    assert all(sum(item.taken.values()) == item.number for item in claims)
+    assert all(sum(item.assigned.values()) == item.number for item in claims)
     assert tuple(there.left[kind].tolist() for kind in KINDS) == left
 
 
@@ -100,7 +100,7 @@ def test_no_other_choice_explains_more(limit, overflow, claims):
     for kind, grown in zip(KINDS, (limit, overflow), strict=True):
         assert there.left[kind].min() >= 0
         assert int(there.left[kind].sum()) + taken[kind] == sum(grown)
-    assert all(0 <= sum(item.taken.values()) <= item.number for item in claims)
+    assert all(0 <= sum(item.assigned.values()) <= item.number for item in claims)
     assert sum(taken.values()) == greatest(limit, overflow, claims)
 
 
@@ -108,7 +108,7 @@ def test_no_other_choice_explains_more(limit, overflow, claims):
 def test_what_may_be_of_several_is_given_to_none(limit, overflow, claims):
     there = counts(limit, overflow)
     shared = settle_possible({0: there}, claims)
-    taken = sum(sum(item.taken.values()) for item in claims)
+    taken = sum(sum(item.assigned.values()) for item in claims)
     left = sum(int(column.sum()) for column in there.left.values())
     assert left + taken + sum(item.number for item in shared) == sum(limit) + sum(overflow)
     assert all(item.number > 0 and len(item.flows) > 1 for item in shared)
@@ -125,7 +125,7 @@ def test_what_only_one_may_have_lost_is_its_own():
     claims.append(claim(2, 1, 1, 1, KINDS, Rank.POSSIBLE, flow=8))
     (item,) = settle_possible({0: there}, claims)
     # Of the two behind it one can be of the other; that one of them is not is sure.
-    assert [sum(each.taken.values()) for each in claims] == [3, 1, 0]
+    assert [sum(each.assigned.values()) for each in claims] == [3, 1, 0]
     assert (item.number, item.flows) == (1, frozenset({7, 8}))
     assert (item.start_ns, item.end_ns) == (SECOND, 2 * SECOND)
 
@@ -135,7 +135,7 @@ def test_what_traffic_that_is_not_in_the_capture_may_be_is_shared_with_it():
     claims = [claim(0, 0, 1, 9, KINDS, Rank.POSSIBLE, flow=7)]
     rival = Rival(8, 0, "limit", 3 * SECOND // 2, 9 * SECOND)
     (item,) = settle_possible({0: there}, claims, [rival])
-    assert (claims[0].taken, claims[0].reserved) == ({(0, "limit", 0): 3}, 2)
+    assert (claims[0].assigned, claims[0].reserved) == ({(0, "limit", 0): 3}, 2)
     assert (item.number, item.flows) == (2, frozenset({7, 8}))
 
 
@@ -156,31 +156,31 @@ def test_counts_of_others_make_room_for_what_only_one_may_have_lost(rank, lost):
     sure, tail = claim(0, 0, 1, 2, KINDS[:1]), claim(1, 0, 0, 9, KINDS[:1], rank, flow=7)
     sure.give((0, "limit", 0), 2)
     settle_possible({0: there}, [sure, tail])
-    assert sum(tail.taken.values()) == lost
+    assert sum(tail.assigned.values()) == lost
     assert int(there.left["limit"].sum()) == 2 - lost
-    assert sum(sure.taken.values()) == 2
+    assert sum(sure.assigned.values()) == 2
 
 
 def test_what_the_capture_may_have_missed_takes_what_is_left_at_the_end():
     there = counts([3], [0])
     missing = claim(0, 0, 0, 1, KINDS, Rank.MISSING)
-    missing.doubted = 1
-    settle_doubted({0: there}, [missing])
-    assert (missing.taken, missing.number) == ({(0, "limit", 0): 2}, 2)
+    missing.perhaps_missed = 1
+    settle_perhaps_missed({0: there}, [missing])
+    assert (missing.assigned, missing.number) == ({(0, "limit", 0): 2}, 2)
     assert int(there.left["limit"].sum()) == 1
 
 
 def test_what_traffic_that_is_not_here_can_be_at_most_is_not_shared_beyond_that():
     claims = [claim(0, 0, 0, 9, KINDS, Rank.POSSIBLE, flow=7)]
     (item,) = settle_possible({0: counts([5], [0])}, claims, [Rival(8, 0, "limit", 0, SECOND, most=2)])
-    assert (sum(claims[0].taken.values()), item.number) == (3, 2)
+    assert (sum(claims[0].assigned.values()), item.number) == (3, 2)
 
 
 def test_what_was_lost_behind_the_last_sample_is_in_no_count():
     there = counts([2, 2], [0, 0])
     claims = [claim(0, 0, 1, 2, KINDS), claim(1, 5, 6, 4, KINDS)]
     settle({0: there}, claims, slack_ns=9 * SECOND)
-    assert [sum(each.taken.values()) for each in claims] == [2, 0]
+    assert [sum(each.assigned.values()) for each in claims] == [2, 0]
 
 
 @given(st.integers(0, 60), st.integers(1, 9))
