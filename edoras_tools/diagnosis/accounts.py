@@ -57,7 +57,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "instance": case.label(stream.instance) if stream.instance != NOBODY else None,
         "sent": len(stream) if behind else len(stream) + lost,
         "seen": len(stream),
-        "lost": lost + refused + unreached + len(case.unheard_of(stream)),
+        "lost": lost + refused + unreached + len(case.missed_by_peer(stream)),
         "rate_hz": round(rate_hz(len(stream), int(times[-1]) - int(times[0])), 3),
         "limit_hz": clean_hz,
         "limit_from": told_by,

@@ -47,7 +47,7 @@ from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied, RouteWay
 from edoras_tools.diagnosis.evidence.table import Recorder, Rows, followed
 from edoras_tools.diagnosis.evidence.timeline.changes import SoftwareChanges, capture_changes, network_changes
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Timeline
-from edoras_tools.diagnosis.evidence.unreachable import Unreachable, count_shut, find_unreachable
+from edoras_tools.diagnosis.evidence.unreachable import Unreachable, count_unreached, find_unreachable
 from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.stalls import stalls
@@ -333,7 +333,7 @@ class Case:
     def quality(self) -> Quality:
         """The upper bounds of the share of datagrams that the capture missed."""
         evidence = self.rows, self.payloads, self.instances, self.streams, self.hops, self.tracks
-        quality = assess_quality(*evidence, self.blind, self.capture.drops)
+        quality = assess_quality(*evidence, self.all_holes, self.capture.drops)
         # Cut frames cannot be matched with their answers, but CI's surplus over the capture still counts.
         cut = self.rows.has(Finding.CAPTURE_CUT).any() and not quality.lacks_answered
         own = [item for item in self.ingests if item.not_captured and cut]
@@ -365,7 +365,7 @@ class Case:
         return 0 if excluded else min(number, self.quality.may_have_missed(size, self.confidence))
 
     @cached_property
-    def shut(self) -> list[tuple[Flow, int, int]]:
+    def unreached_flows(self) -> list[tuple[Flow, int, int]]:
         """Flows to ports that no option names, if ICMP errors report these ports closed.
 
         Each has two numbers: datagrams that certainly reached nobody, and those that perhaps did not.
@@ -382,16 +382,16 @@ class Case:
         number = {endpoint: at for at, endpoint in enumerate(self.endpoints)}
         times, source, destination = self._errors.voices()
         voices = {way: np.sort(times[at]) for way, at in by_value(source << 32 | destination)}
-        shut = []
+        unreached = []
         for item, own in both:
             came = voices.get(number[item.source] << 32 | number[item.destination], times[:0])
-            shut.append((item, *count_shut(item, came, list(own.values()))))
-        return shut
+            unreached.append((item, *count_unreached(item, came, list(own.values()))))
+        return unreached
 
     @property
     def unnamed(self) -> list[Unnamed]:
-        """Ports that no option names, with traffic that looks like a link's, but for wholly ``shut`` ones."""
-        closed = {id(flow) for flow, number, more in self.shut if number + more >= flow.datagrams}
+        """Ports that no option names, with a link's traffic, it seems, but for wholly unreached ones."""
+        closed = {id(flow) for flow, number, more in self.unreached_flows if number + more >= flow.datagrams}
         return unnamed(flow for flow in self.prepared.flows if id(flow) not in closed)
 
     @cached_property
@@ -402,7 +402,7 @@ class Case:
     @cached_property
     def network(self) -> Network:
         """The peers of the Software Bus Network and their connections."""
-        return Network(self.rows, self.instances, self.assumed, self.blind)
+        return Network(self.rows, self.instances, self.assumed, self.all_holes)
 
     @cached_property
     def timeline(self) -> Timeline:
@@ -518,14 +518,14 @@ class Case:
         return {item.endpoint: item.system for item in self.ingests if not item.by_kernel}
 
     @property
-    def quiet(self) -> list[tuple[int, int]]:
+    def possible_holes(self) -> list[tuple[int, int]]:
         """Spans (start, end), ns, without any datagram, for no visible reason: possible holes."""
         return self._holes[1]
 
     @property
-    def blind(self) -> list[tuple[int, int]]:
+    def all_holes(self) -> list[tuple[int, int]]:
         """Spans (start, end), ns, without any datagram, for whatever reason."""
-        return sorted([*self.away, *self.quiet])
+        return sorted([*self.away, *self.possible_holes])
 
     def overlaps_outage(self, starts: Integers, ends: Integers) -> Mask:
         """Return which spans overlap a time in which the capture could not record: bool (n,)."""
@@ -645,7 +645,7 @@ class Case:
         """All losses; each lost message belongs to exactly one."""
         return [*self.telemetry.losses, *self.commands.losses]
 
-    def unheard_of(self, stream: Stream) -> list[int]:
+    def missed_by_peer(self, stream: Stream) -> list[int]:
         """Return the messages of a stream that a silent SBN peer certainly missed, as indices of its rows."""
         silent = self.unheard.get(stream)
         return silent.unheard if silent else []
@@ -716,7 +716,7 @@ class Case:
         """Return the MsgId of this mission for one of message version 1, in which cFS facts are written."""
         return self.mission.msg_ids.of_known(msg_id)
 
-    def said(
+    def events_between(
         self, start_ns: int, end_ns: int, *apps: str, event_ids: Iterable[int] = ()
     ) -> list[EventRecord]:
         """Return the events in a span of time, in order.
@@ -753,7 +753,7 @@ class Case:
 
     def suppressed(self, span: tuple[int, int]) -> EventRecord | None:
         """Return the event near a span by which Telemetry Output reports a failed socket; None without."""
-        events = self.said(span[0] - SECOND, span[1] + SECOND, *telemetry_output.NAMES)
+        events = self.events_between(span[0] - SECOND, span[1] + SECOND, *telemetry_output.NAMES)
         return next((item for item in events if telemetry_output.SUPPRESSED.phrase in item.message), None)
 
     def silences_of(self, sender: int) -> list[tuple[int, int]]:

@@ -422,7 +422,7 @@ class Examination:
         # A case has reference cycles: 150 MB that would stay for long; those of a short chapter are small.
         gc.collect(2 if size > CHAPTER // 64 else 0)
 
-    def let(self, apart: Apart) -> None:
+    def use_processes(self, apart: Apart) -> None:
         """Use other processes for the chapters. To be called before ``add``; ``diagnose`` works only once."""
         self._apart = apart
         self._recorder = self._begin(self._recorder.conversations)

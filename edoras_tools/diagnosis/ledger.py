@@ -465,7 +465,7 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
             way = LedgerWay(LedgerTraffic(link=item.stream.link.label), len(item.stream))
             _to_port(case, way, item)
             yield way
-    for flow, number, rest in case.shut:
+    for flow, number, rest in case.unreached_flows:
         way = LedgerWay(LedgerTraffic(link=flow.looks_like.label), number + rest)
         way.hop(f"{UDP_PORT} {flow.destination}", dict.fromkeys(("in", "lost"), "ICMP errors"))
         text, times = _UNREACHED[PORT_CLOSED].format(flow.destination), (flow.first_ns, flow.last_ns)

@@ -163,7 +163,7 @@ def open_aligned(
             astray += [(when, value, sure) for when, value in own]
         if not is_one_clock:
             some = f"; {len(shift.shared):,} datagrams are in both, counted once" if len(shift.shared) else ""
-            notes.append(f"{path}: its clock is {shift.told(str(paths[to]))}{some}")
+            notes.append(f"{path}: its clock is {shift.sentence(str(paths[to]))}{some}")
     sources[0].statistics.astray += astray
     merged = merge_sources([sources[at] for at in sorted(sources)])
     return OneByOne([merged, *alone]) if alone else merged, notes

@@ -352,7 +352,7 @@ def unreached(case: Case) -> list[Unreached]:
                 np.maximum.at(sent_ns, hop.in_rows, times[rows])
                 out += _at(stream, np.unique(hop.in_rows), best, hop.out.receiver, sent_ns)
         if fate is None:
-            unheard = case.unheard_of(stream)
+            unheard = case.missed_by_peer(stream)
             for endpoint, members in by_value(case.rows.destination[stream.rows]):
                 rows = np.setdiff1d(members, unheard)
                 out += _at(stream, rows, fate_of[stream.rows], endpoint, times[stream.rows])

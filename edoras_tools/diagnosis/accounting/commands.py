@@ -193,7 +193,7 @@ class Commands:
             return
         missing = counted_gaps(case.rows, stream)
         times = np.append(stream.time_ns, stream.time_ns[-1])
-        missing[overlapping(times[:-1], times[1:], case.blind)] = 0
+        missing[overlapping(times[:-1], times[1:], case.all_holes)] = 0
         if not (number := int(missing.sum())):
             return
         at, accounts = np.flatnonzero(missing), case.ingests_at(stream.receiver)
@@ -219,7 +219,7 @@ class Commands:
         """
         masks = self._case.rows.undelivered, self._case.prepared.perhaps_undelivered
         rows, perhaps = (np.flatnonzero(mask[stream.rows]) for mask in masks)
-        if unheard := self._case.unheard_of(stream):
+        if unheard := self._case.missed_by_peer(stream):
             rows, perhaps = (np.setdiff1d(own, unheard) for own in (rows, perhaps))
         if fate is None and len(perhaps) and self._is_lost_between:
             rows, perhaps = np.union1d(rows, perhaps), perhaps[:0]
@@ -282,7 +282,7 @@ class Commands:
         elif fate.seen and stream.link.only_to_cfs:
             self._uncounted(fate, stops)
         if fate.seen or all(stream.receiver != item.endpoint for item in case.ingests):
-            errors, unheard = case.unreachable, case.unheard_of(stream)
+            errors, unheard = case.unreachable, case.missed_by_peer(stream)
             masks = (mask[stream.rows] for mask in (errors.closed, errors.uncertain))
             closed, perhaps = (np.setdiff1d(np.flatnonzero(fate.open & own), unheard) for own in masks)
             self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
@@ -580,7 +580,7 @@ class Commands:
             times = fate.stream.time_ns
             late = times > self._case.end_ns - WAITS_NS
             bare = rows.packet_length[fate.stream.rows] <= rows.header_length[fate.stream.rows]
-            bare |= overlapping(times, times + WAITS_NS, self._case.blind)
+            bare |= overlapping(times, times + WAITS_NS, self._case.all_holes)
             self._make_unaccounted(fate, rest - int((late | bare).sum()))
             # A command without a message reaches no robot, others one that nothing shows; some may be lost.
             fate.ends["elsewhere"] += min(int(bare.sum()), max(0, rest))
@@ -801,10 +801,10 @@ def _counted_but_missed(case: Case, losses: Sequence[Loss]) -> int:
 
 def _take_back_in_holes(case: Case, telemetry: Telemetry) -> None:
     """Take back losses in intervals in which nothing at all was captured."""
-    for loss in telemetry.losses if case.quiet else ():
+    for loss in telemetry.losses if case.possible_holes else ():
         among = loss.among
         if loss.kind not in COUNTERS and among is not None and among.missing is not None:
-            inside = containing(among.stream, among.rows, case.quiet)
+            inside = containing(among.stream, among.rows, case.possible_holes)
             _take_back(telemetry, loss, min(loss.lost, int(among.missing[inside].sum())))
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
 

@@ -430,7 +430,7 @@ class _Counted:
         """
         sooner, later = self._own[first - 1], self._own[first]
         ended_ns = self._ended_ns(sooner, later)
-        blind = (end for start, end in self._case.blind if start < later.seen_ns and sooner.seen_ns < end)
+        blind = (end for start, end in self._case.all_holes if start < later.seen_ns and sooner.seen_ns < end)
         ended_ns = max([ended_ns, *blind])  # it may have read on while nothing was captured
         # A datagram sent by then that came out later had waited in the socket.
         read_ns = max([ended_ns, *(int(out[sent <= ended_ns].max(initial=0)) for sent, out in self._read)])

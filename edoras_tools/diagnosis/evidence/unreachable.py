@@ -89,7 +89,7 @@ class Unreachable(NamedTuple):
     spans: Sequence[ClosedSpan] = ()
 
 
-def count_shut(flow: Flow, sent_ns: Integers, errors_ns: list[int]) -> tuple[int, int]:
+def count_unreached(flow: Flow, sent_ns: Integers, errors_ns: list[int]) -> tuple[int, int]:
     """Return how many datagrams of a flow reached nobody, and how many more perhaps did not (rule 3).
 
     The second number is 0 unless the errors cover most of the flow's time, or quote most of its datagrams.

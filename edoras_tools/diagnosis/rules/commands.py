@@ -276,7 +276,7 @@ def _unheard(case: Case, start_ns: int) -> str:
 def refusals(case: Case, row: int, length: int) -> list[EventRecord]:
     """Return what CI of cFS 7 said about a packet of which it had ``length`` bytes: one event, or none."""
     start_ns = int(case.rows.time_ns[row])
-    for record in case.said(start_ns, start_ns + _ANSWERED_NS, *command_ingest.NAMES):
+    for record in case.events_between(start_ns, start_ns + _ANSWERED_NS, *command_ingest.NAMES):
         match = command_ingest.CUT_7.pattern.search(record.message)
         if match and int(match["length"]) == length:
             return [record]
@@ -293,7 +293,7 @@ def _answers(case: Case, kind: BadCommandKind, row: int) -> list[EventRecord]:
     if kind.finding is Finding.INVALID_MSG_ID:
         marks.add("(0x0)")  # so it is called in cFS 7
     pattern = re.compile(kind.event)
-    for record in case.said(start_ns, start_ns + _ANSWERED_NS):
+    for record in case.events_between(start_ns, start_ns + _ANSWERED_NS):
         if not pattern.search(record.message):
             continue
         text = record.message.lower()

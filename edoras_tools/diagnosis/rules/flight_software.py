@@ -182,7 +182,8 @@ def event_squelch(case: Case) -> Iterator[Verdict]:
     Name the application whose events are not all here.
     """
     firsts: dict[tuple[str, str], EventRecord] = {}
-    for record in case.said(case.start_ns, case.end_ns, SQUELCHED.app, event_ids=[SQUELCHED.event_id]):
+    whole = case.start_ns, case.end_ns
+    for record in case.events_between(*whole, SQUELCHED.app, event_ids=[SQUELCHED.event_id]):
         match = SQUELCHED.pattern.search(record.message)
         firsts.setdefault((record.sender, match["app"] if match else record.message), record)
     for (_, app), record in firsts.items():
@@ -214,7 +215,7 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
     quoted = "\n".join(quotes)
     errors = [record for record in case.payloads.events if record.event_type >= EventType.ERROR]
     told_texts = {text for text in {record.message for record in errors} if text in quoted}
-    untold = (item for item in errors if item.message not in told_texts and not _is_told(case, item))
+    untold = (item for item in errors if item.message not in told_texts and not _is_reported(case, item))
     groups = by_key(untold, lambda item: (item.sender, item.app, item.event_id))
     for members in groups.values():
         yield _error(case, members)
@@ -233,7 +234,7 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
             yield warning(reason, why, hop="software bus", span=span, remedy=remedy, confidence="medium")
 
 
-def _is_told(case: Case, record: EventRecord) -> bool:
+def _is_reported(case: Case, record: EventRecord) -> bool:
     """Tell whether a verdict or the balance has what an event names, as by counters."""
     reported = parse_loss_event(record)
     if reported is None:

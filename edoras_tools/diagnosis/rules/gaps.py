@@ -246,7 +246,7 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
         basis,
         *(
             f"nothing at all was captured from {case.at(start_ns)} to {case.at(end_ns)}"
-            for start_ns, end_ns in case.quiet
+            for start_ns, end_ns in case.possible_holes
         ),
         *(f"{case.name(stream.msg_id)}: {number:,} of {len(stream) + number:,}" for stream, number in unsure),
         *case.drops_text(),
@@ -430,7 +430,7 @@ def port_closed(case: Case) -> Iterator[Verdict]:
             span=(span.start_ns, span.last_ns),
             remedy="start the program that listens there before what sends to it; its own log may say more",
         )
-    for flow, number, more in case.shut:
+    for flow, number, more in case.unreached_flows:
         yield error(
             f"nobody listened on {flow.destination}: {plural(number, 'datagram')} that look like "
             f"{flow.looks_like.name} traffic reached nobody",

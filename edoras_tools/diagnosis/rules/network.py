@@ -110,7 +110,7 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
         )
     evidence += [
         f"event at {case.at(record.time_ns)}: {record}"
-        for record in case.said(silent.start_ns, until + SECOND, facts.NAME)
+        for record in case.events_between(silent.start_ns, until + SECOND, facts.NAME)
         if connection.peer in record.message
         and any(event.phrase in record.message for event in (facts.TIMED_OUT, facts.DISCONNECTED))
     ]
@@ -445,7 +445,7 @@ def _malformed(case: Case, members: list[int], kind: BadMessageKind) -> Verdict:
 
 def answers(case: Case, start_ns: int, *phrases: str) -> list[str]:
     """Return what SBN said about a datagram: the first event with a phrase, and what followed from it."""
-    events = case.said(start_ns, start_ns + _ANSWERED_NS, facts.NAME)
+    events = case.events_between(start_ns, start_ns + _ANSWERED_NS, facts.NAME)
     fits = next((at for at, record in enumerate(events) if _has(record, phrases)), None)
     if fits is None:
         return []
@@ -538,7 +538,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
     network = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(Finding.TRUNCATED))
     times, names, party = rows.time_ns[network], case.network.identity_of.items(), case.network.party
     partners = {peer for (peer, _), own in case.network.connections.items() if len(own.sent_ns)}
-    for record in case.said(case.start_ns, case.end_ns, facts.NAME):
+    for record in case.events_between(case.start_ns, case.end_ns, facts.NAME):
         matches = (event.pattern.search(record.message) for event in _UNKNOWN_PEER)
         if match := next(filter(None, matches), None):
             *craft, processor = map(int, match.groups())

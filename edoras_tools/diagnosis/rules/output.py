@@ -97,7 +97,7 @@ def _is_address(text: str) -> bool:
 
 
 def _no_address(case: Case, item: CommandRecord) -> Verdict:
-    near = case.said(item.time_ns, item.time_ns + 2 * SECOND, *telemetry_output.NAMES)
+    near = case.events_between(item.time_ns, item.time_ns + 2 * SECOND, *telemetry_output.NAMES)
     events = [record for record in near if telemetry_output.ENABLED.phrase in record.message]
     return warning(
         f"Telemetry Output was enabled for {item.address!r}, no address: where it sends is up to its host",

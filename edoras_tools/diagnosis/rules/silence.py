@@ -134,7 +134,7 @@ def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
         rate = _rate(stream, times, before, at)
         length = until_ns - start_ns if until_ns else int(steps[at])
         own = times[before[-1].first : at + 1]
-        if rate is None and not _surely_silent(stream, own, length):
+        if rate is None and not _silent_unusually_long(stream, own, length):
             continue
         if rate is None and np.diff(own).max() < _ALIKE * np.diff(own).min():
             rate = Rate(SECOND / float(np.diff(own).mean()), int(own[0]), int(own[-1]))
@@ -241,7 +241,7 @@ def _ends(case: Case, stream: Stream) -> int:
     return min((case.instances.items[index].last_ns for index in ran), default=case.end_ns)
 
 
-def _surely_silent(stream: Stream, before: Integers, length: int) -> bool:
+def _silent_unusually_long(stream: Stream, before: Integers, length: int) -> bool:
     """Tell whether what came irregularly is silent for longer than ever before; housekeeping may be."""
     if stream.is_housekeeping or len(before) < _LEAST:
         return False

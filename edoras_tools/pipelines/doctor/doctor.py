@@ -146,7 +146,7 @@ def judged_apart(examination: Examination, source: Source, jobs: int) -> Iterato
                 ends.enter_context(closing(judge.workers))
             judges_ = _Judges(examination, judges)
             source.borrow(judges_.lend)
-            examination.let(judges_)
+            examination.use_processes(judges_)
         yield
 
 

@@ -259,7 +259,7 @@ class Alignment(NamedTuple):
     shared: Integers
     here: Integers
 
-    def told(self, other: str) -> str:
+    def sentence(self, other: str) -> str:
         """Return the difference as a sentence; ``other`` is the name of the first capture."""
         low, high = math.floor(self.low_ns / _TENTH_NS) / 10_000, math.ceil(self.high_ns / _TENTH_NS) / 10_000
         offset, way = self.line.offset_ns / SECOND, f"ahead of that of {other}"
