@@ -134,16 +134,16 @@ class NewFile:
         except BaseException:
             self.remove()
             raise
-        self._let_go()
+        self._close_older()
 
-    def _let_go(self) -> None:
+    def _close_older(self) -> None:
         older, self._older = self._older, -1
         if older >= 0:
             os.close(older)
 
     def remove(self) -> None:
         """Close the file and remove it, unless it is complete."""
-        self._let_go()
+        self._close_older()
         with suppress(OSError):
             self.file.close()
         if self._part:
@@ -400,7 +400,7 @@ class OutputFile:
             try:
                 count = os.writev(self._fileno, rest[complete : complete + _PIECES])
             except OSError as error:
-                if not (self.size and error.errno in _FULL and self._waits()):
+                if not (self.size and error.errno in _FULL and self._wait_for_room()):
                     raise
                 continue
             if self._full_ns:
@@ -412,7 +412,7 @@ class OutputFile:
             if count:
                 rest[complete] = rest[complete][count:]
 
-    def _waits(self) -> bool:
+    def _wait_for_room(self) -> bool:
         """Wait shortly for room on the disk; return whether to try again."""
         patience = self.patience
         if patience is None or patience.over():

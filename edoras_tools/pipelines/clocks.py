@@ -139,7 +139,7 @@ def open_aligned(
                 most = max(len(alignment.boot_offsets(tables[other], name)) for other in set_back)
                 notes.append(_not_placed(path, name, most))
                 continue
-            if gaps_ns[at] or _is_beside(tables[0], table):
+            if gaps_ns[at] or _on_one_loopback(tables[0], table):
                 set_back[at], sources[at] = [], open_file(path)
                 notes += [f"{path}: its clock is assumed to be that of {paths[0]}"] * (not gaps_ns[at])
                 continue
@@ -266,7 +266,7 @@ def _is_one_clock(first: alignment.Side, second: alignment.Side, shift: alignmen
     """
     gap_ns, may_be = _gap_ns(first, second), shift.low_ns <= 0 <= shift.high_ns
     if gap_ns < 0:
-        return may_be and abs(shift.line.offset_ns) < alignment.HANDED_NS and _is_beside(first, second)
+        return may_be and abs(shift.line.offset_ns) < alignment.HANDED_NS and _on_one_loopback(first, second)
     is_restart = shift.by == alignment.MISSION_TIME and abs(shift.line.offset_ns) > APART_NS
     return gap_ns < SEAM_NS or may_be or is_restart
 
@@ -287,7 +287,7 @@ def _of_two_runs(first: alignment.Side, second: alignment.Side, shift: alignment
     return (timed or bool(same.any())) and _gap_ns(first, second, shift.line) <= 0
 
 
-def _is_beside(first: alignment.Side, second: alignment.Side) -> bool:
+def _on_one_loopback(first: alignment.Side, second: alignment.Side) -> bool:
     """Return whether two captures are of different conversations on loopback, so of one clock."""
     return bool(first.local and second.local) and first.local.isdisjoint(second.local)
 

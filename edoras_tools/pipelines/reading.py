@@ -124,7 +124,7 @@ class ReadLoop:
         context.notes += self.conversations.notes(keep_all=True)
         context.unnamed = self.conversations.unnamed
 
-    def gives_up(self, at_hand: int) -> bool:
+    def stops_early(self, at_hand: int) -> bool:
         """Return whether to stop showing packets after Ctrl-C, because the rest takes long; note it then.
 
         Args:
@@ -404,7 +404,7 @@ def selected_rows(
             for rows in loop:
                 started(rows.begin_ns)
                 for first in range(0, max(len(rows), 1), most or max(len(rows), 1)):
-                    if loop.gives_up(len(rows) - first):
+                    if loop.stops_early(len(rows) - first):
                         return
                     if len(rows):
                         yield rows.take(np.arange(first, min(first + most, len(rows)))) if most else rows

@@ -169,9 +169,9 @@ class _Writer:
         """Time until the next work, s; None: until the next page comes."""
         return self._flushing.wait_s
 
-    def look(self) -> None:
+    def flush_if_due(self) -> None:
         """Flush if it is due."""
-        self._flushing.look()
+        self._flushing.flush_if_due()
 
     def write(self, page: _Page) -> None:
         if page.datagrams.rows:
@@ -179,7 +179,7 @@ class _Writer:
         if page.faults:
             self._sink.write_faults(page.faults)
             self._flushing.noted()
-        self._flushing.look()
+        self._flushing.flush_if_due()
 
     def close(self, kernel_drops: int) -> None:
         self._source.statistics.kernel_drops = kernel_drops
@@ -192,7 +192,7 @@ class _Writer:
         columns = self._bench.columns.decode(batch)
         self._sink.write(batch, columns)
         self._flushing.took(batch)
-        self._flushing.look()  # first: the rest can wait
+        self._flushing.flush_if_due()  # first: the rest can wait
         if self._tap is not None:
             self._tap(batch, columns)
         self._ledger.add(batch, columns)
@@ -224,7 +224,7 @@ class _WriterApart:
         with OnFailure(self._workers.close):
             self._run("begin")
 
-    def look(self) -> None:
+    def flush_if_due(self) -> None:
         """Do nothing: the second process flushes in time."""
 
     def write(self, page: _Page) -> None:
@@ -274,7 +274,7 @@ class _Service:
     def _flush(self) -> float | None:
         if self._writer is None:
             return None
-        self._attempt(self._writer.look)
+        self._attempt(self._writer.flush_if_due)
         return None if self._failure else self._writer.wait_s
 
     def _close(self, kernel_drops: int = 0) -> tuple[Exception | None, Recorded | None]:
@@ -443,7 +443,7 @@ class RelayRecorder:
             try:
                 page = self._queue.get(timeout=self._writer.wait_s)
             except queue.Empty:
-                self._writer.look()
+                self._writer.flush_if_due()
                 continue
             if page is None:
                 return

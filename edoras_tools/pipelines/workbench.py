@@ -68,7 +68,7 @@ class Workbench(msgspec.Struct, frozen=True, eq=False, dict=True):
         Args:
             paths: files of the source, see ``Settings.workbench``.
         """
-        return _let_look(self.with_mission(self.mission), paths)
+        return _enable_look_ahead(self.with_mission(self.mission), paths)
 
     def with_mission(self, mission: Mission) -> Workbench:
         """Return a workbench with another mission, for another source."""
@@ -141,7 +141,7 @@ class Settings(msgspec.Struct, frozen=True):
             names = [f"{_LAYOUTS}{place}_{file.name}" for place, (file, _) in enumerate(layout_files, 1)]
             files = dict(zip(names or carried, (data for _, data in contents), strict=True))
             mission = replace(mission, files={**mission.files, **files})
-        return _let_look(_bench(mission, types, Context(mission, types, options, structs)), paths)
+        return _enable_look_ahead(_bench(mission, types, Context(mission, types, options, structs)), paths)
 
 
 def _bench(mission: Mission, types: TypeStore, context: Context) -> Workbench:
@@ -152,7 +152,7 @@ def _bench(mission: Mission, types: TypeStore, context: Context) -> Workbench:
     return Workbench(mission, types, ColumnDecoder(context), unwrappers)
 
 
-def _let_look(bench: Workbench, paths: Sequence[Path]) -> Workbench:
+def _enable_look_ahead(bench: Workbench, paths: Sequence[Path]) -> Workbench:
     """Let decoders look ahead in the files, if these can be read twice."""
     if paths and all(path.is_file() or path.is_dir() for path in paths):
         context = bench.columns.context

@@ -138,10 +138,10 @@ def test_after_ctrl_c_a_live_list_ends_soon_and_says_what_it_does_not_show(bench
 
     now = [0]
     with reading(Live(batches), bench, None, Limits(clock=lambda: now[0])) as loop:
-        assert not loop.gives_up(5)
+        assert not loop.stops_early(5)
         os.kill(os.getpid(), signal.SIGINT)
         until(lambda: loop.interrupted)
-        assert not loop.gives_up(5)
+        assert not loop.stops_early(5)
         now[0] += 10**9
-        assert loop.gives_up(5)
+        assert loop.stops_early(5)
     assert bench.columns.context.notes == ["not shown: 1,005 packets that had arrived before Ctrl-C"]

@@ -158,7 +158,7 @@ def test_a_second_process_that_cannot_flush_writes_no_more_and_closes(tmp_path):
     class Full:
         wait_s, recorded = 0.01, Recorded(7)
 
-        def look(self):
+        def flush_if_due(self):
             (tmp_path / "look").touch()
             raise CaptureError("a.mcap: no space left")
 

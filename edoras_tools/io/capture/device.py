@@ -173,7 +173,7 @@ class DeviceSource(FrameSource):
         self.started.set()
         nothing = demux(FramePage().frames(1))
         while True:
-            self._tell()
+            self._report_outages()
             if self._ready is not None and (not self._device.outages or self._device.outages[0].end_ns):
                 self._ready()
                 self._ready = None
@@ -267,7 +267,7 @@ class DeviceSource(FrameSource):
         self._wake.close()
         self._waker.close()
 
-    def _tell(self) -> None:
+    def _report_outages(self) -> None:
         """Report interface outages; each is reported when it begins and when it ends."""
         outages = tuple(self.statistics.outages)
         count = sum(2 if outage.end_ns else 1 for outage in outages[self._news // 2 :])

@@ -168,7 +168,7 @@ class Ring(Device):
         cooked = self._link_type == bpf.LINUX_SLL2
         # The kernel marks packets of several datagrams, but not on a cooked socket. A socket of all
         # interfaces is therefore raw, and cooked headers are written by ``tpacket``.
-        self._told = _tells_segments() and (not cooked or interface.name == interfaces.ANY_INTERFACE)
+        self._marked = _marks_segments() and (not cooked or interface.name == interfaces.ANY_INTERFACE)
         program = bpf.port_filter(
             self._link_type,
             self._ports,
@@ -176,12 +176,12 @@ class Ring(Device):
             begins=self._begins,
             snap_length=self.info.snap_length,
             loopback=loopback,
-            whole=cooked and self._told,
+            whole=cooked and self._marked,
         )
         self._next = self._seen = self._resume = 0
         self._turn += 1
         self._looked = 0.0
-        self._socket = _socket(interface.name, cooked=cooked and not self._told)
+        self._socket = _socket(interface.name, cooked=cooked and not self._marked)
         try:
             self._start(interface, program)
         except OSError as error:
@@ -192,7 +192,7 @@ class Ring(Device):
         """Set filter, then ring, then bind: in this order, every packet in the ring has passed the filter."""
         bpf.attach_program(self._socket, program)
         self._socket.setsockopt(_SOL_PACKET, _PACKET_VERSION, _TPACKET_V3)
-        if self._told:
+        if self._marked:
             self._socket.setsockopt(_SOL_PACKET, _PACKET_VNET_HDR, 1)
         blocks = self._allocate()
         self._map = mmap.mmap(self._socket.fileno(), blocks * self._block_size)
@@ -269,7 +269,7 @@ class Ring(Device):
         if not ended:
             last = int(heads[-1])
             self._resume = pieces[0][1] + last + tpacket.behind(data, last)
-        frames = tpacket.frames(data, heads, self._link_type, self._made + 1, described=self._told)
+        frames = tpacket.frames(data, heads, self._link_type, self._made + 1, described=self._marked)
         self._read += len(heads)
         self._made += len(frames)
         self._arrived(frames)
@@ -474,7 +474,7 @@ def _existing_interface(name: str) -> interfaces.Interface:
         return interfaces.Interface(name, index=0, hardware_type=1, up=False, loopback=False, carrier=False)
 
 
-def _tells_segments() -> bool:
+def _marks_segments() -> bool:
     """Return whether the kernel marks packets of several datagrams: before Linux 6.2 it drops them."""
     release = re.match(r"(\d+)\.(\d+)", os.uname().release)
     return release is not None and (int(release[1]), int(release[2])) >= (6, 2)

@@ -194,7 +194,7 @@ class WatchedSink(Sink):
             return
         self._closed = True
         sink = self._sink
-        if sink is None or self._let_go(statistics):
+        if sink is None or self._close_if_moved(statistics):
             self._check_complete(None)
             return
         sink.close(statistics)
@@ -299,7 +299,7 @@ class WatchedSink(Sink):
         if now - self._looked < _LOOK_S:
             return
         self._looked = now
-        if self._let_go(self._statistics):
+        if self._close_if_moved(self._statistics):
             path = path_beside(self._path)
             with os_errors(f"{path.parent}: cannot be made"):
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -314,7 +314,7 @@ class WatchedSink(Sink):
                 self.losses.append(OutputLoss(output.path, fate, count, recoverable=False, complete=True))
                 self._over = [path for path in self._over if path != output.path and path.exists()]
 
-    def _let_go(self, statistics: SourceStatistics) -> bool:
+    def _close_if_moved(self, statistics: SourceStatistics) -> bool:
         """Close the sink if its file was moved or deleted; complete the file if it still exists."""
         sink = self._sink
         fate = sink.output.fate() if sink and sink.output else ""

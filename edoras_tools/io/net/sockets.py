@@ -73,7 +73,7 @@ def open_bound(
     opened = open_socket(family, buffer_bytes)
     with OnFailure(opened.close):
         if destinations:
-            _tell_destinations(opened)
+            _request_destinations(opened)
         bind(opened, address, name, instead)
     return opened
 
@@ -137,7 +137,7 @@ def received(opened: socket.socket, most: int = 256) -> Iterator[tuple[bytes, En
         yield data, Endpoint(*sender[:2])
 
 
-def _tell_destinations(opened: socket.socket) -> None:
+def _request_destinations(opened: socket.socket) -> None:
     if opened.family == socket.AF_INET6:
         opened.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
     if LINUX and opened.family == socket.AF_INET6:

@@ -77,7 +77,7 @@ class Inbox:
         items = self._items
         return [items.popleft() for _ in islice(range(len(items)), most)]
 
-    def quiet(self) -> None:
+    def reset_signal(self) -> None:
         """Make the descriptor unreadable until the next message; call it before ``take``."""
         with suppress(BlockingIOError):
             os.eventfd_read(self._fileno)

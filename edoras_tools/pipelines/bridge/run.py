@@ -169,7 +169,7 @@ class Bridges:
         for fileno, events in poll.poll(wait_ns / 1e9 if wait_ns >= 0 else None):
             station = by_fileno.get(fileno)
             if station is None:
-                self._inbox.quiet()
+                self._inbox.reset_signal()
             elif events & ~select.EPOLLOUT:
                 more |= station.receive()
         heard = self._inbox.take(_BATCH)

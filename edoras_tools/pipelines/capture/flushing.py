@@ -122,7 +122,7 @@ class Waiting:
 
 
 class Flushing:
-    """Flushes a sink in time; ``look`` must be called several times per ``FLUSH_NS``.
+    """Flushes a sink in time; ``flush_if_due`` must be called several times per ``FLUSH_NS``.
 
     Args:
         clock: function that returns monotonic time, ns.
@@ -155,7 +155,7 @@ class Flushing:
         """Record that the sink got data of an age."""
         self._due = min(self._due, self._clock() + FLUSH_NS - age_ns)
 
-    def look(self) -> None:
+    def flush_if_due(self) -> None:
         """Flush if it is due.
 
         Raises:

@@ -398,7 +398,7 @@ def pour(
             sink.write_host(counters)
             flushing.noted()
         if live:
-            flushing.look()  # first, because the rest can wait
+            flushing.flush_if_due()  # first, because the rest can wait
         if pair is not None:
             if by_route:
                 report.ledger.add(*pair)

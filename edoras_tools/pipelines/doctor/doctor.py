@@ -128,7 +128,7 @@ def _own(table: _Table) -> _Table:
 
 
 @contextmanager
-def judged_apart(examination: Examination, source: Source, jobs: int) -> Iterator[None]:
+def examined_in_processes(examination: Examination, source: Source, jobs: int) -> Iterator[None]:
     """Let ``jobs`` other processes examine a source; none if ``jobs`` is 1, or if memory is short.
 
     Raises:
@@ -263,7 +263,7 @@ def examine(
     limits = Limits(duration_ns=pace.duration_ns, clock=pace.clock)
     conversing = counting is not None
     with (
-        judged_apart(examination, source, jobs_for(source, pace.jobs)),
+        examined_in_processes(examination, source, jobs_for(source, pace.jobs)),
         reading(
             source, bench, limits=limits, examined=scope.period, keeps_failure=True, conversing=conversing
         ) as loop,

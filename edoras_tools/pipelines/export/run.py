@@ -167,7 +167,7 @@ def export(
             and form.fields
             and not all(has_field([item], *fields_of.values()) for item in form.fields)
         ):
-            source.look()
+            source.add_hidden_topics()
             fields_of |= {
                 topic: _names(source.empty(topic)) for topic in source.topics if topic not in before
             }

@@ -113,10 +113,10 @@ class TopicSource(ABC):
             return TopicBlock(topic, none, columns, recording=recording)
         return TopicBlock(topic, none, columns, none, none.astype(np.uint32), recording=recording)
 
-    def look(self) -> None:  # noqa: B027  most name all of them
+    def add_hidden_topics(self) -> None:  # noqa: B027  most name all of them
         """Add topics that only the content names, if this needs a pass over it."""
 
-    def look_ahead(self) -> None:  # noqa: B027  as look
+    def look_ahead(self) -> None:  # noqa: B027  as add_hidden_topics
         """Add the DDS topics that the content announces, if it can be read twice."""
 
     def definition(self, topic: str) -> str:
@@ -271,7 +271,7 @@ class CaptureTopics(TopicSource):
             if self._bench.types.has(kind):
                 self.topics.setdefault(f"{APART}{topic}" if topic in self.topics else topic, kind)
 
-    def look(self) -> None:
+    def add_hidden_topics(self) -> None:
         """Add the topics of RACS2, of DDS and of transferred files."""
         if self._seek is not None:
             topics, failure = self._seek()

@@ -96,7 +96,7 @@ def chosen_topics(source: TopicSource, patterns: Sequence[str], usual: Collectio
     if not all(map(PATTERN_SIGNS.isdisjoint, patterns)):
         source.look_ahead()
     if not all(any(fits_topic(topic, item) for topic in source.topics) for item in patterns):
-        source.look()
+        source.add_hidden_topics()
     for pattern in patterns:
         if not any(fits_topic(topic, pattern) for topic in source.topics):
             raise _no_topic(source, pattern)

@@ -22,7 +22,7 @@ from waiting import PATIENCE_S, until
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.capture import interfaces
 from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2, RAW
-from edoras_tools.io.capture.ring import Ring, _tells_segments
+from edoras_tools.io.capture.ring import Ring, _marks_segments
 from edoras_tools.io.frames.linklayer import demux
 
 TUNSETIFF = 0x400454CA
@@ -180,7 +180,7 @@ def test_any_size_comes_whole(ring, pair, size):
     assert frames.original_length.tolist() == frames.length.tolist() == [42 + size]
 
 
-@pytest.mark.skipif(not _tells_segments(), reason="the kernel cannot tell: it is older than Linux 6.2")
+@pytest.mark.skipif(not _marks_segments(), reason="the kernel cannot tell: it is older than Linux 6.2")
 @pytest.mark.parametrize("interface", ["lo", "any"])
 def test_what_was_sent_as_one_is_captured_as_the_many_that_arrive(ring, pair, interface):
     """By UDP_SEGMENT: the kernel takes many datagrams as one, and parts them behind the capture."""

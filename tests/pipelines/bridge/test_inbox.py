@@ -29,7 +29,7 @@ def test_the_first_message_wakes_up_and_all_of_them_are_taken_in_order(inbox):
     second(b"b")
     first(b"c")
     assert readable(inbox)
-    inbox.quiet()
+    inbox.reset_signal()
     assert not readable(inbox)
     assert [(item.station, item.route, item.cdr) for item in inbox.take(2)] == [(0, 3, b"a"), (1, 0, b"b")]
     assert len(inbox) == 1
@@ -52,7 +52,7 @@ def test_none_is_missed_though_it_comes_while_others_are_taken(inbox):
     found = [[] for _ in slots]
     while sum(map(len, found)) < count * threads:
         assert select.select([inbox.fileno()], [], [], 30)[0]
-        inbox.quiet()
+        inbox.reset_signal()
         while messages := inbox.take(64):
             for item in messages:
                 found[item.route].append(int(item.cdr))
@@ -73,7 +73,7 @@ def test_what_comes_while_it_is_quieted_is_taken_and_the_next_rings_again(inbox,
 
     slot(b"first")
     monkeypatch.setattr(bridge_inbox.os, "eventfd_read", reading)
-    inbox.quiet()
+    inbox.reset_signal()
     assert [item.cdr for item in inbox.take(9)] == [b"first", b"before", b"after"]
     slot(b"next")
     assert readable(inbox)
@@ -90,7 +90,7 @@ def test_what_is_too_much_is_counted(inbox, monkeypatch):
 def test_it_can_be_rung_and_be_empty(inbox):
     inbox.ring()
     assert readable(inbox)
-    inbox.quiet()
+    inbox.reset_signal()
     assert inbox.take(9) == []
 
 

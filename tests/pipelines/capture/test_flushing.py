@@ -26,7 +26,7 @@ class Clocks:
         length = np.array([size], np.int32)
         times = np.array([self.now + self.offset - age_ms * MS])
         self.flushing.took(_Batch(time_ns=times, frame_length=length))
-        self.flushing.look()
+        self.flushing.flush_if_due()
 
 
 class _Batch(SimpleNamespace):
@@ -55,7 +55,7 @@ def test_who_is_behind_flushes_every_batch(clocks, behind_ms):
 def test_age_and_wait_together_are_bounded(clocks):
     clocks.take(150)
     for clocks.now in range(0, 100 * MS, 10 * MS):
-        clocks.flushing.look()
+        clocks.flushing.flush_if_due()
     assert clocks.flushed == [50]
 
 
@@ -63,23 +63,23 @@ def test_a_clock_set_back_delays_nothing(clocks):
     clocks.offset -= 3600 * 10**9
     clocks.take(-3600 * 1000)
     clocks.now = FLUSH_NS
-    clocks.flushing.look()
+    clocks.flushing.flush_if_due()
     assert clocks.flushed == [200]
 
 
 def test_it_is_flushed_with_nothing_to_write_too(clocks):
     for clocks.now in range(0, 2550 * MS, 50 * MS):
-        clocks.flushing.look()
+        clocks.flushing.flush_if_due()
     assert clocks.flushed == [200, 1200, 2200]
 
 
 def test_what_has_no_packets_is_flushed_as_soon(clocks):
     clocks.now = 200 * MS
-    clocks.flushing.look()
+    clocks.flushing.flush_if_due()
     for clocks.now in range(250 * MS, 1000 * MS, 50 * MS):
         if clocks.now == 300 * MS:
             clocks.flushing.noted()
-        clocks.flushing.look()
+        clocks.flushing.flush_if_due()
     assert clocks.flushed == [200, 500]
 
 
