@@ -111,7 +111,7 @@ def _export(
     if len(files) == 1 and is_cfe_file(files[0]):
         trace = doors.part("performance_trace")(files, path, force=table.force)
         if trace is not None:
-            tell_written(trace, printing)
+            print_written(trace, printing)
             return
     target = ExportTarget.of(path, name=table.layout, folder=output.endswith("/"), force=table.force)
     target.check(files)
@@ -127,11 +127,11 @@ def _export(
     source = open_topics(files, settings, scope)
     with file_progress([source.name], quiet=quiet) as bar:
         report = write(source, target, patterns, form, bar, jobs)
-    tell_written(report.summary(), printing)
+    print_written(report.summary(), printing)
     topics_read(source)
 
 
-def tell_written(summary: dict[str, Any], printing: options.PrintOptions) -> None:
+def print_written(summary: dict[str, Any], printing: options.PrintOptions) -> None:
     """Print which files were written."""
     if printing.json:
         print_json(summary)

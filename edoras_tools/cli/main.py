@@ -156,7 +156,7 @@ class Command(typer.core.TyperCommand):
         if not self._own_verbose:
             ctx.params.pop("verbose", None)  # the command does not know it
         if verbose:
-            _tell_setup(ctx, file)
+            _print_setup(ctx, file)
         return rest
 
 
@@ -185,7 +185,7 @@ class Program(Command):
         self.params.append(_version_option())
 
 
-def _tell_setup(ctx: Any, file: settings.SettingsFile | None) -> None:
+def _print_setup(ctx: Any, file: settings.SettingsFile | None) -> None:
     """Print the setup of a command: versions, the settings file, missions and the like."""
     python = ".".join(map(str, sys.version_info[:3]))
     used = file.path if file and not file.left_out else f"no {settings.NAME}"

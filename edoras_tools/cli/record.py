@@ -227,13 +227,13 @@ def record(
             watcher=watch,
             by_route=printing.json or not printing.quiet or files.metrics is not None,
         )
-    _tell_report(report, printing)
+    _print_report(report, printing)
     if after:
         after.end()
     finish(report, live=live)
 
 
-def _tell_report(report: CaptureReport, printing: options.PrintOptions) -> None:
+def _print_report(report: CaptureReport, printing: options.PrintOptions) -> None:
     """Print the result of a recording."""
     if printing.json:
         print_json(
@@ -247,10 +247,10 @@ def _tell_report(report: CaptureReport, printing: options.PrintOptions) -> None:
         from edoras_tools.render.capture.watch import recorded
 
         sys.stderr.write(recorded(report.summary(), report.outputs, report.keep) + "\n")
-        _tell_unnamed(report.summary()["routes"], report.outputs[0])
+        _print_unnamed(report.summary()["routes"], report.outputs[0])
 
 
-def _tell_unnamed(routes: Sequence[Mapping[str, Any]], output: Path) -> None:
+def _print_unnamed(routes: Sequence[Mapping[str, Any]], output: Path) -> None:
     """Print advice if no message has a topic, because no mission has its MsgId."""
     unnamed = [row["msg_id"] for row in routes if "unknown_msg_id" in row["findings"]]
     if unnamed and not any(row["topic"] for row in routes):

@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 from edoras_tools.addons.tables.recordings import recordings_in
 from edoras_tools.cli.endings import tell
-from edoras_tools.cli.export import tell_written
+from edoras_tools.cli.export import print_written
 from edoras_tools.cli.output import file_progress
 from edoras_tools.errors import CaptureError, ConfigError, EdorasError, InterruptError, RouteError, os_errors
 from edoras_tools.pipelines.export.run import ExportTarget, export
@@ -95,7 +95,7 @@ def export_by_recording(
     if without:
         lines.append(f"{plural(len(without), 'recording')} without a message of these: {listed(without, 3)}")
     summary = {"source": listed([*map(str, files)], 3), "left_out": left_out, "warnings": lines}
-    tell_written({**summary, "files": written if printing.json else by_topic(written)}, printing)
+    print_written({**summary, "files": written if printing.json else by_topic(written)}, printing)
     tell(*lines)
     if failed:
         raise CaptureError(f"{failed:,} of {plural(len(paths), 'recording')} could not be read whole")
