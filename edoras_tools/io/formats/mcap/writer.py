@@ -118,9 +118,8 @@ class McapSink(Sink):
         # To split files by size, the size of what was appended has to be known.
         if options.jobs > 1 and not options.split_bytes:
             with suppress(OSError):  # without them it takes longer
-                # One task each: this process does what comes meanwhile, and fills a third of the memory.
                 self._workers = Workers(
-                    options.jobs - 1, self._packed, writer_killed(self._path), tasks=2, yields=options.yields
+                    options.jobs - 1, self._packed, writer_killed(self._path), yields=options.yields
                 )
                 self._chunks = self._chunk_writer()
 
