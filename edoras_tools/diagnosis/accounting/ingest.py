@@ -813,13 +813,14 @@ class BeforeCi:
         if before.cause in _OUTAGES:
             closed, may = self._case.unreachable.closed, self._open(fates, before, before.since_ns)
             rest = max(rest, sum(int((own & closed[fate.stream.rows]).sum()) for fate, own in may))
-            # CI reads in order, so the latest of what waited when it ended is lost.
+            # CI reads in order: the latest of what waited when it ended is lost, and the first sent later.
             sent_ns = self._case.rows.time_ns[account.rows]
             sent_ns = sent_ns[(sent_ns > before.since_ns) & (sent_ns <= before.end_ns)]
-            if any(item.start_ns == before.end_ns for item in account.losses):
-                since_ns = int(sent_ns[-before.lost :].min(initial=before.end_ns)) - 1
-                surely = self._open(fates, before, since_ns)
-            rest -= self._answered(surely or may)
+            waited = any(item.start_ns == before.end_ns for item in account.losses)
+            lost_ns = sent_ns[-before.lost :] if waited else sent_ns[: before.lost]
+            until = replace(before, end_ns=int(lost_ns.max(initial=0)))
+            surely = self._open(fates, until, int(lost_ns.min(initial=before.end_ns)) - 1)
+            rest -= self._answered(surely)
         if before.proof:
             surely = []
             for fate in fates:  # CI was stopped: what waits will never be read
