@@ -305,8 +305,9 @@ class Telemetry:
         low, high = gaps.low_ns, gaps.high_ns
         part.outside = int(gaps.number[(low <= counts.times[0]) | (high > counts.times[-1])].sum())
         part.watched = 2 * part.outside <= part.missing
-        # A pipe that was not full overflows nothing, but a limit needs no full pipe.
-        kinds = tuple(dict.fromkeys((*part.kinds, "limit"))) if part.kinds else tuple(COUNTERS)[::-1]
+        # All that was in a peer's pipe is captured: if it was not full, it overflowed nothing.
+        others = ("limit",) if part.kinds and part.stream.link.peers else (*COUNTERS,)[::-1]
+        kinds = tuple(dict.fromkeys((*part.kinds, *others)))
         rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, part.stream
         for members in claimed_alike([counts], low, high):
             span, number = (int(low[members[0]]), int(high[members[0]])), int(gaps.number[members].sum())
