@@ -473,7 +473,7 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
         way.end("uncertain", rest)
         yield way
     yield from (_unseen(case, loss) for loss in case.losses if loss.stream is None)
-    for instance, number in case.commands.uncaptured.items():
+    for instance, number in (+case.commands.uncaptured).items():  # without zeros
         way = LedgerWay(LedgerTraffic(instance=case.label(instance)), number)
         way.hop(BUS, _BY_BUS)
         way.end("not_captured", number)

@@ -458,8 +458,7 @@ class Leftover:
         for instance, counts in self._counts.items():
             away = self._away(counts)
             for rest in counts.left.values():
-                if number := int(rest[away].sum()):
-                    self.uncaptured[instance] += number
+                self.uncaptured[instance] += int(rest[away].sum())
                 rest[away] = 0
 
     def _away(self, counts: Counts) -> Mask:
@@ -585,8 +584,7 @@ class Leftover:
             for kind, rest in counts.left.items():
                 # A captured message may have got the count of one that was not captured.
                 spared = min(assigned[kind], int(rest.sum()))
-                if spared:
-                    self.uncaptured[instance] += spared
+                self.uncaptured[instance] += spared
                 if number := int(rest.sum()) - spared:
                     span = counts.span(np.flatnonzero(rest))
                     text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
