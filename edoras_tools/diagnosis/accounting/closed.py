@@ -415,6 +415,10 @@ class Outage(NamedTuple):
     system: int
     restarted: bool = False
 
+    def reads(self, pipe: str) -> bool:
+        """Return whether a pipe is the application's, by its name, as EDORAS_APP_PIPE."""
+        return pipe.startswith(self.app)
+
 
 _OVERLAP_NS: Final = 3 * SECOND
 """A clock tells to a second or two when a cFS began."""
@@ -712,7 +716,7 @@ class Stops:
         case, times = self._case, fate.stream.time_ns
         reported = [item for item in case.reported_losses if item.msg_id == fate.stream.msg_id]
         pipes = {item.pipe for item in reported if item.at_pipe and not item.at_output}
-        surely = [item for item in own if any(pipe.startswith(item.app) for pipe in pipes)]
+        surely = [item for item in own if any(map(item.reads, pipes))]
         # If an application has messages of its own in rule 8, this MsgId need not be for it.
         own = surely or [item for item in own if item.app not in {hop for _, hop, _ in self._causes}]
         if not own:

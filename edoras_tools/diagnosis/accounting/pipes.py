@@ -574,10 +574,8 @@ class Leftover:
     def make_losses(self) -> None:
         """Make losses of an unknown MsgId of the counts that nothing explains."""
         for instance, counts in self._counts.items():
-            away, places = (
-                self._away(counts).tolist(),
-                (own.assigned.items() for own in self._pipes.claims),
-            )
+            away = self._away(counts).tolist()
+            places = (own.assigned.items() for own in self._pipes.claims)
             assigned: Counter[PipeKind] = Counter()
             for place, part in chain.from_iterable(places):
                 assigned[place[1]] += part * (place[0] == instance and place[2] != BEFORE and away[place[2]])
@@ -749,7 +747,7 @@ class Leftover:
     def _ended(self, instance: int, time_ns: int, pipe: str) -> Outage | None:
         """Return the outage in whose time nobody read the pipe of an application, if there is one."""
         system = self._case.instances.systems[instance]
-        own = (item for item in self._case.outages if item.system == system and pipe.startswith(item.app))
+        own = (item for item in self._case.outages if item.system == system and item.reads(pipe))
         return next((item for item in own if item.start_ns <= time_ns < item.ended_ns), None)
 
     def _make_loss(

@@ -62,7 +62,7 @@ def _by_another(case: Case, loss: Loss, least: str) -> Verdict:
     remedy = "see whether the application that reads this pipe runs"
     for item in over:
         tick = case.of_known(TICKS.get(item.app, NO_MSG_ID))
-        if loss.hop.startswith(item.app) or tick == loss.msg_id:
+        if item.reads(loss.hop) or tick == loss.msg_id:
             why, remedy = f"{item.app} did not run", revival(case, item.app, restarts=item.restarted)
     return loss_verdict(case, loss, f"{least}{lost_at(case, loss)}: {why}", link=None, remedy=remedy)
 
