@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.ledger import LedgerWay
 
 _ROUND: Final = 10
 """A period within this part (a tenth) of a task's period belongs to that task."""
@@ -30,17 +31,15 @@ def accounts(case: Case) -> list[dict[str, Any]]:
         case.streams,
         key=lambda item: (item.route == NO_ROUTE, item.msg_id in MSG_ID_NAMES, item.link, item.msg_id),
     )
-    return [_row(case, stream) for stream in order]
+    ways = dict(zip(case.streams, case.ledger.ways, strict=False))
+    return [_row(case, stream, ways[stream]) for stream in order]
 
 
-def _row(case: Case, stream: Stream) -> dict[str, Any]:
+def _row(case: Case, stream: Stream, way: LedgerWay) -> dict[str, Any]:
     rows, own = case.rows, stream.rows
     route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
     source = route or case.own_struct(stream.msg_id)
     times = rows.time_ns[own]
-    lost = sum(loss.lost for loss in case.losses_of(stream))
-    refused = case.commands.fates[stream].refused.total() if stream in case.commands.fates else 0
-    unreached = sum(item.number for item in case.unreached if item.stream is stream)
     to_cfs = route.to_cfs if route else stream.is_command
     clean_hz, told_by = clean_rate(case, stream)
     rounds, tasks = comb(times), (case.profile.to_wake_ns, case.profile.sbn_wake_ns)
@@ -55,9 +54,9 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "sender": str(case.endpoints[stream.sender]),
         "receiver": str(case.endpoints[stream.receiver]),
         "instance": case.label(stream.instance) if stream.instance != NOBODY else None,
-        "sent": len(stream) if behind else len(stream) + lost,
+        "sent": len(stream) + (0 if behind else sum(loss.lost for loss in case.losses_of(stream))),
         "seen": len(stream),
-        "lost": lost + refused + unreached + len(case.missed_by_peer(stream)),
+        "lost": sum(entry.number for entry in way.entries() if entry.ending == "lost"),
         "rate_hz": round(rate_hz(len(stream), int(times[-1]) - int(times[0])), 3),
         "limit_hz": clean_hz,
         "limit_from": told_by,

@@ -325,11 +325,6 @@ class Unreached(msgspec.Struct, frozen=True):
     uncertain: Places
     sent_ns: Integers
 
-    @property
-    def number(self) -> int:
-        """Number of lost messages."""
-        return sum(len(rows) for rows in self.lost.values())
-
 
 def unreached(case: Case) -> list[Unreached]:
     """Return the messages to closed or unreachable endpoints, in the order of the streams."""
