@@ -459,13 +459,7 @@ def _stalls_of(case: Case, loss: Loss) -> Iterator[StateSpan]:
 
 
 def loss_verdict(
-    case: Case,
-    loss: Loss,
-    reason: str,
-    *,
-    link: str | None,
-    remedy: str | Advice,
-    evidence: Iterable[str] | None = None,
+    case: Case, loss: Loss, reason: str, remedy: str | Advice, *more: str, link: str | None = None
 ) -> Verdict:
     """Return the verdict of severity error on a loss.
 
@@ -473,23 +467,22 @@ def loss_verdict(
         case: the case.
         loss: the loss.
         reason: sentence on the loss.
-        link: label of the link that it concerns.
         remedy: change that helps.
-        evidence: facts, in place of the loss' own.
+        more: facts beside the loss' own.
+        link: label of the link that it concerns; None for that of its stream.
     """
     still = stood_still(case, loss) if loss.kind in COUNTERS else ""
+    advice = remedy if isinstance(remedy, Advice) else None
     return error(
         f"{reason}. {still}" if still else reason,
-        *(loss.evidence if evidence is None else evidence),
-        *case.drops_text(),
+        *(*loss.evidence, *more, *case.drops_text()),
         msg_id=loss.msg_id,
-        link=link,
-        hop=loss.hop,
+        place=(link or (loss.stream.link.label if loss.stream else None), loss.hop),
         lost=loss.lost,
         of=loss.of,
         span=(loss.start_ns, loss.end_ns),
-        remedy=remedy.remedy if isinstance(remedy, Advice) else remedy,
-        advice=remedy if isinstance(remedy, Advice) else None,
+        remedy=advice.remedy if advice else str(remedy),
+        advice=advice,
         confidence=loss.confidence,
         cause=loss.kind,
     )

@@ -14,7 +14,7 @@ from __future__ import annotations
 import gc
 from functools import cached_property
 from itertools import chain
-from operator import attrgetter, itemgetter
+from operator import add, attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import msgspec
@@ -30,7 +30,7 @@ from edoras_tools.diagnosis.ledger import CAPTURE, Row, summed
 from edoras_tools.diagnosis.missing import ALL, Missing, missing
 from edoras_tools.diagnosis.rules import SINGLE, others, rules
 from edoras_tools.diagnosis.rules.capture import too_many
-from edoras_tools.diagnosis.rules.silence import note_silences
+from edoras_tools.diagnosis.rules.flight_software import note_silences
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, WHOLE, Choice, Severity, Verdict
 from edoras_tools.links.table import LinkStates
 from edoras_tools.mission import Mission
@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from edoras_tools.decode import Context
     from edoras_tools.decode.conversations import Conversations, Flow, Unnamed
     from edoras_tools.sessions.faults.fault import Fault
+
+    _Figures = Mapping[str, Callable[[Any, Any], Any]]
 
 CHAPTER: Final = 1_000_000
 """Number of datagrams in a chapter; their rows take 160 MB. Messages that cross into the next one are not
@@ -613,26 +615,21 @@ def _of_one(number: int, part: Diagnosis, mission: Mission) -> Diagnosis:
 
 def _routes(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the accounts with those of one stream in several chapters added up."""
-    routes: dict[tuple[Any, ...], dict[str, Any]] = {}
-    for row in rows:
-        key = row["link"], row["msg_id"], row["sender"], row["receiver"], row["instance"]
-        total = routes.setdefault(key, {**row, **dict.fromkeys(_SUMS, 0), "bytes_max": 0, "crossings": []})
-        for name in _SUMS:
-            total[name] += row[name]
-        total["bytes_max"] = max(total["bytes_max"], row["bytes_max"])
-        for name in ("delay", "to_robot"):
-            total[name] = _slower(total[name], row[name])
-        total["crossings"] = _crossings([*total["crossings"], *row["crossings"]])
-    return list(routes.values())
+    return _added(rows, ("link", "msg_id", "sender", "receiver", "instance"), _ROUTE)
 
 
 def _crossings(items: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    totals: dict[tuple[str, str], dict[str, Any]] = {}
+    return _added(items, ("from", "from_link"), _CROSSING)
+
+
+def _added(items: Iterable[dict[str, Any]], keys: Sequence[str], figures: _Figures) -> list[dict[str, Any]]:
+    """Return items with those of equal keys joined to one, each figure by its function."""
+    totals: dict[tuple[Any, ...], dict[str, Any]] = {}
     for item in items:
-        key = item["from"], item["from_link"]
-        before = totals.setdefault(key, {**dict.fromkeys(_CROSSED, 0), "latency": None})
-        sums = {name: before[name] + item[name] for name in _CROSSED}
-        totals[key] = {**item, **sums, "latency": _slower(before["latency"], item["latency"])}
+        key = tuple(item[name] for name in keys)
+        total = totals.get(key)
+        joined = {name: join(total[name], item[name]) for name, join in figures.items()} if total else item
+        totals[key] = {**(total or {}), **joined}
     return list(totals.values())
 
 
@@ -641,5 +638,13 @@ def _slower(one: dict[str, Any] | None, other: dict[str, Any] | None) -> dict[st
     return max((item for item in (one, other) if item), key=itemgetter("p99_ms"), default=None)
 
 
-_CROSSED: Final = ("of", "matched", "superseded", "missing")
-_SUMS: Final = ("sent", "seen", "lost", "gaps", "duplicates", "reordered", "restarts")
+_CROSSING: Final[_Figures] = dict.fromkeys(("of", "matched", "superseded", "missing"), add) | {
+    "latency": _slower
+}
+_ROUTE: Final[_Figures] = {
+    **dict.fromkeys(("sent", "seen", "lost", "gaps", "duplicates", "reordered", "restarts"), add),
+    "delay": _slower,
+    "to_robot": _slower,
+    "bytes_max": max,
+    "crossings": lambda one, other: _crossings([*one, *other]),
+}

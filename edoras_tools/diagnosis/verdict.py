@@ -165,13 +165,13 @@ def verdict(
     Args:
         severity: importance.
         reason: one sentence with the fact, the place and the cause.
-        evidence: facts that prove it, one sentence each.
+        evidence: facts that prove it, one sentence each; empty ones are left out.
         place: label of the link and the hop, in place of ``link`` and ``hop``.
         about: other attributes of the verdict.
     """
     if place:
         about["link"], about["hop"] = place
-    return Verdict(severity, reason, evidence=evidence, **about)
+    return Verdict(severity, reason, evidence=tuple(filter(None, evidence)), **about)
 
 
 error = partial(verdict, Severity.ERROR)

@@ -12,14 +12,12 @@ from edoras_tools import doors
 from edoras_tools.diagnosis.rules import (
     capture,
     commands,
-    content,
     flight_software,
     gaps,
     messages,
     network,
     output,
     pipes,
-    silence,
 )
 
 if TYPE_CHECKING:
@@ -30,7 +28,7 @@ if TYPE_CHECKING:
 
     Rule = Callable[[Case], Iterator[Verdict]]
 
-_MODULES: Final = capture, pipes, commands, messages, network, output, content, gaps, silence, flight_software
+_MODULES: Final = capture, pipes, commands, messages, network, output, gaps, flight_software
 RULES: Final[dict[str, Rule]] = {
     name: item
     for module in _MODULES

@@ -240,11 +240,9 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
 
 def _commands_to_clock(case: Case, when: int) -> Iterator[str]:
     """Yield the commands that set a clock at a time, and when each was sent."""
-    for system, subject in case.timeline.subjects:
-        if subject.kind == "clock":
-            for change in case.timeline.of(subject, system):
-                if change.not_before_ns - SECOND <= when <= change.not_after_ns:
-                    yield f"sent at {case.at(change.not_before_ns)}: {change.witness}"
+    for span in case.timeline.every("set"):
+        if span.start_lo - SECOND <= when <= span.start_hi:
+            yield f"sent at {case.at(span.start_lo)}: {span.change.witness}"
 
 
 def proxy_faults(case: Case) -> Iterator[Verdict]:

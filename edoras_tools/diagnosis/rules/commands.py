@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from functools import cache, reduce
+from functools import cache, partial, reduce
 from operator import or_
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -36,109 +36,90 @@ _ANSWERED_NS: Final = 1700 * MILLISECOND
 """CI reads within 500 ms, the application follows at once, TO sends the event within another 500 ms."""
 
 
-class BadCommandKind(NamedTuple):
+class BadCommand(NamedTuple):
     """A way in which a command can be wrong.
 
     Attributes:
         finding: what the decoder saw.
         problem: what it is.
         reaction: what cFS does about it, as measured.
-        event: what cFS says; empty where it says nothing.
-        refused: whether it comes to nothing.
-        refused_7: whether CI of cFS 7 refuses it, and says so.
+        event: pattern of what cFS says; empty where it says nothing.
     """
 
     finding: Finding
     problem: str
     reaction: str
     event: str = ""
-    refused: bool = True
-    refused_7: bool = False
 
 
-_LENGTH = r"[Ii]nvalid [Mm]sg length|Invalid cmd length"
-
-
+_SHORT_EVENT: Final = f"{command_ingest.TOO_SHORT.phrase}|{command_ingest.TOO_SHORT_7.phrase}"
+_MSG_ID_EVENT: Final = re.escape(software_bus.EVENTS[software_bus.INVALID_MSG_ID].phrase)
+_CODE_EVENT: Final = r"Invalid ground command code|Function Code|Invalid.*CC = "
+_LENGTH_EVENT: Final = rf"[Ii]nvalid [Mm]sg length|Invalid cmd length|{telemetry_output.ENABLED.phrase}"
 _BAD_COMMANDS: Final = (
-    BadCommandKind(
-        Finding.TRUNCATED,
-        "shorter than a command header",
-        "CI drops it",
-        f"{command_ingest.TOO_SHORT.phrase}|{command_ingest.TOO_SHORT_7.phrase}",
+    BadCommand(Finding.TRUNCATED, "shorter than a command header", "CI drops it", _SHORT_EVENT),
+    BadCommand(
+        Finding.INVALID_MSG_ID, "MsgId is 0 or above 0x1FFF", "the software bus refuses it", _MSG_ID_EVENT
     ),
-    BadCommandKind(
-        Finding.INVALID_MSG_ID,
-        "MsgId is 0 or above 0x1FFF",
-        "the software bus refuses it",
-        re.escape(software_bus.EVENTS[software_bus.INVALID_MSG_ID].phrase),
-    ),
-    BadCommandKind(
+    BadCommand(
         Finding.OVER_SOFTWARE_BUS,
         "length field exceeds the software bus's 32,768",
         "the software bus refuses it",
         software_bus.EVENTS[software_bus.MSG_TOO_BIG].phrase,
     ),
-    BadCommandKind(
+    BadCommand(
         Finding.UNKNOWN_FUNCTION_CODE,
         "function code that the application does not have",
         "the application refuses it",
-        r"Invalid ground command code|Function Code|Invalid.*CC = ",
+        _CODE_EVENT,
     ),
-    BadCommandKind(
+    BadCommand(
         Finding.COMMAND_LENGTH,
         "length that its function code does not take",
         "the application refuses it, or reads what its buffer held before",
-        rf"{_LENGTH}|{telemetry_output.ENABLED.phrase}",
+        _LENGTH_EVENT,
     ),
-    BadCommandKind(
+    BadCommand(
         Finding.WRONG_DIRECTION,
         "telemetry MsgId sent as a command",
         "CI publishes it silently; who subscribes to that telemetry takes it for real",
-        refused=False,
     ),
-    BadCommandKind(
+    BadCommand(
         Finding.CDR_INVALID,
         "CDR that does not decode as the configured type",
         "the application fails to deserialise it, on its console only",
     ),
-    BadCommandKind(
-        Finding.CDR_TOO_LONG,
-        "CDR longer than the configured type",
-        "accepted, and read as that type",
-        refused=False,
+    BadCommand(
+        Finding.CDR_TOO_LONG, "CDR longer than the configured type", "accepted, and read as that type"
     ),
-    BadCommandKind(
+    BadCommand(
         Finding.ENVELOPE_OVERRUN,
         "buffer_length reaches past the packet",
         "accepted silently; the application reads beyond the data",
-        refused=False,
     ),
-    BadCommandKind(
-        Finding.CDR_BIG_ENDIAN, "CDR in big-endian order", "accepted, and read as such", refused=False
-    ),
-    BadCommandKind(
+    BadCommand(Finding.CDR_BIG_ENDIAN, "CDR in big-endian order", "accepted, and read as such"),
+    BadCommand(
         Finding.LENGTH_MISMATCH,
         "packet data length disagrees with the datagram",
         "accepted silently; bytes that it lacks are what CI's buffer held before",
-        refused=False,
-        refused_7=True,
     ),
-    BadCommandKind(
-        Finding.CHECKSUM_BAD,
-        "wrong checksum",
-        "obeyed all the same: no application here checks it",
-        refused=False,
-    ),
+    BadCommand(Finding.CHECKSUM_BAD, "wrong checksum", "obeyed all the same: no application here checks it"),
 )
 _ANY: Final = reduce(or_, (kind.finding for kind in _BAD_COMMANDS))
-_MISMATCH: Final = next(item for item in _BAD_COMMANDS if item.refused_7)
-_SHORT = BadCommandKind(
+_MISMATCH: Final = _BAD_COMMANDS[10]
+"""CI of cFS 7 refuses it, and says so."""
+_SHORT = BadCommand(
     Finding.TRUNCATED,
     "ends before its message does",
     "CI accepts it; the application fails to deserialise it, on its console only",
 )
-_EMPTY = BadCommandKind(Finding.TRUNCATED, "empty", "CI reads nothing and says nothing")
+_EMPTY = BadCommand(Finding.TRUNCATED, "empty", "CI reads nothing and says nothing")
 _HARMLESS: Final = Finding.CDR_BIG_ENDIAN
+_ACCEPTED: Final = (
+    *(Finding.WRONG_DIRECTION, Finding.CDR_TOO_LONG, Finding.ENVELOPE_OVERRUN, Finding.CHECKSUM_BAD),
+    *(_HARMLESS, _MISMATCH.finding),
+)
+"""Findings of commands that come to something all the same."""
 _REFUSED: Final = re.compile(
     r"Invalid ground command code: CC = (?P<code>\d+)"
     r"|(?:Invalid [Mm]sg length: ID = 0x(?P<msg_id>[0-9A-Fa-f]+),\s+CC = (?P<of>\d+), Len = (?P<length>\d+))"
@@ -162,8 +143,8 @@ def bad_command(case: Case) -> Iterator[Verdict]:
     findings = rows.findings[bad] | np.where(rows.claimed[bad] != 0, np.uint32(Finding.ENVELOPE_OVERRUN), 0)
     size = np.minimum(rows.length[bad], cfe.COMMAND_HEADER_BYTES)  # a longer one is of the same kind
     mismatch = int(_MISMATCH.finding)
-    by_kind: dict[tuple[BadCommandKind, int], list[int]] = {}
-    by_mission: dict[tuple[BadCommandKind, int], list[int]] = {}
+    by_kind: dict[tuple[BadCommand, int], list[int]] = {}
+    by_mission: dict[tuple[BadCommand, int], list[int]] = {}
     for row, bits, length, msg_id in zip(
         bad.tolist(), findings.tolist(), size.tolist(), rows.msg_id[bad].tolist(), strict=True
     ):
@@ -183,7 +164,7 @@ def bad_command(case: Case) -> Iterator[Verdict]:
 
 
 @cache
-def _kind(findings: int, length: int) -> BadCommandKind:
+def _kind(findings: int, length: int) -> BadCommand:
     if not length:
         return _EMPTY
     kind = next(item for item in _BAD_COMMANDS if item.finding in Finding(findings))
@@ -191,7 +172,7 @@ def _kind(findings: int, length: int) -> BadCommandKind:
     return _SHORT if kind.finding is Finding.TRUNCATED and length >= cfe.COMMAND_HEADER_BYTES else kind
 
 
-def _refused(case: Case, judged: set[int]) -> Iterator[tuple[int, BadCommandKind]]:
+def _refused(case: Case, judged: set[int]) -> Iterator[tuple[int, BadCommand]]:
     """Find commands that an application refused, and whose rules the decoder does not know."""
     rows = case.rows
     code, length = _BAD_COMMANDS[3], _BAD_COMMANDS[4]
@@ -213,12 +194,12 @@ def _refused(case: Case, judged: set[int]) -> Iterator[tuple[int, BadCommandKind
             yield rest[-1], code if parts["code"] else length
 
 
-def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
+def _verdict(case: Case, members: list[int], kind: BadCommand) -> Verdict:
     rows, first = case.rows, members[0]
     msg_id = int(rows.msg_id[first])
     name = case.name(msg_id) if msg_id != NO_MSG_ID else "a datagram"
     start_ns = int(rows.time_ns[first])
-    refused = refusals(case, first, int(rows.length[first])) if kind.refused_7 else []
+    refused = refusals(case, first, int(rows.length[first])) if kind is _MISMATCH else []
     events = refused or _answers(case, kind, first)
     many = len(members) > 1
     which = f"{len(members):,} of {name}: " if many else f"{name}, packet {rows.number[first]}: "
@@ -227,7 +208,8 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
     # Without a word from cFS it may be built with a longer header, and the length be right.
     unheard = "" if events else _unheard(case, start_ns)
     unsure = kind.finding is Finding.COMMAND_LENGTH and (bool(unheard) or not case.has_telemetry)
-    lost = None if accepted or unsure or not (kind.refused or refused) else len(members)
+    comes_to_nothing = kind.finding not in _ACCEPTED or bool(refused)
+    lost = len(members) if comes_to_nothing and not (accepted or unsure) else None
     reaction = "accepted" if accepted else "CI drops it" if refused else kind.reaction
     return verdict(
         Severity.ERROR if lost else Severity.NOTE if kind.finding in _HARMLESS else Severity.WARNING,
@@ -245,7 +227,7 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
 
 
 def _evidence(
-    case: Case, members: list[int], kind: BadCommandKind, events: list[EventRecord], unheard: str
+    case: Case, members: list[int], kind: BadCommand, events: list[EventRecord], unheard: str
 ) -> Iterator[str]:
     """Yield what the capture has of some commands: the first one, and what cFS said."""
     rows, first = case.rows, members[0]
@@ -283,7 +265,7 @@ def refusals(case: Case, row: int, length: int) -> list[EventRecord]:
     return []
 
 
-def _answers(case: Case, kind: BadCommandKind, row: int) -> list[EventRecord]:
+def _answers(case: Case, kind: BadCommand, row: int) -> list[EventRecord]:
     """Return what cFS said about a row: the first event of its kind that can mean it."""
     if not kind.event:
         return []
@@ -313,6 +295,9 @@ def _ways(case: Case, rows: Places) -> Iterator[tuple[tuple[str, str], Places]]:
         yield (source, destination), rows[members]
 
 
+_suspicious = partial(security, place=("ci", "CI_LAB_APP"), confidence="medium")
+
+
 def stranger_commands(case: Case) -> Iterator[Verdict]:
     """Commands from an address that telemetry never goes to: no ground station of this capture.
 
@@ -329,17 +314,15 @@ def stranger_commands(case: Case) -> Iterator[Verdict]:
         kinds = members[numbered(rows.msg_id[members], rows.function_code[members])[0]].tolist()
         names = sorted({case.name(int(rows.msg_id[row])) for row in kinds})
         allowed = {text for row in kinds if (text := _privilege(case, row))}
-        yield security(
+        yield _suspicious(
             f"{plural(len(members), 'command')} to CI at {target} from {sender}, which gets no telemetry",
             f"{packet(case, members[0])} is the first",
             f"telemetry goes to {', '.join(sorted(addresses))}",
             f"MsgIds: {listed(names, 6)}",
             *(f"it could {text}" for text in sorted(allowed)),
-            place=("ci", "CI_LAB_APP"),
             span=case.span(members),
             remedy="if it is a second ground station, nothing; else let only the station reach CI's port "
             "(a firewall, or authentication in front of CI)",
-            confidence="medium",
         )
 
 
@@ -384,15 +367,13 @@ def repeated_commands(case: Case) -> Iterator[Verdict]:
         members = sent[repeats[at]]
         origins = sorted({addresses[item] for item in origin[repeats[at]].tolist()})
         earlier = sent[first[which[repeats[at[0]]]]]
-        yield security(
+        yield _suspicious(
             f"{plural(len(members), 'command')} from {addresses[who]} repeat, byte for byte, what "
             f"{', '.join(origins)} sent before: a recording is being sent again",
             f"{packet(case, members[0])} repeats packet {rows.number[earlier]}",
             f"MsgIds: {', '.join(sorted({case.name(int(rows.msg_id[item])) for item in members}))}",
-            place=("ci", "CI_LAB_APP"),
             span=case.span(members),
             remedy="let only the station reach CI's port: commands carry no count and no time",
-            confidence="medium",
         )
 
 

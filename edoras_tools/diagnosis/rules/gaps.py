@@ -1,4 +1,4 @@
-"""What is missing between links, behind cFS, at closed ports, or where nothing tells."""
+"""What arrives with other values or late, and what is missing: between links, behind cFS, at closed ports."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.software_bus import NAME
@@ -22,12 +23,22 @@ from edoras_tools.diagnosis.advice import loss_verdict, lost_at
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.ledger import CAUSES
 from edoras_tools.diagnosis.quality import overlapping
-from edoras_tools.diagnosis.rules.about import stream_subject
-from edoras_tools.diagnosis.verdict import Severity, Verdict, error, habit, note, verdict, warning
+from edoras_tools.diagnosis.rules.about import packet, stream_subject, subject
+from edoras_tools.diagnosis.verdict import (
+    NOTHING_SENT,
+    Severity,
+    Verdict,
+    error,
+    habit,
+    note,
+    verdict,
+    warning,
+)
 from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
+from edoras_tools.model import rate_hz
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.words import listed, plural
@@ -35,11 +46,163 @@ from edoras_tools.words import listed, plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from edoras_tools.diagnosis.accounting.content import WayContent
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.unreachable import ClosedSpan
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.model import Endpoint
-    from edoras_tools.wire.arrays.order import Integers
+    from edoras_tools.wire.arrays.order import Integers, Places
+
+_EDORAS = "EDORAS"
+"""The public applications, their pipes and their housekeeping begin so; these pass values on as they are."""
+_FEW = 4
+_LEAST = 3
+_APP_NS = SECOND
+"""The public applications read their robot's states once a second."""
+_SLACK_NS = 3 * SECOND
+
+
+def changed_values(case: Case) -> Iterator[Verdict]:
+    """What reaches a robot, or leaves cFS again, has values that were never sent.
+
+    Tell how many have changed, and how many always hold the same one. An application may change values on
+    purpose; those of EDORAS do not.
+    """
+    passes_on = _is_edoras(case)
+    for item in case.contents:
+        same, other = len(item.constant), len(item.changed)
+        if not same + other:
+            continue
+        where, same_one = _where(case, item), f"{same:,} always hold the same one"
+        if same + other == item.of:  # nothing that came out has a value that was sent
+            all_ = f"all {item.of:,}" if not same or not other else f"{other:,} changed, {same_one}"
+            how = "" if same and other else " always hold the same one" if same else " changed"
+            text = f"{NOTHING_SENT[0]} that {where} {NOTHING_SENT[1]}: {all_}{how}"
+        else:
+            text = f"{same + other:,} of {item.of:,} that {where} have a value that was never sent"
+            text += f": {same_one}" if same else ""
+        meant = "" if same else "an application that changes values on purpose does this, too"
+        if passes_on:
+            meant = f"{passes_on} is here: the public EDORAS applications pass values on as they are"
+        yield _about(
+            Severity.ERROR if passes_on or same else Severity.WARNING,
+            case,
+            item,
+            text,
+            *(_first(case, item.constant if same else item.changed), meant),
+            remedy="look at what the application sends: a struct that was not filled, as after a command "
+            "that it failed to parse, or one that something else wrote over",
+        )
+
+
+def old_values(case: Case) -> Iterator[Verdict]:
+    """What reaches a robot, or leaves cFS again, is older than others, or later than rounds make it.
+
+    Tell how many came again after newer ones, and how many took too long.
+    """
+    for item in case.contents:
+        again, late = len(item.again), len(item.late)
+        longest = f"up to {item.longest_ns / SECOND:.1f} s after they were sent"
+        if again:
+            yield _about(
+                Severity.ERROR,
+                case,
+                item,
+                f"{again:,} of {item.of:,} that {_where(case, item)} came with an old value, {longest}",
+                _first(case, item.again),
+                "others that were sent later had arrived, or were due",
+                remedy="look for a network or relay that doubles or delays, and for an application that "
+                "reads slower than it is sent to, or sends what it has kept",
+            )
+        if late:
+            yield _about(
+                Severity.WARNING,
+                case,
+                item,
+                f"{late:,} of {item.of:,} that {_where(case, item)} were late, {longest}: rounds and CI's "
+                f"socket explain {item.rounds_ns / SECOND:.1f} s at most",
+                _first(case, item.late),
+                remedy="look for a queue on the way that is served slower than it is filled",
+            )
+
+
+def old_states(case: Case) -> Iterator[Verdict]:
+    """An application reads slower than its robot sends: what leaves cFS is older and older.
+
+    Tell how old the states of the robot become, and both rates.
+    """
+    rounds_ns = _APP_NS + case.profile.to_wake_ns + _SLACK_NS
+    for item in case.passed_states:
+        old = item.age_ns > rounds_ns
+        if old.sum() < _LEAST:
+            continue
+        sent, passed = (
+            rate_hz(len(times), int(times[-1] - times[0])) for times in (item.sent_ns, item.time_ns)
+        )
+        last, oldest = int(np.flatnonzero(old)[-1]), int(item.age_ns.argmax())
+        at = case.at(int(item.time_ns[oldest]))
+        yield warning(
+            f"{int(old.sum()):,} of {len(old):,} messages on {case.name(item.msg_id)} carry an old state of "
+            f"the robot, up to {item.age_ns[oldest] / SECOND:.1f} s old",
+            f"packet {item.number[oldest]} at {at}: {item.age_ns[oldest] / SECOND:.1f} s after it was sent",
+            f"the robot sends {sent:.1f} a second, {passed:.1f} a second are passed on: the rest waits",
+            msg_id=item.msg_id,
+            place=(TO.label, "flight application"),
+            span=(int(item.time_ns[old.argmax()]), int(item.time_ns[last])),
+            remedy=f"let the application pass on the newest, or the robot send {passed:.1f} a second",
+        )
+
+
+def value_limits(case: Case) -> Iterator[Verdict]:
+    """Values are outside the limits that the layout of their struct sets.
+
+    Name each field, how many values are outside its yellow and its red limits, and the lowest and highest.
+    """
+    beyond = case.payloads.beyond
+    for name, (number, member) in case.payloads.limited.items():
+        among = beyond["field"] == number
+        rows, value = beyond["row"][among], beyond["value"][among].view(np.float64)
+        red, unit = int(beyond["red"][among].sum()), f" {member.unit}".rstrip()
+        if len(rows):
+            yield warning(
+                f"{name}: {plural(len(rows), 'value')} outside its limits, {red:,} outside the red ones",
+                f"{packet(case, int(rows[0]))}: {value[0]:.9g}{unit}",
+                f"lowest {value.min():.9g}{unit}, highest {value.max():.9g}{unit}; limits: {member.limits}",
+                **subject(case, rows),
+                remedy="look for the cause on board, or correct the limits in the layout or the data sheet",
+            )
+
+
+def _about(
+    severity: Severity, case: Case, item: WayContent, text: str, *evidence: str, remedy: str
+) -> Verdict:
+    return verdict(
+        severity,
+        text,
+        *evidence,
+        msg_id=item.into.msg_id if item.out.link.last_hop else item.out.msg_id,
+        place=(item.out.link.label, "flight application"),
+        span=case.span(item.out.rows),
+        remedy=remedy,
+        confidence="medium",
+    )
+
+
+def _where(case: Case, item: WayContent) -> str:
+    return "reached the robot" if item.out.link.last_hop else f"came out as {case.name(item.out.msg_id)}"
+
+
+def _first(case: Case, members: Places) -> str:
+    packets = listed([packet(case, int(row)) for row in members[:_FEW]])
+    return f"{packets}{', and more' * (len(members) > _FEW)}"
+
+
+def _is_edoras(case: Case) -> str:
+    """Return the name of an EDORAS application, or of its pipe, in the capture; empty where it has none."""
+    names = [item.app for item in case.payloads.events]
+    names += [item.pipe for item in case.reported_losses]
+    names += [case.packet_name(stream.msg_id) for stream in case.streams if stream.link.only_from_cfs]
+    return next((name for name in names if name.startswith(_EDORAS)), "")
 
 
 _IN_A_ROW: Final = 8
@@ -61,14 +224,25 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
     for loss in case.losses:
         if loss.kind in remedies:
             text = f"{lost_at(case, loss)} {CAUSES[loss.kind].text}"
-            link = loss.stream.link.label if loss.stream else None
-            yield loss_verdict(case, loss, text, link=link, remedy=remedies[loss.kind])
+            yield loss_verdict(case, loss, text, remedies[loss.kind])
     for fate in case.commands.fates.values():
         if fate.ends["unaccounted"] or fate.ends["beyond"]:
-            yield _lost_crossing(case, fate) if fate.seen else _unfollowed(case, fate)
+            times, reason, evidence, remedy = (_never_out if fate.seen else _unfollowed)(case, fate)
+            yield verdict(
+                Severity.ERROR if fate.seen and fate.ends["unaccounted"] else Severity.WARNING,
+                reason,
+                *(*evidence, *case.drops_text()),
+                msg_id=fate.stream.msg_id,
+                place=(fate.stream.link.label, "application"),
+                of=len(fate.stream),
+                span=(int(times[0]), int(times[-1])),
+                remedy=remedy,
+                confidence="low" if fate.seen and not case.tracks else "medium",
+            )
 
 
-def _lost_crossing(case: Case, fate: Fate) -> Verdict:
+def _never_out(case: Case, fate: Fate) -> tuple[Integers, str, list[str], str]:
+    """Return when what did not come out was sent, the sentence about it, the evidence, and what to do."""
     stream = fate.stream
     ways = dict.fromkeys(
         "to the robot" if hop.out.link == ROBOT else f"as {case.name(hop.out.msg_id)}" for hop in fate.hops
@@ -95,25 +269,15 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
     why = f"may be lost: they were sent before the first that {out}, or behind the last"
     if unaccounted:
         why = f"are not accounted for: they never {out}, and the capture cannot show why"
-    return verdict(
-        Severity.ERROR if unaccounted else Severity.WARNING,
-        f"{went_in} on {case.name(stream.msg_id)} {why}",
-        *evidence,
-        *case.drops_text(),
-        msg_id=stream.msg_id,
-        place=(stream.link.label, "application"),
-        of=len(stream),
-        span=(int(missing[0]), int(missing[-1])),
-        remedy="let Telemetry Output send 0x884, CI's counts: they tell whether the uplink lost these"
-        if uncounted
-        else "look at the application's counters and console; capture on cFS's host, from before the traffic",
-        confidence="medium" if visible else "low",
-    )
+    remedy = "look at the application's counters and console; capture on cFS's host, from before the traffic"
+    if uncounted:
+        remedy = "let Telemetry Output send 0x884, CI's counts: they tell whether the uplink lost these"
+    return missing, f"{went_in} on {case.name(stream.msg_id)} {why}", evidence, remedy
 
 
-def _unfollowed(case: Case, fate: Fate) -> Verdict:
-    """Say that nobody can follow what was sent after an application stopped, or if none subscribed to it."""
-    stream, times = fate.stream, fate.stream.time_ns
+def _unfollowed(case: Case, fate: Fate) -> tuple[Integers, str, list[str], str]:
+    """Return the same of what nobody can follow: an application stopped, or none subscribed to it."""
+    stream, times, evidence, lost = fate.stream, fate.stream.time_ns, [], "are not accounted for"
     if fate.reached is not None:
         why = f"the robot got {fate.reached:,}, and which they were is cut off"
         evidence = ["datagrams counted: to CI, and on the robot link"]
@@ -121,21 +285,11 @@ def _unfollowed(case: Case, fate: Fate) -> Verdict:
         why = f"Telemetry Output counted {fate.commanded:,} commands meanwhile"
         evidence = ["0x880: its counters of commands taken and refused, between the first and the last here"]
     else:
-        why, evidence = f"{fate.undecidable_since}; nothing here shows whether an application took them", []
-        times = times[fate.undecidable]
-    open_ = fate.reached is None and fate.commanded is None
-    return warning(
-        f"{fate.ends['unaccounted']:,} of {len(stream):,} messages sent to cFS on "
-        f"{case.name(stream.msg_id)} {'may be lost' if open_ else 'are not accounted for'}: {why}",
-        *evidence,
-        *case.drops_text(),
-        msg_id=stream.msg_id,
-        place=(stream.link.label, "application"),
-        of=len(stream),
-        span=(int(times[0]), int(times[-1])),
-        remedy="capture what comes out of the application too: the robot link (UDP 8080 to 8585), SBN",
-        confidence="medium",
-    )
+        why = f"{fate.undecidable_since}; nothing here shows whether an application took them"
+        times, lost = times[fate.undecidable], "may be lost"
+    which = f"{fate.ends['unaccounted']:,} of {len(stream):,} messages sent to cFS on"
+    remedy = "capture what comes out of the application too: the robot link (UDP 8080 to 8585), SBN"
+    return times, f"{which} {case.name(stream.msg_id)} {lost}: {why}", evidence, remedy
 
 
 def lost_after_cfs(case: Case) -> Iterator[Verdict]:
@@ -227,11 +381,10 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
 
     Say how many, of which topics, and how good the capture surely is.
     """
-    missed = [(item, item.ends["missed"]) for item in case.commands.fates.values()]
-    unsure = [(item.stream, number) for item, number in missed if number]
-    ends = case.telemetry.ended
-    own = ((item, ends(item, "uncertain") + ends(item, "astray")) for item in case.streams)
-    unsure += [(item, number) for item, number in own if number]
+    ends, fates = case.telemetry.ended, case.commands.fates.values()
+    both = [(item.stream, item.ends["missed"]) for item in fates]
+    both += [(item, ends(item, "uncertain") + ends(item, "astray")) for item in case.streams]
+    unsure = [(item, number) for item, number in both if number]
     if not unsure:
         return
     quality, most = case.quality, 100 * case.quality.upper_share()
@@ -268,22 +421,14 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
         if loss.kind != "unknown" or own is None:
             continue
         clean, pipe, why = limit(own.link, loss.msg_id, case.profile, to_cfs=False)
-        offered = loss.offered_hz
+        offered, which = loss.offered_hz, f"{loss.lost:,} of {loss.of:,} messages on {case.name(loss.msg_id)}"
         likely = f"published at {offered:.0f}/s; {why}: {clean:g}/s, so {pipe} is the likely place"
-        yield error(
-            f"{loss.lost:,} of {loss.of:,} messages on {case.name(loss.msg_id)} are missing behind the "
-            "point where they were counted; the capture cannot show where",
-            *loss.evidence,
-            *([likely] if offered > clean else ()),
-            *case.drops_text(),
-            msg_id=loss.msg_id,
-            place=(own.link.label, pipe if offered > clean else None),
-            lost=loss.lost,
-            of=loss.of,
-            span=(loss.start_ns, loss.end_ns),
-            remedy="capture TO's link with 0x803 and 0x808 in its table: its counters and events tell",
-            confidence="low",
+        reason = (
+            f"{which} are missing behind the point where they were counted; the capture cannot show where"
         )
+        remedy = "capture TO's link with 0x803 and 0x808 in its table: its counters and events tell"
+        item = loss_verdict(case, loss, reason, remedy, likely if offered > clean else "")
+        yield replace(item, hop=pipe if offered > clean else None, confidence="low")
     for stream in case.streams:
         if undecided := case.telemetry.ended(stream, "undecided"):
             why, remedy = _why_undecided(case, stream)
@@ -295,17 +440,15 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
 def _why_undecided(case: Case, stream: Stream) -> tuple[str, str]:
     """Return why nothing tells what became of counts that are missing, and what would tell."""
     if not may_lack_control(case, stream):
-        why = (
-            "the capture cut off when packets were made, so nothing tells whether they were lost, not sent, "
-        )
-        return f"{why}or are another cFS's", "capture whole frames, without -s or with -s 0"
+        why = "the capture cut off when packets were made, so nothing tells whether they were lost, not sent,"
+        return f"{why} or are another cFS's", "capture whole frames, without -s or with -s 0"
     if stream.link.peers:
         why = "what the peer sends is not in the capture, or cut, so nothing tells whether it was to get them"
         return f"SBN sent it none then, and {why}", "capture what the peer sends, too, in whole frames"
     why = "no command to cFS is in the capture"
     if not lacks_control(case, stream):
         why = "the capture misses some datagrams, perhaps a command to it"
-    why = f"{why}, so nothing tells whether it was told not to send them"
+    why += ", so nothing tells whether it was told not to send them"
     return f"Telemetry Output sent none then, and {why}", "capture what is sent to CI, too"
 
 
@@ -401,18 +544,17 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         lost, uncertain = (_within(case, span, since_ns, cause) for cause in (PORT_CLOSED, None))
         if not lost and not uncertain:
             continue
-        again, errors = span.end_ns != NEVER, plural(span.errors, "ICMP error")
-        start, last = case.at(span.start_ns), case.at(span.last_ns)
-        evidence = [
-            f"{errors} (port unreachable), the first at {start}, the last at {last}",
-            f"open again at {case.at(span.end_ns)}" if again else "not open again in this capture",
-        ]
-        if uncertain:
-            evidence.append(f"{plural(uncertain.total(), 'more message')} may not have been read there")
-        number = lost.total()
+        errors, number = plural(span.errors, "ICMP error"), lost.total()
+        start, last, until = case.at(span.start_ns), case.at(span.last_ns), "the end of the capture"
+        unread = (
+            f"{plural(uncertain.total(), 'more message')} may not have been read there" if uncertain else ""
+        )
         names = listed([f"{count:,} of {name}" for name, count in lost.most_common()], _MOST_NAMED)
-        until = case.at(span.end_ns) if again else "the end of the capture"
-        if not again and case.end_ns - span.last_ns > _NO_MORE_NS:
+        again = "not open again in this capture"
+        if span.end_ns != NEVER:
+            until = case.at(span.end_ns)
+            again = f"open again at {until}"
+        elif case.end_ns - span.last_ns > _NO_MORE_NS:
             until = f"{last}, after which nothing was sent there"
         reason = f"nobody listened on {span.port} from {start} to {until}"
         if number:
@@ -422,7 +564,8 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         yield verdict(
             Severity.ERROR if number else Severity.WARNING,
             reason,
-            *evidence,
+            f"{errors} (port unreachable), the first at {start}, the last at {last}",
+            *(again, unread),
             link=next((s.link.label for s in case.streams if case.endpoints[s.receiver] == span.port), None),
             hop=f"{UDP_PORT} {span.port}",
             lost=number or None,

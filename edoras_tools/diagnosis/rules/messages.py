@@ -12,7 +12,7 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
 from edoras_tools.diagnosis.accounting.pipes import more_at_once
-from edoras_tools.diagnosis.rules.about import of_messages, packet, stream_subject
+from edoras_tools.diagnosis.rules.about import of_messages, packet, stream_subject, subject
 from edoras_tools.diagnosis.verdict import About, Confidence, Severity, Verdict, error, note, warning
 from edoras_tools.links import table
 from edoras_tools.links.ci import CI
@@ -58,35 +58,29 @@ def _overrun(case: Case, members: Places) -> Verdict:
     before = _malformed_before(case, int(rows.time_ns[first]))
     number = f"{claimed:,}" if claimed < 1 << 24 else "millions"
     size = f"{rows.packet_length[first]} bytes, room for {space} of CDR"
-    evidence = [f"{packet(case, first)}: {size}; its envelope claims {number}"]
-    garbage = f"are garbage: their envelope claims {number} and there are {space}"
+    problem, doubt = f"are garbage: their envelope claims {number} and there are {space}", ""
     confidence: Confidence = "medium"
     if before is not None:
-        problem = garbage
-        evidence.append(
-            f"malformed packet {rows.number[before]} went into cFS just before, and was passed on"
-        )
+        why = f"malformed packet {rows.number[before]} went into cFS just before, and was passed on"
         remedy = "send well-formed datagrams: the application passes on what its buffer held"
     elif claimed <= case.profile.bus_max_bytes:
         room = f"it has room for {space} bytes of CDR, {claimed:,} are claimed"
         problem = f"do not fit the struct that carries them: {room}"
-        evidence.append(
-            "the application left out what is behind, or wrote past the struct's end and over other memory"
-        )
+        why = "the application left out what is behind, or wrote past the struct's end and over other memory"
         remedy = "make the struct in the flight application as large as the longest message, strings included"
         way = rows.link[first], rows.msg_id[first]
         if any((hop.out.link.code, hop.out.msg_id) == way for hop in case.hops):
             confidence = "high"
         else:
-            evidence.append("what went into the application is not here: a malformed message looks the same")
+            doubt = "what went into the application is not here: a malformed message looks the same"
     else:
-        problem = garbage
-        evidence.append(
+        why = (
             f"the software bus takes {case.profile.bus_max_bytes:,} bytes at most, so no message was too "
             "long for its struct: the application passed on what its buffer held, as it does after a "
             "malformed packet; none is seen here just before"
         )
         remedy = "capture the link that the application's messages come in on, and look for malformed ones"
+    evidence = f"{packet(case, first)}: {size}; its envelope claims {number}", why, doubt
     about: About = {"hop": "flight application", "remedy": remedy, "confidence": confidence}
     return of_messages(Severity.ERROR, case, members, problem, *evidence, **about)
 
@@ -281,7 +275,7 @@ def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], witness:
         remedy += "; let the SBN peer subscribe to what becomes of it"
     return error(
         f"{subject} without a subscriber in cFS: the software bus drops them",
-        *([f"packet {packets}, the first at {case.at(span[0])}"] if members else ()),
+        f"packet {packets}, the first at {case.at(span[0])}" if members else "",
         witness,
         msg_id=msg_id,
         place=(link.label, "software bus"),
@@ -354,12 +348,10 @@ def wrong_direction(case: Case) -> Iterator[Verdict]:
         if not against and (not len(other) or len(own)):
             continue
         members = other if len(other) else own
+        kinds = ("a command", "a telemetry") if route.link is CI else ("telemetry", "a command")
+        wrong = "configured as {} and it is {} MsgId".format(*kinds)
         if not against:
             wrong = f"configured on {route.link.label.upper()} and seen on {elsewhere.name} only"
-        elif route.link is CI:
-            wrong = "configured as a command and it is a telemetry MsgId"
-        else:
-            wrong = "configured as telemetry and it is a command MsgId"
         yield warning(
             f"{case.name(route.msg_id)} is {wrong}: commands have the bit "
             f"0x{case.mission.msg_ids.command_bit:04x}, telemetry does not",
@@ -397,7 +389,7 @@ def wrong_type(case: Case) -> Iterator[Verdict]:
             + (f"; {either(fits[:_MOST])} would fit" if fits else ""),
             f"{route.file}:{route.line}: type {route.type}",
             f"CDR of {sizes} bytes",
-            *([f"types that fit these bytes: {', '.join(fits)}"] if fits else ()),
+            f"types that fit these bytes: {', '.join(fits)}" if fits else "",
             topic=route.topic,
             hop="mission file",
             of=count,
@@ -497,9 +489,8 @@ def not_configured(case: Case) -> Iterator[Verdict]:
             f"{'carries' if len(members) == 1 else 'carry'} an EDORAS envelope, "
             "and no mission file names that MsgId: the bridges ignore it",
             f"CDR of {rows.cdr_length[members[0]]} bytes",
-            *([f"types that fit: {', '.join(fits[:4])}"] if fits else ()),
-            msg_id=msg_id,
-            place=(link.label, "mission file"),
-            span=case.span(members),
+            f"types that fit: {', '.join(fits[:4])}" if fits else "",
+            **subject(case, members),
+            hop="mission file",
             remedy="add the topic to a mission file, or give that file with -c",
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -94,26 +93,12 @@ def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
 
 
 def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdict:
-    until = silent.until_ns
+    until, sent = silent.until_ns, connection.sent_in(silent)
     out_ns = connection.changes[silent.change + 1].time_ns
-    sent = connection.sent_in(silent)
-    evidence = [
-        f"last datagram of {connection.peer} at {case.at(silent.start_ns)}",
-        f"{connection.observer} sent it {plural(len(sent), 'message')} after that",
-    ]
-    if len(sent) and int(sent[-1]) > silent.start_ns:
-        evidence.append(f"the last of them at {case.at(int(sent[-1]))}: then it had given the peer up")
+    last_ns = int(sent[-1]) if len(sent) else 0
     speaks_ns = silent.start_ns + (case.profile.sbn_heartbeat_s + 1) * SECOND
-    if early := int((sent <= speaks_ns).sum()):
-        evidence.append(
-            f"{early:,} of them until {case.at(speaks_ns)}, when a heartbeat was due: it may have heard some"
-        )
-    evidence += [
-        f"event at {case.at(record.time_ns)}: {record}"
-        for record in case.events_between(silent.start_ns, until + SECOND, facts.NAME)
-        if connection.peer in record.message
-        and any(event.phrase in record.message for event in (facts.TIMED_OUT, facts.DISCONNECTED))
-    ]
+    early = int((sent <= speaks_ns).sum())
+    ends = facts.TIMED_OUT.phrase, facts.DISCONNECTED.phrase
     away_s = (until - silent.start_ns) / SECOND
     returned = f"back after {away_s:.1f} s" if until < case.end_ns else "not back in this capture"
     why = "It was killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent"
@@ -125,12 +110,22 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
         Severity.ERROR if len(sent) else Severity.WARNING,
         f"SBN peer {connection.peer} fell silent at {case.at(silent.start_ns)} and timed out at "
         f"{connection.observer} {(out_ns - silent.start_ns) // SECOND} s later; {returned}. {why}",
-        *evidence,
+        f"last datagram of {connection.peer} at {case.at(silent.start_ns)}",
+        f"{connection.observer} sent it {plural(len(sent), 'message')} after that",
+        f"the last of them at {case.at(last_ns)}: then it had given the peer up" if last_ns else "",
+        f"{early:,} of them until {case.at(speaks_ns)}, when a heartbeat was due: it may have heard some"
+        if early
+        else "",
+        *(
+            f"event at {case.at(record.time_ns)}: {record}"
+            for record in case.events_between(silent.start_ns, until + SECOND, facts.NAME)
+            if connection.peer in record.message and _has(record, ends)
+        ),
         place=("sbn", f"SBN peer {connection.peer}"),
         lost=None if silent.stood_still else len(sent) or None,
         of=len(sent) or None,
         # It is lost until the peer is given up, however long it stays away.
-        span=(silent.start_ns, min(max(out_ns, int(sent[-1]) if len(sent) else 0), until)),
+        span=(silent.start_ns, min(max(out_ns, last_ns), until)),
         remedy=remedy,
     )
 
@@ -219,14 +214,14 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
     ways = dict(groups(rows.way(), np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0))))
     for both, own in ways.items():
         source, target = both >> 32, both & 0xFFFFFFFF
-        if target << 32 | source in ways:
+        first_ns, last_ns = case.span(own)
+        # cFS sends each new SUB to every peer of its table, there or not.
+        often = (
+            last_ns - first_ns >= _WAIT_NS and len(np.unique(rows.time_ns[own] // SECOND)) >= _LEAST_SECONDS
+        )
+        # Where nobody listened, that is said by itself.
+        if target << 32 | source in ways or not often or case.unreachable.closed[own].any():
             continue
-        first_ns, last_ns = int(rows.time_ns[own[0]]), int(rows.time_ns[own[-1]])
-        seconds = len(np.unique(rows.time_ns[own] // SECOND))
-        if last_ns - first_ns < _WAIT_NS or seconds < _LEAST_SECONDS:
-            continue  # cFS sends each new SUB to every peer of its table, there or not
-        if case.unreachable.closed[own].any():
-            continue  # nobody listened: that is said by itself
         who = case.network.identity_of.get(source, str(case.endpoints[source]))
         kinds = np.unique(rows.sbn_msg_type[own]).tolist()
         names = ", ".join(sbn.MSG_TYPE_NAMES.get(kind, hex(kind)) for kind in kinds)
@@ -236,7 +231,7 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
             "stock SBN announces only to a peer whose spacecraft and processor both differ: else a SUB or "
             "PROTO of either side has to come through",
             place=("sbn", "SBN"),
-            span=(first_ns, last_ns),
+            span=case.span(own),
             remedy="see that the peer runs, listens at that port, and is in cFS's SBN table with this "
             "identity; capture at the peer to see whether answers leave it",
             confidence="medium",
@@ -264,21 +259,19 @@ def sbn_disconnected(case: Case) -> Iterator[Verdict]:
 def _unsubscribed(case: Case) -> Iterator[Verdict]:
     """Name what a peer no longer wants: of what it got, or what else is here."""
     msg_ids = {stream.msg_id for stream in case.streams}
-    for system, owner in case.timeline.subjects:
-        is_here = owner.kind == "subscription" and owner.msg_id in msg_ids
-        changes = case.timeline.of(owner, system) if is_here else ()
-        for change, later in zip_longest(changes, changes[1:]):
-            if change.witness.startswith("UNSUB"):
-                until = f"until {case.at(later.not_before_ns)}" if later else "from then on"
-                yield note(
-                    f"SBN peer {owner.name} unsubscribed {case.name(owner.msg_id)} at "
-                    f"{case.at(change.not_before_ns)}: it gets none {until}",
-                    change.witness,
-                    msg_id=owner.msg_id,
-                    place=("sbn", f"SBN peer {owner.name}"),
-                    span=(change.not_before_ns, later.not_before_ns if later else case.end_ns),
-                    remedy="none, if it was to",
-                )
+    for span in case.timeline.every("unsubscribed"):
+        owner, witness = span.change.subject, span.change.witness
+        if owner.msg_id in msg_ids and witness.startswith("UNSUB"):
+            until = f"until {case.at(span.end_lo)}" if span.end else "from then on"
+            yield note(
+                f"SBN peer {owner.name} unsubscribed {case.name(owner.msg_id)} at "
+                f"{case.at(span.start_lo)}: it gets none {until}",
+                witness,
+                msg_id=owner.msg_id,
+                place=("sbn", f"SBN peer {owner.name}"),
+                span=(span.start_lo, min(span.end_lo, case.end_ns)),
+                remedy="none, if it was to",
+            )
 
 
 def _by_cfs(case: Case) -> Iterator[Verdict]:
@@ -341,49 +334,36 @@ _ANSWERED_NS: Final = 2 * SECOND
 _RESTARTS: Final = "; its receive task ended and started anew"
 
 
-class BadMessageKind(NamedTuple):
+class BadMessage(NamedTuple):
     """A way in which an SBN datagram can be wrong.
 
     Attributes:
         problem: what it is.
         reaction: what the receiver does about it.
-        events: what it may say.
-        refused: whether it comes to nothing.
+        events: what it says where it refuses such a datagram; without any it does not.
     """
 
     problem: str
     reaction: str
     events: tuple[EventText, ...] = ()
-    refused: bool = True
 
 
-_SHORT: Final = BadMessageKind(
+_SHORT: Final = BadMessage(
     "shorter than an SBN header, or than what its header announces",
     "read together with what the last datagram left behind, then refused",
     (facts.BAD_MSG_ID, facts.NOT_UNPACKED, facts.UNKNOWN_PEER, facts.UNKNOWN_TYPE),
 )
-_COMPLETED: Final = BadMessageKind(
+_COMPLETED: Final = BadMessage(
     _SHORT.problem,
     "no event here says that it was refused: completed by what the last datagram left behind, it may have "
     "been taken as that one again",
-    refused=False,
 )
-
-
-_TOO_LARGE: Final = BadMessageKind(
+_TOO_LARGE: Final = BadMessage(
     "MsgSz above 32,767, which reads as negative", "refused", (facts.NOT_UNPACKED,)
 )
-
-
-_WRONG_SIZE: Final = BadMessageKind(
-    "MsgSz is not the size of what follows", "ignored silently", refused=False
-)
-
-
-_UNKNOWN_TYPE: Final = BadMessageKind("MsgType that SBN does not know", "refused", (facts.UNKNOWN_TYPE,))
-
-
-_LEGACY_HEADER: Final = BadMessageKind(
+_WRONG_SIZE: Final = BadMessage("MsgSz is not the size of what follows", "ignored silently")
+_UNKNOWN_TYPE: Final = BadMessage("MsgType that SBN does not know", "refused", (facts.UNKNOWN_TYPE,))
+_LEGACY_HEADER: Final = BadMessage(
     "7-byte header of older sources",
     "the next 4 bytes are taken for a SpacecraftID: an unknown peer",
     (facts.UNKNOWN_PEER,),
@@ -409,7 +389,7 @@ def bad_network_message(case: Case) -> Iterator[Verdict]:
             yield _malformed(case, together, kind)
 
 
-def _kind(case: Case, row: int) -> BadMessageKind:
+def _kind(case: Case, row: int) -> BadMessage:
     findings = Finding(int(case.rows.findings[row]))
     if Finding.SBN_LEGACY_HEADER in findings:
         return _LEGACY_HEADER
@@ -417,25 +397,25 @@ def _kind(case: Case, row: int) -> BadMessageKind:
         return _UNKNOWN_TYPE
     start_ns = int(case.rows.time_ns[row])
     if Finding.SBN_SIZE_MISMATCH not in findings:
-        return _SHORT if answers(case, start_ns, *(event.phrase for event in _SHORT.events)) else _COMPLETED
+        return _SHORT if answers(case, start_ns, *_SHORT.events) else _COMPLETED
     # The table does not keep MsgSz; that it was refused says that it was negative.
-    return _TOO_LARGE if answers(case, start_ns, facts.NOT_UNPACKED.phrase) else _WRONG_SIZE
+    return _TOO_LARGE if answers(case, start_ns, facts.NOT_UNPACKED) else _WRONG_SIZE
 
 
-def _malformed(case: Case, members: list[int], kind: BadMessageKind) -> Verdict:
+def _malformed(case: Case, members: list[int], kind: BadMessage) -> Verdict:
     rows, first = case.rows, members[0]
-    lines = answers(case, int(rows.time_ns[first]), *(event.phrase for event in kind.events))
+    lines = answers(case, int(rows.time_ns[first]), *kind.events)
     type_ = int(rows.sbn_msg_type[first])
     name = sbn.MSG_TYPE_NAMES.get(type_, f"type 0x{type_:02x}") if type_ >= 0 else "SBN datagram"
     which = f"packet {rows.number[first]}" if len(members) == 1 else f"{len(members):,} datagrams"
     return verdict(
-        Severity.ERROR if kind.refused else Severity.WARNING,
+        Severity.ERROR if kind.events else Severity.WARNING,
         f"{which} ({name}): {kind.problem}; {kind.reaction}{_consequence(lines)}",
         f"{packet(case, first)}: {rows.length[first]} bytes",
         *lines,
         **subject(case, members),
         hop="SBN",
-        lost=len(members) if kind.refused else None,
+        lost=len(members) if kind.events else None,
         of=len(members),
         remedy="write the 11-byte header: MsgSz of the payload alone, a known MsgType, ProcessorID, "
         "SpacecraftID",
@@ -443,8 +423,9 @@ def _malformed(case: Case, members: list[int], kind: BadMessageKind) -> Verdict:
     )
 
 
-def answers(case: Case, start_ns: int, *phrases: str) -> list[str]:
-    """Return what SBN said about a datagram: the first event with a phrase, and what followed from it."""
+def answers(case: Case, start_ns: int, *wanted: EventText | str) -> list[str]:
+    """Return what SBN said about a datagram: the first of some events, and what followed from it."""
+    phrases = [item if isinstance(item, str) else item.phrase for item in wanted]
     events = case.events_between(start_ns, start_ns + _ANSWERED_NS, facts.NAME)
     fits = next((at for at, record in enumerate(events) if _has(record, phrases)), None)
     if fits is None:
@@ -476,7 +457,7 @@ def wrong_ident(case: Case) -> Iterator[Verdict]:
         by_ident.setdefault((int(rows.source[row]), contents[index].ident), []).append(row)
     for (source, ident), members in by_ident.items():
         who, detail = case.network.identity_of.get(source, "a peer"), f": {ident!r}, wanted {sbn.IDENT!r}"
-        lines = answers(case, case.span(members)[0], facts.OTHER_IDENT.phrase)
+        lines = answers(case, case.span(members)[0], facts.OTHER_IDENT)
         reason = f"{plural(len(members), 'subscription message')} of {who}: another $Id than cFS's: refused"
         remedy = "build bridge and cFS from the same SBN sources, or copy its $Id"
         yield _refused(case, members, reason + _consequence(lines), remedy, lines, detail)
@@ -519,7 +500,7 @@ def wrong_protocol_version(case: Case) -> Iterator[Verdict]:
             f"{'names' if len(members) == 1 else 'name'} another "
             f"protocol version than {sbn.PROTOCOL_VERSION}: cFS reports an error and goes on",
             "build both sides from the same SBN version",
-            answers(case, case.span(members)[0], facts.VERSION_MISMATCH.phrase),
+            answers(case, case.span(members)[0], facts.VERSION_MISMATCH),
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from ipaddress import AddressValueError, IPv4Address
 from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Final
@@ -33,6 +33,7 @@ _ENDS_ROUNDS: Final = 6
 """Telemetry that does not come for so long, and for so many of its usual rounds, has ended."""
 _LEAST: Final = 4
 _MOSTLY: Final = 0.5
+_warning = partial(warning, place=("to", telemetry_output.NAME))
 
 
 def to_not_enabled(case: Case) -> Iterator[Verdict]:
@@ -54,11 +55,10 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
             f"Telemetry Output was enabled for {enables[-1].address!r} and nothing of it is seen here: it "
             "sends elsewhere, its datagrams do not cross this capture point, or it does not run"
         )
-    yield warning(
+    yield _warning(
         reason,
         f"{plural(len(commands), 'command')} to CI, no datagram from Telemetry Output",
         *(f"enabled for {item.address!r} at {case.at(item.time_ns)}" for item in enables),
-        place=("to", "TO_LAB_APP"),
         remedy="to see telemetry, capture on the host that it is enabled for, UDP port 1235; look for "
         f"TO_LAB_APP's first event on cFS's console; or enable it: {case.inject(ENABLE_OUTPUT)}",
         confidence="medium",
@@ -116,14 +116,13 @@ def _fight(case: Case, members: list[CommandRecord]) -> Verdict:
     changes = sum(a.address != b.address for a, b in pairwise(members))
     fighting = changes > 1
     who = "two ground stations fight over Telemetry Output: it" if len(senders) > 1 else "Telemetry Output"
-    return warning(
+    return _warning(
         f"{who} was told {changes} times to send elsewhere, and sends to one address at a time"
         if fighting
         else "Telemetry Output was redirected: the first ground station gets nothing from then on",
         f"enabled from: {', '.join(sorted(senders))}",
         f"enabled for: {listed(steps)}",
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
-        place=("to", "TO_LAB_APP"),
         span=(members[0].time_ns, members[-1].time_ns),
         remedy="enable TO from one station only, and fan its telemetry out with a proxy there",
     )
@@ -155,7 +154,7 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
         )
         were = "was" if missing == 1 else "were"
         text = f"sequence counts: {plural(missing, 'message')} published meanwhile {were} not sent"
-        facts = [text] if missing else []
+        facts = [text] * bool(missing)
         if number:
             facts.append(
                 f"0x803 counts {number:,} of them lost at {telemetry_output.PIPE}, which nobody emptied: "
@@ -230,11 +229,10 @@ def _restarted(case: Case, explain: Callable[..., tuple[int | None, list[str]]])
         end_ns = min(end for _, end in moves)
         start_ns = max((start for start, _ in moves if start < end_ns), default=end_ns)
         lost, facts = explain(end_ns)
-        yield warning(
+        yield _warning(
             f"Telemetry Output sends from another port at {case.at(end_ns)}: it was restarted, and forgot "
             "that it was enabled",
             *facts,
-            place=("to", telemetry_output.NAME),
             lost=lost,
             span=(start_ns, end_ns),
             remedy=f"enable it again: {case.inject(ENABLE_OUTPUT)}",
@@ -254,19 +252,16 @@ def _silent(case: Case) -> Iterator[Verdict]:
                 continue
             failed = case.suppressed((start_ns, end_ns))
             order = None if failed else _diversion(case, sender, start_ns, end_ns)
-            if failed:
-                why = "its socket failed"
-            elif order:
+            why = "its socket failed" if failed else "its socket failed, or it sent to another address"
+            if order:
                 why = f"it sent to {order.value}, for which it was enabled at {case.at(order.not_before_ns)}"
-            else:
-                why = "its socket failed, or it sent to another address"
             yield verdict(
                 Severity.ERROR if failed else Severity.WARNING,
                 f"Telemetry Output sent nothing from {case.at(start_ns)} to {case.at(end_ns)}, until it was "
                 f"enabled: {why}",
                 f"sequence counts: {plural(number, 'message')} that the software bus did not lose",
-                *((f"event {failed}",) if failed else ()),
-                *((order.witness,) if order else ()),
+                f"event {failed}" if failed else "",
+                order.witness if order else "",
                 place=("to", telemetry_output.SOCKET),
                 lost=number if failed and len(spans) == 1 else None,
                 span=(start_ns, end_ns),
@@ -297,14 +292,10 @@ def _ended(case: Case) -> Iterator[Verdict]:
     last_ns = int(times[-1])
     length = case.end_ns - last_ns
     commands = int(((rows.link == CI) & (rows.time_ns > last_ns + SECOND)).sum())
-    removed = any(
-        item.entry < 0 and abs(item.time_ns - last_ns) < _WAIT_NS
-        for item in case.payloads.outputs(*telemetry_output.STOPS)
-    )
+    ends = [item.time_ns for item in case.payloads.outputs(*telemetry_output.STOPS) if item.entry < 0]
     # That it was stopped is said by itself.
-    removed |= any(
-        item.app.startswith("TO_") and abs(item.start_ns - last_ns) < _WAIT_NS for item in case.outages
-    )
+    ends += [item.start_ns for item in case.outages if item.app.startswith("TO_")]
+    removed = any(abs(end_ns - last_ns) < _WAIT_NS for end_ns in ends)
     if removed or not commands or length < max(_ENDS_NS, _ENDS_ROUNDS * int(np.median(rounds))):
         return
     robot = int(((rows.link == ROBOT) & (rows.time_ns > last_ns + SECOND)).sum())
@@ -315,23 +306,20 @@ def _ended(case: Case) -> Iterator[Verdict]:
     ]
     source = int(rows.source[np.flatnonzero(rows.link == TO)[-1]])
     order = _diversion(case, case.instances.output(source), last_ns, case.end_ns + 2 * SECOND)
-    why = (
-        f"it sends to {order.value}, for which it was enabled at {case.at(order.not_before_ns)}"
-        if order
-        else f"{stopped[-1].app}, which asks for housekeeping, was stopped {case.end_of(stopped[-1])}"
-        if stopped
-        else "no counter and no event tells what became of them"
-    )
-    yield warning(
+    why = "no counter and no event tells what became of them"
+    remedy = f"see whether cFS and Telemetry Output run, and enable it: {case.inject(ENABLE_OUTPUT)}"
+    for item in stopped[-1:]:
+        why = f"{item.app}, which asks for housekeeping, was stopped {case.end_of(item)}"
+        remedy = f"start it again: {case.inject('es-start-app', item.app)}"
+    if order:
+        why = f"it sends to {order.value}, for which it was enabled at {case.at(order.not_before_ns)}"
+    yield _warning(
         f"Telemetry Output sends nothing from {case.at(last_ns)} to the end, {length / SECOND:.1f} s, while "
         f"commands go on: {why}",
         f"{plural(commands, 'datagram')} to CI since then",
-        *([f"{plural(robot, 'datagram')} to the robot: its application ran at times"] if robot else ()),
-        place=("to", telemetry_output.NAME),
+        f"{plural(robot, 'datagram')} to the robot: its application ran at times" if robot else "",
         span=(last_ns, case.end_ns),
-        remedy=f"start it again: {case.inject('es-start-app', stopped[-1].app)}"
-        if stopped
-        else f"see whether cFS and Telemetry Output run, and enable it: {case.inject(ENABLE_OUTPUT)}",
+        remedy=remedy,
         confidence="medium",
     )
 

@@ -34,13 +34,14 @@ from edoras_tools.links.to import TO
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import groups
+from edoras_tools.wire.arrays.order import by_key, groups
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.loss_reports import PipeKind
 
 
 def app_pipe_limit(case: Case) -> Iterator[Verdict]:
@@ -48,10 +49,13 @@ def app_pipe_limit(case: Case) -> Iterator[Verdict]:
 
     Name the MsgId, the pipe and the rate that would be clean.
     """
-    for loss in case.losses:
-        at_app = loss.hop != telemetry_output.PIPE and not loss.hop.startswith("SBN")
-        if loss.kind == "limit" and at_app and not loss.rivals:
-            yield _over_app_limit(case, loss)
+    yield from (_over_app_limit(case, loss) for loss in case.losses if _at_application(loss, "limit"))
+
+
+def _at_application(loss: Loss, kind: PipeKind) -> bool:
+    """Tell whether a pipe of an application lost something, and of which MsgId."""
+    elsewhere = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN")
+    return loss.kind == kind and not elsewhere and not loss.rivals
 
 
 def _by_another(case: Case, loss: Loss, least: str) -> Verdict:
@@ -64,35 +68,24 @@ def _by_another(case: Case, loss: Loss, least: str) -> Verdict:
         tick = case.of_known(TICKS.get(item.app, NO_MSG_ID))
         if item.reads(loss.hop) or tick == loss.msg_id:
             why, remedy = f"{item.app} did not run", revival(case, item.app, restarts=item.restarted)
-    return loss_verdict(case, loss, f"{least}{lost_at(case, loss)}: {why}", link=None, remedy=remedy)
+    return loss_verdict(case, loss, f"{least}{lost_at(case, loss)}: {why}", remedy)
 
 
 def _over_app_limit(case: Case, loss: Loss) -> Verdict:
-    profile = case.profile
     over_network = loss.over_network
-    pipe = queues.application_pipe(profile, over_network=over_network)
+    pipe = queues.application_pipe(case.profile, over_network=over_network)
     who, period, limit = "SBN" if over_network else "CI", pipe.round_ns, pipe.usual_limit
-    clean = pipe.rate_hz(limit)
+    clean, link = pipe.rate_hz(limit), who.lower()
     least = "at least " if loss.instance not in case.tracks else ""
     if loss.sender and not loss.sender.startswith((*command_ingest.NAMES, "SBN")):
         return _by_another(case, loss, least)
+    reason, advice = f"{least}{lost_at(case, loss, 'commands')}: more ", advise(case, loss)
     if loss.stream is not None and (hz := case.lossless_hz(loss.stream, clean)):
-        return loss_verdict(
-            case,
-            loss,
-            f"{least}{lost_at(case, loss, 'commands')}: more of one MsgId came at once than may wait there",
-            link="sbn" if over_network else "ci",
-            evidence=(*loss.evidence, f"at {hz:.1f} Hz none was lost here"),
-            remedy=advise(case, loss),
-        )
-    every = f"{period // 1_000_000} ms"
+        reason += "of one MsgId came at once than may wait there"
+        return loss_verdict(case, loss, reason, advice, f"at {hz:.1f} Hz none was lost here", link=link)
+    every, rate = f"{period // 1_000_000} ms", ""
     origin = case.origin("sbn_wake_ns" if over_network else "ci_wake_ns", "app_msg_limit")
-    reason = (
-        f"{least}{lost_at(case, loss, 'commands')}: more than {limit} of one MsgId waiting while {who} "
-        f"delivers in {every} bursts ({origin})"
-    )
-    still = stood_still(case, loss)
-    evidence = list(loss.evidence)
+    reason += f"than {limit} of one MsgId waiting while {who} delivers in {every} bursts ({origin})"
     if crowd := crowding_of(case, loss):
         reason += f". {crowd[0].upper()}{crowd[1:]}"
     if loss.span is not None and loss.stream is not None and loss.span.rate_hz:
@@ -100,19 +93,17 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
         most = int((np.searchsorted(times, times + period) - np.arange(len(times))).max())
         sent = f"sent at {loss.span.rate_hz:.1f} Hz"
         if loss.span.rate_hz > clean and times[-1] - times[0] > period:
-            evidence.append(f"{sent}; up to {clean:g} Hz get through ({origin})")
+            rate = f"{sent}; up to {clean:g} Hz get through ({origin})"
         elif most > limit:
-            evidence.append(f"up to {most:,} were sent within {every}; {limit} are clean")
-        elif still:
-            evidence.append(f"{sent}, at most {most} within {every}, which is clean while cFS runs")
+            rate = f"up to {most:,} were sent within {every}; {limit} are clean"
         else:
-            evidence.append(
-                f"{sent}, at most {most} within {every}, which is clean where the pipe is read at once: "
-                f"{who} or the application came to it later than that"
-            )
-    return loss_verdict(
-        case, loss, reason, link="sbn" if over_network else "ci", evidence=evidence, remedy=advise(case, loss)
-    )
+            while_ = "while cFS runs"
+            if not stood_still(case, loss):
+                while_ = (
+                    f"where the pipe is read at once: {who} or the application came to it later than that"
+                )
+            rate = f"{sent}, at most {most} within {every}, which is clean {while_}"
+    return loss_verdict(case, loss, reason, advice, rate, link=link)
 
 
 def app_pipe_overflow(case: Case) -> Iterator[Verdict]:
@@ -120,13 +111,10 @@ def app_pipe_overflow(case: Case) -> Iterator[Verdict]:
 
     Name the MsgId and the pipe.
     """
+    remedy = "send less of all that this pipe takes, make it deeper, or have its task run more often"
     for loss in case.losses:
-        elsewhere = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN")
-        if loss.kind == "overflow" and not elsewhere and not loss.rivals:
-            link = loss.stream.link.label if loss.stream else None
-            reason = f"{lost_at(case, loss)}: the pipe was full"
-            remedy = "send less of all that this pipe takes, make it deeper, or have its task run more often"
-            yield loss_verdict(case, loss, reason, link=link, remedy=remedy)
+        if _at_application(loss, "overflow"):
+            yield loss_verdict(case, loss, f"{lost_at(case, loss)}: the pipe was full", remedy)
 
 
 def to_message_limit(case: Case) -> Iterator[Verdict]:
@@ -151,12 +139,10 @@ def _over_limit(case: Case, loss: Loss, link: str, text: str) -> Verdict:
     queue, limit, measured = clean_round(case, loss)
     period_ms, rate = queue.round_ns / MILLISECOND, queue.rate_hz(limit)
     rounds = text.format(set_by(case, loss, limit), period_ms, rate)
-    evidence = list(loss.evidence)
-    if measured:
-        clean = f": {rate:.1f} Hz is clean" if link == "to" else ""
-        evidence.append(f"at most {limit} came in one round, every {period_ms:.1f} ms{clean}")
+    clean = f": {rate:.1f} Hz is clean" if link == "to" else ""
+    shown = f"at most {limit} came in one round, every {period_ms:.1f} ms{clean}" if measured else ""
     reason = f"{lost_at(case, loss)}: {published(loss)}{limit} of {rounds}"
-    return loss_verdict(case, loss, reason, link=link, evidence=evidence, remedy=advise(case, loss))
+    return loss_verdict(case, loss, reason, advise(case, loss), shown, link=link)
 
 
 def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
@@ -164,24 +150,18 @@ def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
 
     Name the MsgId that fills the pipe, and what else went down with it.
     """
-    routes, others = _divided(case)
-    for loss in routes:
-        yield _output_overflow(case, loss, [item for item in others if _together(item, loss)])
-    for instance in dict.fromkeys(item.instance for item in others):
-        yield _with_them(case, [item for item in others if item.instance == instance])
-
-
-def _divided(case: Case) -> tuple[list[Loss], list[Loss]]:
-    """Return the losses that have a verdict each, and the rest."""
     full = [
         item
         for item in case.losses
         if item.kind == "overflow" and item.hop == telemetry_output.PIPE and not item.closed
     ]
-    routes = [item for item in full if _is_route(item)]
-    if not routes and full:
-        routes = [max(full, key=lambda item: item.lost)]
-    return routes, [item for item in full if item not in routes]
+    # The routes have a verdict each; without any, what lost most.
+    routes = [item for item in full if _is_route(item)] or sorted(full, key=lambda item: -item.lost)[:1]
+    others = [item for item in full if item not in routes]
+    for loss in routes:
+        yield _output_overflow(case, loss, [item for item in others if _together(item, loss)])
+    for own in by_key(others, lambda item: item.instance).values():
+        yield _with_them(case, own)
 
 
 def _is_route(loss: Loss) -> bool:
@@ -192,23 +172,23 @@ def _together(loss: Loss, other: Loss) -> bool:
     return loss.instance == other.instance and loss.start_ns <= other.end_ns and other.start_ns <= loss.end_ns
 
 
-def _by_name(case: Case, losses: Sequence[Loss]) -> Counter[str]:
-    """Return how many each MsgId lost."""
+def _by_name(case: Case, losses: Sequence[Loss]) -> list[str]:
+    """Return each MsgId, and how many it lost."""
     lost = Counter[str]()
     for item in losses:
         lost[case.name(item.msg_id)] += item.lost
-    return lost
+    return [f"{name} {number:,}" for name, number in lost.items()]
 
 
 def _with_them(case: Case, others: Sequence[Loss]) -> Verdict:
     """Return the verdict on what did not fill the pipe and was lost at it."""
-    lost = _by_name(case, others)
+    names, lost = _by_name(case, others), sum(item.lost for item in others)
     return error(
-        f"{plural(lost.total(), 'message')} of cFS itself lost at {telemetry_output.PIPE}, of "
-        f"{plural(len(lost), 'MsgId')}: a pipe that is full takes nothing, whoever filled it",
-        ", ".join(f"{name} {number:,}" for name, number in lost.items()),
+        f"{plural(lost, 'message')} of cFS itself lost at {telemetry_output.PIPE}, of "
+        f"{plural(len(names), 'MsgId')}: a pipe that is full takes nothing, whoever filled it",
+        ", ".join(names),
         place=("to", telemetry_output.PIPE),
-        lost=lost.total(),
+        lost=lost,
         span=(min(item.start_ns for item in others), max(item.end_ns for item in others)),
         remedy="as for the MsgId that fills it",
         confidence=min((item.confidence for item in others), key=("low", "medium", "high").index),
@@ -218,7 +198,7 @@ def _with_them(case: Case, others: Sequence[Loss]) -> Verdict:
 
 def _output_overflow(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
     profile = case.profile
-    depth, text = profile.to_pipe_depth, ""
+    depth, text, events = profile.to_pipe_depth, "", ""
     if loss.stream is not None:
         own = (case.rows.link == loss.stream.link) & (case.rows.source == loss.stream.sender)
         measured = measured_depth(case.rows.time_ns[own], profile.to_wake_ns)
@@ -230,21 +210,15 @@ def _output_overflow(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
         f"{lost_at(case, loss)}: TO's pipe of {depth} is emptied every "
         f"{profile.to_wake_ns // 1_000_000} ms: {room:.0f}/s of all telemetry together"
     )
-    evidence = [*loss.evidence, *([text] if text else ())]
-    if beside:
-        parts = (f"{name} {number:,}" for name, number in _by_name(case, beside).items())
-        evidence.append(f"lost with it: {', '.join(parts)}")
-    if any(item.msg_id == case.of_known(cfe.EVENT_MSG_ID) for item in beside):
-        evidence.append("events are among the lost: that none names the pipe proves nothing")
-    return loss_verdict(
-        case,
-        loss,
-        reason,
-        link="to",
-        evidence=evidence,
-        remedy=f"publish less: {room:.0f}/s of everything, housekeeping included; a lower limit of this "
-        "MsgId in TO's table keeps the others safe; or make TO's pipe deeper or its delay shorter",
+    remedy = (
+        f"publish less: {room:.0f}/s of everything, housekeeping included; a lower limit of this "
+        "MsgId in TO's table keeps the others safe; or make TO's pipe deeper or its delay shorter"
     )
+    names, silenced = _by_name(case, beside), case.of_known(cfe.EVENT_MSG_ID)
+    with_it = f"lost with it: {', '.join(names)}" if names else ""
+    if any(item.msg_id == silenced for item in beside):
+        events = "events are among the lost: that none names the pipe proves nothing"
+    return loss_verdict(case, loss, reason, remedy, text, with_it, events, link="to")
 
 
 def sbn_peer_pipe(case: Case) -> Iterator[Verdict]:
@@ -259,6 +233,17 @@ def sbn_peer_pipe(case: Case) -> Iterator[Verdict]:
 
 
 _LARGER: Final = "sudo sysctl -w net.core.rmem_default=4194304, then start that program again"
+_BY_HOST: Final = {
+    "reassembly_failures": (
+        "IP packets were dropped because not all of their fragments came",
+        "send datagrams that fit a frame (1,472 bytes on Ethernet), or look for what loses frames",
+    ),
+    "interface_drops": (
+        "frames were dropped by the interfaces of this host before any program got them",
+        "look at the interface: ethtool -S, its ring sizes, the load of the host",
+    ),
+}
+"""Counts of ``HostDrops`` that belong to no socket: what they say, and what to do."""
 
 
 def host_drops(case: Case) -> Iterator[Verdict]:
@@ -283,22 +268,11 @@ def host_drops(case: Case) -> Iterator[Verdict]:
             "/edoras/host: the kernel's counter of that socket",
             place=(link, f"socket of UDP port {port}"),
             lost=None if ingests else count,
-            of=sent if sent >= count else None,
+            of=sent if of else None,
             remedy=f"send less at once, or make its buffer larger: {_LARGER}",
         )
-    for count, text, remedy in (
-        (
-            case.host.reassembly_failures,
-            "IP packets were dropped because not all of their fragments came",
-            "send datagrams that fit a frame (1,472 bytes on Ethernet), or look for what loses frames",
-        ),
-        (
-            case.host.interface_drops,
-            "frames were dropped by the interfaces of this host before any program got them",
-            "look at the interface: ethtool -S, its ring sizes, the load of the host",
-        ),
-    ):
-        if count:
+    for name, (text, remedy) in _BY_HOST.items():
+        if count := getattr(case.host, name):
             reason = f"{count:,} {text}; they may be others' than these links'"
             why = "/edoras/host: the kernel's counters of the host"
             yield warning(reason, why, hop="host", remedy=remedy)
@@ -315,18 +289,15 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
             why = "they did not come " + ("out" if relay else "to cFS")
             why = why if relay or peers else "CI did not read them, and it can read so many"
             more = ": a capture on the cFS host shows which of them arrive there" * (not case.capture.shared)
-            uplink = f"look at the {'network' if peers else 'uplink'}{more}"
-            if any(line.startswith(QUOTED) for line in loss.evidence):
-                uplink = "look at the route to that host, and at firewalls on the way: ICMP errors came back"
+            remedy = f"look at the {'network' if peers else 'uplink'}{more}"
+            if relay:
+                remedy = "look at its log and its queue"
+            elif any(line.startswith(QUOTED) for line in loss.evidence):
+                remedy = "look at the route to that host, and at firewalls on the way: ICMP errors came back"
             elif size := _least_length(case, loss):
-                uplink = f"look at the MTU on the way: just as many are {size:,} bytes or longer"
-            yield loss_verdict(
-                case,
-                loss,
-                f"{lost_at(case, loss, 'messages' if peers else 'commands')}: {why}",
-                link=loss.stream.link.label if loss.stream else "ci",
-                remedy="look at its log and its queue" if relay else uplink,
-            )
+                remedy = f"look at the MTU on the way: just as many are {size:,} bytes or longer"
+            which = lost_at(case, loss, "messages" if peers else "commands")
+            yield loss_verdict(case, loss, f"{which}: {why}", remedy, link=None if loss.stream else "ci")
     for account in case.ingests:
         if account.not_captured:
             yield note(
@@ -364,8 +335,7 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
     for loss in case.losses:
         if loss.kind == "socket":
             reason = f"{lost_at(case, loss, 'commands')}: {reads}, and its socket was full"
-            evidence = (*loss.evidence, *_by_kernel(case))
-            yield loss_verdict(case, loss, reason, link="ci", remedy=advise(case, loss), evidence=evidence)
+            yield loss_verdict(case, loss, reason, advise(case, loss), *_by_kernel(case), link="ci")
     for account in case.ingests:
         sent_ns = case.rows.time_ns[account.rows]
         if account.unread > socket.reads and more_at_once(sent_ns, socket.round_ns, socket.reads):
@@ -434,9 +404,8 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             losses.append(loss)
             noun = "commands" if loss.stream is None or loss.stream.is_command else "messages"
             reason = f"{lost_at(case, loss, noun)}: {CAUSES[loss.kind].listed.format(hop=loss.hop)}"
-            link = "ci" if loss.stream is None else loss.stream.link.label
             again = START_AGAIN if loss.kind == "restart_failed" else revival(case, case.called(loss.hop))
-            yield loss_verdict(case, loss, reason, link=link, remedy=again)
+            yield loss_verdict(case, loss, reason, again, link=None if loss.stream else "ci")
     for item in case.outages:
         start_ns = max(item.start_ns, case.start_ns)
         end_ns = max(start_ns, item.end_ns if item.end_ns is not None else case.end_ns)
