@@ -139,7 +139,7 @@ def _examine(
     verbose: bool,
 ) -> Diagnosis:
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
-    from edoras_tools.render.doctor.live import LiveVerdicts
+    from edoras_tools.render.doctor.doctor import LiveVerdicts
 
     json, quiet = printing
     if not (inputs.paths or any(inputs.live)):

@@ -289,12 +289,8 @@ class Chain(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Return the chain in the shape of ``doctor --json``."""
-        return {
-            "topic": self.topic,
-            "msg_id": f"0x{self.msg_id:04x}",
-            "instance": self.instance,
-            "hops": [hop.as_json() for hop in self.hops],
-        }
+        hops = [hop.as_json() for hop in self.hops]
+        return {**self._asdict(), "msg_id": f"0x{self.msg_id:04x}", "hops": hops}
 
 
 def chains(

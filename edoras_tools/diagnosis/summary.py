@@ -115,12 +115,8 @@ class DoctorSummary(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Return the summary in the shape of ``doctor --json``."""
-        return {
-            "headline": self.headline,
-            "problems": [item.as_json() for item in self.problems],
-            "fine": self.fine or None,
-            "notes": self.notes,
-        }
+        problems = [item.as_json() for item in self.problems]
+        return {**self._asdict(), "problems": problems, "fine": self.fine or None}
 
     def rest(self, first: int) -> str:
         """Return one line about all problems but the ``first`` ones; empty if there are no others."""
@@ -177,11 +173,10 @@ def _useful(remedy: str) -> str:
 def _losses(whole: Diagnosis) -> tuple[list[Problem], set[int]]:
     """Return the losses, the worst first, and the ``id()`` of each verdict that explains one."""
     groups: dict[tuple[Any, ...], list[tuple[Row, int]]] = {}
-    verdicts: dict[tuple[Any, ...], dict[tuple[Any, ...], list[Verdict]]] = {}
+    verdicts: dict[tuple[Any, ...], dict[int, Verdict]] = {}
     explained: dict[tuple[Any, ...], list[Verdict]] = {}
     for row in whole.balance:
-        parts = {**row.lost, "unaccounted": row.unaccounted}
-        for cause, number in parts.items():
+        for cause, number in {**row.lost, "unaccounted": row.unaccounted}.items():
             if not number:
                 continue
             place = cause, row.msg_id, row.hop
@@ -191,12 +186,11 @@ def _losses(whole: Diagnosis) -> tuple[list[Problem], set[int]]:
             by_msg_id = cause == "limit" and any(item.msg_id is not None for item in own)
             key = cause, row.hop, row.instance, whole.topics.get(row.route, row.msg_id) if by_msg_id else None
             groups.setdefault(key, []).append((row, number))
-            verdicts.setdefault(key, {})[place] = own
+            verdicts.setdefault(key, {}).update((id(item), item) for item in own)
     alone = len({(row.route, row.link, row.msg_id) for members in groups.values() for row, _ in members}) == 1
     problems = []
     for key, members in groups.items():
-        own = list({id(item): item for item in chain(*verdicts[key].values())}.values())
-        own.sort(key=lambda item: (item.msg_id is None, -(item.lost or 0)))
+        own = sorted(verdicts[key].values(), key=lambda item: (item.msg_id is None, -(item.lost or 0)))
         problems.append((_problem(whole, key[0], members, own, alone=alone), [row for row, _ in members]))
     problems.sort(key=lambda item: -(item[0].lost or 0))
     return list(_promising(whole, problems)), {id(item) for own in explained.values() for item in own}

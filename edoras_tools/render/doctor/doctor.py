@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+import sys
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 from rich.console import Group, RenderableType
 from rich.padding import Padding
+from rich.table import Column as TableColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -18,12 +21,16 @@ from edoras_tools.render.capture.info import link_text, msg_id_text, route_text
 from edoras_tools.render.doctor import balance
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.live_table import LiveView
 from edoras_tools.render.terminal.table import Column, build, figure, plain
+from edoras_tools.render.terminal.terminal import detect_terminal, error_console
 from edoras_tools.render.terminal.text import clean, wrap
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+
+    from typing_extensions import Self
 
     from edoras_tools.diagnosis.accounting.budget import Budget
     from edoras_tools.diagnosis.examination import Diagnosis
@@ -46,6 +53,9 @@ _ALIKE: Final = 4
 """Least number of verdicts of one rule that are shown as one entry, with one line each."""
 _MANY_ERRORS: Final = 12
 """The same number for errors, whose evidence matters more."""
+_grid = partial(Table, box=None, padding=(0, 2, 0, 0), pad_edge=False)
+_left = partial(TableColumn, no_wrap=True)
+_right = partial(TableColumn, no_wrap=True, justify="right")
 _STATES: Final = {"connected": "green", "silent": "yellow", "timed_out": "bold red", "disconnected": "yellow"}
 
 
@@ -177,20 +187,22 @@ def _selection_notes(result: Diagnosis) -> list[str]:
 def _verdict(result: Diagnosis, group: Sequence[Verdict]) -> RenderableType:
     """Return the view of one problem: its worst time span in full, all of its spans in a table."""
     worst = max(group, key=lambda item: item.lost or 0)
-    grade = _STYLES[worst.severity]
-    title = Text.assemble((f"{grade.mark} {worst.rule}", grade.style))
-    if len(group) == 1:
-        title.append(f"  {_when(result, worst)}, confidence {worst.confidence}", palette.DIM)
-    else:
-        lost, of = sum(item.lost or 0 for item in group), sum(item.of or 0 for item in group)
-        title.append(f"  {lost:,}{f' of {of:,}' if of else ''} lost, in {len(group)} periods", palette.DIM)
+    title = f"{_when(result, worst)}, confidence {worst.confidence}"
     body: list[RenderableType] = [plain(told_of(group), palette.STRONG)]
     if len(group) > 1:
+        lost, of = sum(item.lost or 0 for item in group), sum(item.of or 0 for item in group)
+        title = f"{lost:,}{f' of {of:,}' if of else ''} lost, in {len(group)} periods"
         body.append(_spans(result, group))
     body += [Text.assemble(("· ", palette.DIM), plain(line)) for line in worst.evidence]
-    if worst.remedy:
-        body.append(Text.assemble(("→ ", "green"), plain(worst.remedy)))
-    return Group(title, *(Padding(item, (0, 0, 0, 2), expand=False) for item in body))
+    return _entry(worst, title, body, [worst.remedy])
+
+
+def _entry(first: Verdict, title: str, body: Sequence[RenderableType], remedies: Sequence[str]) -> Group:
+    """Return an entry: rule and title, below them the body and the remedies, indented."""
+    grade = _STYLES[first.severity]
+    head = Text.assemble((f"{grade.mark} {first.rule}", grade.style), (f"  {title}", palette.DIM))
+    changes = [Text.assemble(("→ ", "green"), plain(item)) for item in remedies if item]
+    return Group(head, *(Padding(item, (0, 0, 0, 2), expand=False) for item in (*body, *changes)))
 
 
 def told_of(group: Sequence[Verdict]) -> str:
@@ -201,23 +213,15 @@ def told_of(group: Sequence[Verdict]) -> str:
 
 def _alike(result: Diagnosis, several: Sequence[Verdict]) -> RenderableType:
     """Return many verdicts of one rule as one entry."""
-    first = several[0]
-    grade = _STYLES[first.severity]
     lost = sum(item.lost or 0 for item in several)
-    count_text = f"  {len(several):,} times" + (f", {lost:,} lost in all" if lost else "")
-    title = Text.assemble((f"{grade.mark} {first.rule}", grade.style), (count_text, palette.DIM))
-    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, show_header=False)
-    table.add_column(no_wrap=True, style=palette.DIM)
+    table = _grid(_left("", style=palette.DIM), "", show_header=False)
     for item in sorted(several, key=lambda item: item.start_ns)[:_MOST_SPANS]:
         table.add_row(_when(result, item), plain(item.reason))
     body: list[RenderableType] = [table]
     if len(several) > _MOST_SPANS:
         body.append(Text(f"... {len(several) - _MOST_SPANS:,} more, in --json", palette.DIM))
-    body += [
-        Text.assemble(("→ ", "green"), plain(remedy))
-        for remedy in list(dict.fromkeys(item.remedy for item in several if item.remedy))[:_ALIKE]
-    ]
-    return Group(title, *(Padding(item, (0, 0, 0, 2), expand=False) for item in body))
+    title = f"{len(several):,} times" + (f", {lost:,} lost in all" if lost else "")
+    return _entry(several[0], title, body, list(dict.fromkeys(item.remedy for item in several))[:_ALIKE])
 
 
 def _when(result: Diagnosis, verdict: Verdict) -> str:
@@ -226,9 +230,8 @@ def _when(result: Diagnosis, verdict: Verdict) -> str:
 
 
 def _spans(result: Diagnosis, group: Sequence[Verdict]) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.DIM)
-    for title in ("when", "lost", "of", "", "sent at", "confidence"):
-        table.add_column(title, justify="left" if title in {"when", "confidence"} else "right", no_wrap=True)
+    figures = map(_right, ("lost", "of", "", "sent at"))
+    table = _grid(_left("when"), *figures, _left("confidence"), header_style=palette.DIM)
     for item in group[:_MOST_SPANS]:
         share = f"{100 * (item.lost or 0) / item.of:.0f}%" if item.of else ""
         seconds = (item.end_ns - item.start_ns) / 1e9
@@ -294,18 +297,13 @@ def _routes(rows: Sequence[Mapping[str, Any]], width: int) -> Table:
 
 
 def _peers(result: Diagnosis) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
-    table.add_column("SBN peer", no_wrap=True)
-    table.add_column("seen by", no_wrap=True)
-    table.add_column("")
+    table = _grid(_left("SBN peer"), _left("seen by"), "", header_style=palette.STRONG)
     for row in result.peers:
         line = Text()
         for change in row["states"]:
-            state = change["state"]
             at = (change["time_ns"] - result.zero_ns) / 1e9
-            line.append(f"{at:.1f} s ", palette.DIM).append(state.replace("_", " "), _STATES[state]).append(
-                "  "
-            )
+            line.append(f"{at:.1f} s ", palette.DIM)
+            line.append(change["state"].replace("_", " "), _STATES[change["state"]]).append("  ")
         table.add_row(row["peer"], row["observer"], line)
     return table
 
@@ -319,15 +317,8 @@ def _style(result: Diagnosis) -> str:
 
 def verdict_table(result: Diagnosis, title: str, height: int) -> RenderableType:
     """Return the table that a live diagnosis keeps current."""
-    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
-    for head, side in (
-        ("", "left"),
-        ("Lost", "right"),
-        ("Of", "right"),
-        ("Since", "right"),
-        ("Verdict", "left"),
-    ):
-        table.add_column(head, justify="right" if side == "right" else "left", no_wrap=head != "Verdict")
+    figures = map(_right, ("Lost", "Of", "Since"))
+    table = _grid(_left(""), *figures, "Verdict", header_style=palette.STRONG)
     merged = merge_spans(result.verdicts)
     for item in merged[: max(3, (height - 4) // 2)]:
         grade = _STYLES[item.severity]
@@ -338,6 +329,46 @@ def verdict_table(result: Diagnosis, title: str, height: int) -> RenderableType:
     quiet = Text("nothing wrong so far", "green")
     total = plain(summarize(result).headline, _style(result))
     return Group(_head(result, title), table if merged else quiet, total)
+
+
+class LiveVerdicts:
+    """Shows verdicts as they come, and rings the terminal bell once for each new one; a context manager."""
+
+    def __init__(self, title: str, *, quiet: bool = False) -> None:
+        self._title = title
+        self._quiet = quiet
+        self._known: set[tuple[object, ...]] = set()
+        self._console = error_console()
+        interactive = detect_terminal(sys.stderr).interactive and not quiet
+        self._live = LiveView(self._table, self._console) if interactive else None
+
+    def _table(self, diagnosis: Diagnosis, _now: float) -> RenderableType:
+        return verdict_table(diagnosis, self._title, self._console.height)
+
+    def __enter__(self) -> Self:
+        if self._live:
+            self._live.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live:
+            self._live.__exit__()
+
+    def update(self, diagnosis: Diagnosis) -> None:
+        """Show the diagnosis as it is now."""
+        new = []
+        for verdict in diagnosis.verdicts:
+            if verdict.severity >= Severity.WARNING and verdict.key not in self._known:
+                self._known.add(verdict.key)
+                new.append(verdict)
+        if self._live:
+            self._live.update(diagnosis)
+            if new:
+                self._console.bell()
+        elif not self._quiet:
+            for verdict in new:
+                sys.stderr.write(f"\a{verdict_line(verdict)}\n")
+            sys.stderr.flush()
 
 
 def merge_spans(verdicts: Sequence[Verdict]) -> list[Verdict]:

@@ -32,7 +32,7 @@ class Column(msgspec.Struct, frozen=True):
     """
 
     title: str
-    cell: Callable[[Mapping[str, Any]], Text]
+    cell: Callable[[Any], Text]
     rank: int = 0
     justify: Literal["left", "right"] = "right"
     elastic: bool = False
@@ -40,10 +40,10 @@ class Column(msgspec.Struct, frozen=True):
 
 def build(
     columns: Sequence[Column],
-    rows: Sequence[Mapping[str, Any]],
+    rows: Sequence[Any],
     width: int,
     *,
-    apart: Callable[[Mapping[str, Any]], Any] | None = None,
+    apart: Callable[[Any], Any] | None = None,
 ) -> Table:
     """Return the rows as a table of at most ``width`` cells, as long as the columns of rank 0 fit.
 
