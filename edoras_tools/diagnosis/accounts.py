@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from edoras_tools.cfs.names import MSG_ID_NAMES, message_name
@@ -9,6 +10,8 @@ from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.losses import COUNTERS
 from edoras_tools.diagnosis.advice import clean_round
 from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
+from edoras_tools.diagnosis.ledger import DAMAGED
 from edoras_tools.diagnosis.matching.crossing import Hop, Latency, latency_of
 from edoras_tools.diagnosis.matching.streams import Stream, comb
 from edoras_tools.model import NO_ROUTE, rate_hz
@@ -44,7 +47,10 @@ def _row(case: Case, stream: Stream, way: LedgerWay) -> dict[str, Any]:
     clean_hz, told_by = clean_rate(case, stream)
     rounds, tasks = comb(times), (case.profile.to_wake_ns, case.profile.sbn_wake_ns)
     is_task = any(abs(rounds.period_ns - period) < period // _ROUND for period in tasks)
-    behind = stream.link.only_to_cfs or (stream.link.peers and to_cfs)
+    lost = sum((Counter(row.lost) for row in way.rows()), Counter[str]())
+    absent = lost[DAMAGED] + lost[PROXY_HOP]
+    if not (stream.link.only_to_cfs or (stream.link.peers and to_cfs)):  # it is captured behind what loses it
+        absent += sum(loss.lost for loss in case.losses_of(stream))
     return {
         "topic": source.topic if source else None,
         "type": source.type if source else None,
@@ -54,9 +60,9 @@ def _row(case: Case, stream: Stream, way: LedgerWay) -> dict[str, Any]:
         "sender": str(case.endpoints[stream.sender]),
         "receiver": str(case.endpoints[stream.receiver]),
         "instance": case.label(stream.instance) if stream.instance != NOBODY else None,
-        "sent": len(stream) + (0 if behind else sum(loss.lost for loss in case.losses_of(stream))),
+        "sent": len(stream) + absent,
         "seen": len(stream),
-        "lost": sum(entry.number for entry in way.entries() if entry.ending == "lost"),
+        "lost": lost.total(),
         "rate_hz": round(rate_hz(len(stream), int(times[-1]) - int(times[0])), 3),
         "limit_hz": clean_hz,
         "limit_from": told_by,

@@ -25,13 +25,13 @@ from msgspec.structs import replace
 from numpy.lib.stride_tricks import sliding_window_view
 
 from edoras_tools.cfs import queues, telemetry_output
-from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS, Loss
+from edoras_tools.diagnosis.accounting.losses import TAIL_NS, Loss
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
 from edoras_tools.diagnosis.evidence.copies import crowding, senders_at_once
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import Change, StateOwner, StateSpan
 from edoras_tools.diagnosis.matching.streams import Stream, full_where_lacking
-from edoras_tools.diagnosis.verdict import Advice, Verdict, error
+from edoras_tools.diagnosis.verdict import Advice
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.words import plural
 
@@ -201,7 +201,7 @@ def _rows_of(loss: Loss) -> Places:
     return loss.stream.rows[loss.span.rows]
 
 
-def _depth(case: Case, loss: Loss, queue: queues.Queue) -> int:
+def depth_at(case: Case, loss: Loss, queue: queues.Queue) -> int:
     """Return the depth of a pipe: measured if the pipe was full, else the configured one."""
     full = any(item.kind == "overflow" and item.hop == loss.hop for item in case.losses)
     if loss.stream is None or not full:
@@ -247,7 +247,7 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     why += f"{'sends' if output else 'SBN empties it'} every {every}: {rate:.0f} a second get through"
     names = (loss.msg_id, "to_wake_ns") if output else ("sbn_msg_limit", "sbn_wake_ns")
     why += set_by(case, loss, limit) or f" ({'measured' if measured else case.origin(*names)})"
-    queue = replace(queue, depth=_depth(case, loss, queue))
+    queue = replace(queue, depth=depth_at(case, loss, queue))
     slower = f"publish at most {_safe(rate):g} Hz"
     if loss.stream is None:
         return Advice(why, slower if limit else _raised(case, msg_id, telemetry_output.USUAL_LIMIT))
@@ -423,18 +423,6 @@ def _subscribed(limit: str) -> str:
     return f"let the application subscribe with {limit} (CFE_SB_SubscribeEx)"
 
 
-def lost_at(case: Case, loss: Loss, noun: str = "messages") -> str:
-    """Return the start of the sentence: ``12 of 60 messages on 0x0827 (/pose) lost at TO_LAB_TLM_PIPE``."""
-    of = f" of {loss.of:,}" if loss.of else ""
-    word = noun.removesuffix("s") if loss.lost == 1 and not of else noun
-    return f"{loss.lost:,}{of} {word} on {case.name(loss.msg_id)} lost at {loss.hop}"
-
-
-def published(loss: Loss) -> str:
-    """Return ``published at 20/s, ``; empty if the rate is unknown."""
-    return f"published at {loss.offered_hz:.0f}/s, " if loss.offered_hz else ""
-
-
 def stood_still(case: Case, loss: Loss) -> str:
     """Return the sentence that a whole cFS stood still, and most of a loss came after that; else empty."""
     if not (stalls := list(_stalls_of(case, loss))):
@@ -456,33 +444,3 @@ def _stalls_of(case: Case, loss: Loss) -> Iterator[StateSpan]:
     near = [(span, (when > span.start_lo - SECOND) & (when < span.end_hi + SECOND)) for span in spans]
     if sum(int(number[inside].sum()) for _, inside in near) * 2 > int(number.sum()):
         yield from (span for span, inside in near if inside.any())
-
-
-def loss_verdict(
-    case: Case, loss: Loss, reason: str, remedy: str | Advice, *more: str, link: str | None = None
-) -> Verdict:
-    """Return the verdict of severity error on a loss.
-
-    Args:
-        case: the case.
-        loss: the loss.
-        reason: sentence on the loss.
-        remedy: change that helps.
-        more: facts beside the loss' own.
-        link: label of the link that it concerns; None for that of its stream.
-    """
-    still = stood_still(case, loss) if loss.kind in COUNTERS else ""
-    advice = remedy if isinstance(remedy, Advice) else None
-    return error(
-        f"{reason}. {still}" if still else reason,
-        *(*loss.evidence, *more, *case.drops_text()),
-        msg_id=loss.msg_id,
-        place=(link or (loss.stream.link.label if loss.stream else None), loss.hop),
-        lost=loss.lost,
-        of=loss.of,
-        span=(loss.start_ns, loss.end_ns),
-        remedy=advice.remedy if advice else str(remedy),
-        advice=advice,
-        confidence=loss.confidence,
-        cause=loss.kind,
-    )

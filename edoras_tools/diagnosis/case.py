@@ -33,14 +33,7 @@ from edoras_tools.diagnosis.accounting.content import judge_contents
 from edoras_tools.diagnosis.constants import Constants, learn_constants
 from edoras_tools.diagnosis.evidence.clocks.steady import without_steps
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
-from edoras_tools.diagnosis.evidence.loss_reports import (
-    LossEvents,
-    PipeKind,
-    ReportedLoss,
-    Track,
-    reported_losses,
-    tracks,
-)
+from edoras_tools.diagnosis.evidence.loss_reports import reported_losses, tracks
 from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied, RouteWay
@@ -51,16 +44,7 @@ from edoras_tools.diagnosis.evidence.unreachable import Unreachable, count_unrea
 from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.stalls import stalls
-from edoras_tools.diagnosis.matching.streams import (
-    Comb,
-    Reset,
-    Span,
-    Stream,
-    comb,
-    find_resets,
-    find_robots,
-    find_streams,
-)
+from edoras_tools.diagnosis.matching.streams import comb, find_resets, find_robots, find_streams
 from edoras_tools.diagnosis.quality import (
     CONFIDENCE,
     Evidence,
@@ -71,16 +55,7 @@ from edoras_tools.diagnosis.quality import (
     host_drops,
     overlapping,
 )
-from edoras_tools.model import (
-    NO_MSG_ID,
-    NO_ROUTE,
-    Endpoint,
-    Finding,
-    HostCounters,
-    InterfaceOutage,
-    Link,
-    Peer,
-)
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding, Link, Peer
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key, by_value
@@ -91,11 +66,13 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.accounting.losses import Loss
+    from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, PipeKind, ReportedLoss, Track
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
+    from edoras_tools.diagnosis.matching.streams import Comb, Reset, Span, Stream
     from edoras_tools.diagnosis.verdict import Advice, Verdict
     from edoras_tools.links.doors import LinkEvidence, SampleStream, Unwrapper
     from edoras_tools.mission import Mission, Route
-    from edoras_tools.model import CutDatagram
+    from edoras_tools.model import CutDatagram, HostCounters, InterfaceOutage
     from edoras_tools.structs.bound import Bound
 
 _MOST: Final = 0.5

@@ -23,14 +23,7 @@ from edoras_tools.diagnosis.accounting.losses import APP, SBN_SOCKET
 from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
 from edoras_tools.diagnosis.ledger import CAPTURE, CAUSES, PEER, Row, cause_text
-from edoras_tools.diagnosis.verdict import (
-    CAPTURE_RULES,
-    NOTHING_SENT,
-    Severity,
-    Verdict,
-    alike,
-    group_verdicts,
-)
+from edoras_tools.diagnosis.verdict import CAPTURE_RULES, NOTHING_SENT, Severity, alike, group_verdicts
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.words import plural
@@ -39,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from edoras_tools.diagnosis.examination import Diagnosis
+    from edoras_tools.diagnosis.verdict import Verdict
 
 _AT_QUEUES: Final = frozenset({"limit", "overflow", "socket", "unknown"})
 """Causes whose text also says how much the queue takes, or what events name there."""

@@ -1,10 +1,12 @@
-"""What verdicts are about: messages of one MsgId, and where and when they were."""
+"""What verdicts are about: messages of one MsgId, or a loss, and where and when they were."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.diagnosis.verdict import About, Severity, Verdict, verdict
+from edoras_tools.diagnosis.accounting.losses import COUNTERS, Loss
+from edoras_tools.diagnosis.advice import stood_still
+from edoras_tools.diagnosis.verdict import About, Advice, Severity, Verdict, error, verdict
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.units import SECOND
@@ -88,3 +90,40 @@ def of_messages(
         verb, rest = _OF_ONE.get(verb, verb), rest.replace("their ", "its ")
     reason = f"{len(members):,} of {of:,} {noun} on {case.name(msg_id)} {verb} {rest}"
     return verdict(severity, reason, *evidence, **{**about, **where, **lost})
+
+
+def lost_at(case: Case, loss: Loss, noun: str = "messages") -> str:
+    """Return the start of the sentence: ``12 of 60 messages on 0x0827 (/pose) lost at TO_LAB_TLM_PIPE``."""
+    of = f" of {loss.of:,}" if loss.of else ""
+    word = noun.removesuffix("s") if loss.lost == 1 and not of else noun
+    return f"{loss.lost:,}{of} {word} on {case.name(loss.msg_id)} lost at {loss.hop}"
+
+
+def loss_verdict(
+    case: Case, loss: Loss, reason: str, remedy: str | Advice, *more: str, link: str | None = None
+) -> Verdict:
+    """Return the verdict of severity error on a loss.
+
+    Args:
+        case: the case.
+        loss: the loss.
+        reason: sentence on the loss.
+        remedy: change that helps.
+        more: facts beside the loss' own.
+        link: label of the link that it concerns; None for that of its stream.
+    """
+    still = stood_still(case, loss) if loss.kind in COUNTERS else ""
+    advice = remedy if isinstance(remedy, Advice) else None
+    return error(
+        f"{reason}. {still}" if still else reason,
+        *(*loss.evidence, *more, *case.drops_text()),
+        msg_id=loss.msg_id,
+        place=(link or (loss.stream.link.label if loss.stream else None), loss.hop),
+        lost=loss.lost,
+        of=loss.of,
+        span=(loss.start_ns, loss.end_ns),
+        remedy=advice.remedy if advice else str(remedy),
+        advice=advice,
+        confidence=loss.confidence,
+        cause=loss.kind,
+    )

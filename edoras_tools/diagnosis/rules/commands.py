@@ -56,7 +56,7 @@ _SHORT_EVENT: Final = f"{command_ingest.TOO_SHORT.phrase}|{command_ingest.TOO_SH
 _MSG_ID_EVENT: Final = re.escape(software_bus.EVENTS[software_bus.INVALID_MSG_ID].phrase)
 _CODE_EVENT: Final = r"Invalid ground command code|Function Code|Invalid.*CC = "
 _LENGTH_EVENT: Final = rf"[Ii]nvalid [Mm]sg length|Invalid cmd length|{telemetry_output.ENABLED.phrase}"
-_BAD_COMMANDS: Final = (
+_KINDS: Final = (
     BadCommand(Finding.TRUNCATED, "shorter than a command header", "CI drops it", _SHORT_EVENT),
     BadCommand(
         Finding.INVALID_MSG_ID, "MsgId is 0 or above 0x1FFF", "the software bus refuses it", _MSG_ID_EVENT
@@ -105,8 +105,9 @@ _BAD_COMMANDS: Final = (
     ),
     BadCommand(Finding.CHECKSUM_BAD, "wrong checksum", "obeyed all the same: no application here checks it"),
 )
-_ANY: Final = reduce(or_, (kind.finding for kind in _BAD_COMMANDS))
-_MISMATCH: Final = _BAD_COMMANDS[10]
+_BAD_COMMANDS: Final = {item.finding: item for item in _KINDS}
+_ANY: Final = reduce(or_, _BAD_COMMANDS)
+_MISMATCH: Final = _BAD_COMMANDS[Finding.LENGTH_MISMATCH]
 """CI of cFS 7 refuses it, and says so."""
 _SHORT = BadCommand(
     Finding.TRUNCATED,
@@ -167,7 +168,7 @@ def bad_command(case: Case) -> Iterator[Verdict]:
 def _kind(findings: int, length: int) -> BadCommand:
     if not length:
         return _EMPTY
-    kind = next(item for item in _BAD_COMMANDS if item.finding in Finding(findings))
+    kind = next(item for item in _KINDS if item.finding in Finding(findings))
     # The header is there: it is the message that is cut.
     return _SHORT if kind.finding is Finding.TRUNCATED and length >= cfe.COMMAND_HEADER_BYTES else kind
 
@@ -175,7 +176,7 @@ def _kind(findings: int, length: int) -> BadCommand:
 def _refused(case: Case, judged: set[int]) -> Iterator[tuple[int, BadCommand]]:
     """Find commands that an application refused, and whose rules the decoder does not know."""
     rows = case.rows
-    code, length = _BAD_COMMANDS[3], _BAD_COMMANDS[4]
+    code, length = _BAD_COMMANDS[Finding.UNKNOWN_FUNCTION_CODE], _BAD_COMMANDS[Finding.COMMAND_LENGTH]
     commands = np.flatnonzero(rows.link == CI)
     times = rows.time_ns[commands]
     for record in case.payloads.events:

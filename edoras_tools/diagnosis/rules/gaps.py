@@ -19,21 +19,11 @@ from edoras_tools.diagnosis.accounting.closed import (
     may_lack_control,
 )
 from edoras_tools.diagnosis.accounting.losses import BUS, Fate, Loss
-from edoras_tools.diagnosis.advice import loss_verdict, lost_at
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.ledger import CAUSES
 from edoras_tools.diagnosis.quality import overlapping
-from edoras_tools.diagnosis.rules.about import packet, stream_subject, subject
-from edoras_tools.diagnosis.verdict import (
-    NOTHING_SENT,
-    Severity,
-    Verdict,
-    error,
-    habit,
-    note,
-    verdict,
-    warning,
-)
+from edoras_tools.diagnosis.rules.about import loss_verdict, lost_at, packet, stream_subject, subject
+from edoras_tools.diagnosis.verdict import NOTHING_SENT, Severity, Verdict, error, note, verdict, warning
 from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.sbn import SBN
@@ -493,7 +483,8 @@ def superseded(case: Case) -> Iterator[Verdict]:
     for fate in (own for own in case.commands.fates.values() if own.ends["superseded"]):
         number, stream = fate.ends["superseded"], fate.stream
         outs = " and ".join(case.name(hop.out.msg_id) for hop in fate.hops)
-        yield habit(
+        yield verdict(
+            Severity.HABIT,
             f"{number:,} of {len(stream):,} messages on {case.name(stream.msg_id)} gave way to a "
             f"newer one before the application sent {outs}: it takes them in bursts, and the last goes on",
             f"{int(fate.arrived.sum()):,} came out with the same values",

@@ -157,11 +157,11 @@ def no_subscriber(case: Case) -> Iterator[Verdict]:
     rows, counted = case.rows, {}
     # Where the capture missed some that came to a CI, these may be what nobody took; and what one cFS sends
     # another comes in unseen.
-    unseen = case.peers_unseen or any(item.not_captured for item in case.ingests)
-    arriving = np.zeros(0, np.intp) if unseen else _perhaps_unwanted(case)
-    for instance, track in () if unseen else case.tracks.items():
-        for msg_id, members, number in _unwanted(case, track, arriving):
-            counted[instance, msg_id] = members, number
+    if not case.peers_unseen and not any(item.not_captured for item in case.ingests):
+        arriving = _perhaps_unwanted(case)
+        for instance, track in case.tracks.items():
+            for msg_id, members, number in _unwanted(case, track, arriving):
+                counted[instance, msg_id] = members, number
     reports = {item: events for item, events in case.reported_losses.items() if item.kind == "no_subscriber"}
     for item in (item for item in reports if item.sender.startswith(_HANDS_IN)):
         link: Link = CI if item.sender.startswith("CI") else SBN

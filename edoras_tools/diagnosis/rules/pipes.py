@@ -13,20 +13,11 @@ from edoras_tools.cfs.executive_services import STARTS
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.ingest import QUOTED
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKET, SBN_SOCKET, TAIL_NS, Loss
-from edoras_tools.diagnosis.accounting.pipes import TICKS, measured_depth, more_at_once
-from edoras_tools.diagnosis.advice import (
-    advise,
-    clean_round,
-    crowding_of,
-    loss_verdict,
-    lost_at,
-    published,
-    set_by,
-    stood_still,
-)
+from edoras_tools.diagnosis.accounting.pipes import TICKS, more_at_once
+from edoras_tools.diagnosis.advice import advise, clean_round, crowding_of, depth_at, set_by, stood_still
 from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
 from edoras_tools.diagnosis.ledger import CAUSES
-from edoras_tools.diagnosis.rules.about import of_messages, packet
+from edoras_tools.diagnosis.rules.about import loss_verdict, lost_at, of_messages, packet
 from edoras_tools.diagnosis.rules.commands import refusals
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, warning
 from edoras_tools.links.ci import CI
@@ -71,6 +62,9 @@ def _by_another(case: Case, loss: Loss, least: str) -> Verdict:
     return loss_verdict(case, loss, f"{least}{lost_at(case, loss)}: {why}", remedy)
 
 
+_READ_LATE: Final = "where the pipe is read at once: {} or the application came to it later than that"
+
+
 def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     over_network = loss.over_network
     pipe = queues.application_pipe(case.profile, over_network=over_network)
@@ -97,12 +91,8 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
         elif most > limit:
             rate = f"up to {most:,} were sent within {every}; {limit} are clean"
         else:
-            while_ = "while cFS runs"
-            if not stood_still(case, loss):
-                while_ = (
-                    f"where the pipe is read at once: {who} or the application came to it later than that"
-                )
-            rate = f"{sent}, at most {most} within {every}, which is clean {while_}"
+            where = "while cFS runs" if stood_still(case, loss) else _READ_LATE.format(who)
+            rate = f"{sent}, at most {most} within {every}, which is clean {where}"
     return loss_verdict(case, loss, reason, advice, rate, link=link)
 
 
@@ -141,7 +131,10 @@ def _over_limit(case: Case, loss: Loss, link: str, text: str) -> Verdict:
     rounds = text.format(set_by(case, loss, limit), period_ms, rate)
     clean = f": {rate:.1f} Hz is clean" if link == "to" else ""
     shown = f"at most {limit} came in one round, every {period_ms:.1f} ms{clean}" if measured else ""
-    reason = f"{lost_at(case, loss)}: {published(loss)}{limit} of {rounds}"
+    rounds = f"{limit} of {rounds}"
+    if loss.offered_hz:
+        rounds = f"published at {loss.offered_hz:.0f}/s, {rounds}"
+    reason = f"{lost_at(case, loss)}: {rounds}"
     return loss_verdict(case, loss, reason, advise(case, loss), shown, link=link)
 
 
@@ -197,18 +190,14 @@ def _with_them(case: Case, others: Sequence[Loss]) -> Verdict:
 
 
 def _output_overflow(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
-    profile = case.profile
-    depth, text, events = profile.to_pipe_depth, "", ""
-    if loss.stream is not None:
-        own = (case.rows.link == loss.stream.link) & (case.rows.source == loss.stream.sender)
-        measured = measured_depth(case.rows.time_ns[own], profile.to_wake_ns)
-        if measured < depth:
-            depth = measured
-            text = f"rounds of {measured} came often, and none was larger (is fs.mqueue.msg_max {measured}?)"
-    room = depth * 1e9 / profile.to_wake_ns
+    pipe, text, events = queues.telemetry_pipe(case.profile), "", ""
+    depth = depth_at(case, loss, pipe)
+    if depth < pipe.depth:
+        text = f"rounds of {depth} came often, and none was larger (is fs.mqueue.msg_max {depth}?)"
+    room = pipe.rate_hz(depth)
     reason = (
         f"{lost_at(case, loss)}: TO's pipe of {depth} is emptied every "
-        f"{profile.to_wake_ns // 1_000_000} ms: {room:.0f}/s of all telemetry together"
+        f"{pipe.round_ns // MILLISECOND} ms: {room:.0f}/s of all telemetry together"
     )
     remedy = (
         f"publish less: {room:.0f}/s of everything, housekeeping included; a lower limit of this "

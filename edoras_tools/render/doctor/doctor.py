@@ -25,6 +25,7 @@ from edoras_tools.render.terminal.live_table import LiveView
 from edoras_tools.render.terminal.table import Column, build, figure, plain
 from edoras_tools.render.terminal.terminal import detect_terminal, error_console
 from edoras_tools.render.terminal.text import clean, wrap
+from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -315,11 +316,11 @@ def _style(result: Diagnosis) -> str:
     return Level.WARNING.style if not result.datagrams or result.worst >= Severity.WARNING else palette.GOOD
 
 
-def verdict_table(result: Diagnosis, title: str, height: int) -> RenderableType:
+def _live_table(result: Diagnosis, title: str, height: int) -> RenderableType:
     """Return the table that a live diagnosis keeps current."""
     figures = map(_right, ("Lost", "Of", "Since"))
     table = _grid(_left(""), *figures, "Verdict", header_style=palette.STRONG)
-    merged = merge_spans(result.verdicts)
+    merged = [_merged(group) for group in by_key(result.verdicts, lambda item: item.key).values()]
     for item in merged[: max(3, (height - 4) // 2)]:
         grade = _STYLES[item.severity]
         since = f"{(item.start_ns - result.zero_ns) / 1e9:.0f} s"
@@ -335,15 +336,14 @@ class LiveVerdicts:
     """Shows verdicts as they come, and rings the terminal bell once for each new one; a context manager."""
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
-        self._title = title
+        def table(diagnosis: Diagnosis, _now: float) -> RenderableType:
+            return _live_table(diagnosis, title, self._console.height)
+
         self._quiet = quiet
         self._known: set[tuple[object, ...]] = set()
         self._console = error_console()
         interactive = detect_terminal(sys.stderr).interactive and not quiet
-        self._live = LiveView(self._table, self._console) if interactive else None
-
-    def _table(self, diagnosis: Diagnosis, _now: float) -> RenderableType:
-        return verdict_table(diagnosis, self._title, self._console.height)
+        self._live = LiveView(table, self._console) if interactive else None
 
     def __enter__(self) -> Self:
         if self._live:
@@ -367,29 +367,16 @@ class LiveVerdicts:
                 self._console.bell()
         elif not self._quiet:
             for verdict in new:
-                sys.stderr.write(f"\a{verdict_line(verdict)}\n")
+                sys.stderr.write(f"\a{verdict.severity.label}: {verdict.rule}: {verdict.reason}\n")
             sys.stderr.flush()
 
 
-def merge_spans(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """Return one verdict for each problem: that of its last span, with the losses of all."""
-    by_key: dict[tuple[Any, ...], Verdict] = {}
-    for item in verdicts:
-        earlier = by_key.get(item.key)
-        if earlier is None:
-            by_key[item.key] = item
-            continue
-        last = max(earlier, item, key=lambda verdict: verdict.end_ns)
-        lost = (earlier.lost or 0) + (item.lost or 0) if earlier.lost or item.lost else None
-        of = (earlier.of or 0) + (item.of or 0) if earlier.of or item.of else None
-        span = min(earlier.start_ns, item.start_ns), last.end_ns
-        by_key[item.key] = replace(last, span=span, lost=lost, of=of)
-    return list(by_key.values())
-
-
-def verdict_line(verdict: Verdict) -> str:
-    """Return a verdict in a line, for logs."""
-    return f"{verdict.severity.label}: {verdict.rule}: {verdict.reason}"
+def _merged(group: Sequence[Verdict]) -> Verdict:
+    """Return one verdict for one problem: that of its last span, with the losses of all."""
+    last = max(group, key=lambda item: item.end_ns)
+    lost, of = (sum(getattr(item, name) or 0 for item in group) or None for name in ("lost", "of"))
+    span = min(item.start_ns for item in group), last.end_ns
+    return replace(last, span=span, lost=lost, of=of) if len(group) > 1 else last
 
 
 _BUDGET: Final = (
