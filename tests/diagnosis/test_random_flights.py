@@ -143,3 +143,15 @@ def test_a_capture_whose_commands_are_all_counted_proves_what_the_link_down_lost
     assert proven == len(lost)
     assert more == 0
     assert lost_by(result) == {"after": len(lost)}
+
+
+def test_a_count_that_comes_twice_is_of_no_idle_ci():
+    """Without an identification nothing but the sequence count shows that 0x884 came twice."""
+    _, sent = fly(steady(60, 20, 20))
+    counts = [item for item in sent if item.payload[:2] == b"\x08\x84"]
+    again = [item._replace(time_ns=item.time_ns + MILLISECOND) for item in counts]
+    plain = examined(sent)
+    result = examined(sorted([*sent, *again], key=lambda item: item.time_ns))
+    assert bounds(result) == bounds(plain)
+    assert lost_by(result) == lost_by(plain)
+    assert lost_by(plain)["socket"] > 400

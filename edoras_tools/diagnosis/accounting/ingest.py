@@ -258,7 +258,8 @@ def _samples(case: Case) -> dict[int, list[_Sample]]:
     row, counts = samples["row"], (samples["packets"] + samples["errors"]) % _MODULUS
     own = (instances.of_row[row] != NOBODY) & rows.on(lambda link: link.only_from_cfs, row)
     # A count that was overtaken by a newer one is no restart; captures of two places are out of order anyway.
-    own &= (rows.reordered[row] == 0) | (case.prepared.copies > 0)
+    # Nor is one that came twice a count of a CI that read nothing in between.
+    own &= ((rows.reordered[row] == 0) | (case.prepared.copies > 0)) & (rows.duplicates[row] <= 0)
     own &= instances.owners(rows.source[row], samples["time_ns"]) == instances.of_row[row]
     row, seen_ns, instance = row[own], samples["time_ns"][own], instances.of_row[row[own]]
     offsets = np.array([item.offset_ns for item in instances.items], np.int64)
