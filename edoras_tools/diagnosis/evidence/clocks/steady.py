@@ -208,6 +208,8 @@ def _parted(rows: Rows, instances: Instances) -> tuple[Jump, int] | None:
             own = own[rows.time_ns[own] > rows.time_ns[low] - _BESIDE_NS]
             other = other[rows.time_ns[other] < rows.time_ns[high] + _BESIDE_NS]
             by = int(rows.delay_ns(other).min() - rows.delay_ns(own).min())
+            if abs(by) < _JITTER_NS:
+                continue  # something else parts them
             steps = np.diff(rows.time_ns[low : high + 1])
             widest = int(steps.argmax()) if len(steps) else 0
             if by > 0 and len(steps) and abs(int(steps[widest]) - by) < SECOND + by // 10:
