@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections import Counter
 
 import pytest
@@ -155,3 +156,35 @@ def test_a_count_that_comes_twice_is_of_no_idle_ci():
     assert bounds(result) == bounds(plain)
     assert lost_by(result) == lost_by(plain)
     assert lost_by(plain)["socket"] > 400
+
+
+def test_two_clocks_set_within_a_round_are_no_steps_of_nothing():
+    jump_s = 1_001_000
+    ahead = (6.98, 0x1805, 11, jump_s.to_bytes(4, "little") + bytes(4))  # ADD_ADJUST
+    _, sent = fly(Flight("two-arms", SimProfile(seed=4), 4.0, 12.0, 15, 16, (ahead,)))
+    hour_ns = 3600 * SECOND
+    moved = [
+        item._replace(time_ns=item.time_ns + hour_ns * (item.time_ns > START_NS + 71 * SECOND // 10))
+        for item in sent
+    ]
+    jumps = [item["reason"] for item in examined(moved)["verdicts"] if item["rule"] == "clock_jump"]
+    assert jumps
+    assert not [reason for reason in jumps if "by 0.0 s" in reason]
+
+
+@pytest.mark.parametrize("share", [0.05, 0.1, 0.3])
+def test_gaps_beside_an_overloaded_application_are_not_told_as_what_its_pipe_lost(share):
+    """The network behind cFS loses telemetry while 0x803 counts commands that may have given way."""
+    profile = SimProfile(to_wake_ns=500 * MILLISECOND, ci_wake_ns=250 * MILLISECOND)
+    simulation, sent = fly(Flight("two-arms", profile, 20.0, 4.0, 30, 16, ()))
+    chance = random.Random(share)
+    telemetry = [item for item in sent if item.destination == simulation.ground.endpoint]
+    lost = {id(item) for item in telemetry[200:-60] if chance.random() < share}
+    result = examined([item for item in sent if id(item) not in lost])
+    proven, more = bounds(result)
+    least, most = (item + len(lost) for item in truth(simulation, sent))
+    assert proven <= most
+    assert least - 6 <= proven + more
+    assert not [
+        row for row in result["balance"] if row["hop"] == "TO_LAB_TLM_PIPE" and row["lost_by"].get("limit")
+    ]

@@ -71,6 +71,8 @@ _AROUND: Final = 8
 """A stream with no gap within this many rows on either side is over no limit."""
 _SOON: Final = 1.2
 """A stream goes on as before if the next message comes within this many of its longest steps."""
+_STEADY: Final = 1.1
+"""A steady rate varies by less than this factor."""
 _LEAST_FRAGMENTED: Final = 6
 """If this many datagrams in a row never became whole, their fragments were dropped on the way."""
 
@@ -307,12 +309,19 @@ class Telemetry:
         part.watched = 2 * part.outside <= part.missing
         # All that was in a peer's pipe is captured: if it was not full, it overflowed nothing.
         others = ("limit",) if part.kinds and part.stream.link.peers else (*COUNTERS,)[::-1]
+        if not part.kinds and part.stream.link.only_from_cfs and self._is_rare(part):
+            others = ("overflow",)
         kinds = tuple(dict.fromkeys((*part.kinds, *others)))
         rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, part.stream
         for members in claimed_alike([counts], low, high):
             span, number = (int(low[members[0]]), int(high[members[0]])), int(gaps.number[members].sum())
             self.claims.append(Claim(key, *span, number, kinds, (part.owner,), rank, flow))
         self.parts.append(part)
+
+    def _is_rare(self, part: Part) -> bool:
+        """Return whether at most every second round had a message: that is over no limit of its MsgId."""
+        round_s = queues.telemetry_pipe(self._case.profile).round_ns / SECOND
+        return 2 * part.span.offered_hz * round_s < _STEADY
 
     def _dropped_unseen(self) -> None:
         """Count messages that a proxy dropped before a stream's first message or after its last."""

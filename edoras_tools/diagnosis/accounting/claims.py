@@ -376,6 +376,30 @@ def settle_possible(
     return list(shared.values())
 
 
+def take_back(counts: Mapping[int, Counts], claims: Sequence[Claim], others: Sequence[Claim]) -> list[int]:
+    """Take counts from claims of the rank ``MISSING`` that other messages may have caused as well.
+
+    Args:
+        counts: the counters; they do not get the counts back.
+        claims: claims on them.
+        others: claims of messages that may also have arrived.
+
+    Returns:
+        How many of these counts each of ``others`` may have caused.
+    """
+    tables, numbers = _tables(counts, [*claims, *others]), [0] * len(others)
+    for claim in (claim for claim in claims if claim.rank == Rank.MISSING):
+        for place in [*claim.assigned]:
+            for at in tables[place[:2]].within(place[2]):
+                other = at - len(claims)
+                if other < 0 or others[other].rank < Rank.POSSIBLE:
+                    continue
+                part = min(claim.assigned.get(place, 0), others[other].open - numbers[other])
+                numbers[other] += part
+                claim.give(place, -part) if part else None
+    return numbers
+
+
 def share_open(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Shared]:
     """Take back from each traffic those counts that unexplained messages of other traffic may have caused.
 

@@ -36,6 +36,7 @@ from edoras_tools.diagnosis.accounting.claims import (
     claimed_alike,
     hand_on,
     settle,
+    take_back,
 )
 from edoras_tools.diagnosis.accounting.closed import Outage
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
@@ -134,13 +135,14 @@ class Pipes:
 
     Attributes:
         claims: claims of these messages on the loss counters.
+        whose: the messages of each claim, by its key.
     """
 
     def __init__(self, case: Case, losses: list[Loss]) -> None:
         self._case, self._counts, self.losses = case, case.loss_counts, losses
         self._same: dict[tuple[Stream, PipeKind, int, Span], Loss] = {}
         self.claims: list[Claim] = []
-        self._whose: list[_Own] = []
+        self.whose: list[_Own] = []
 
     def claim(self, fate: Fate) -> None:
         """Add claims for the messages of a stream that did not come out, on each cFS that it may go to."""
@@ -168,10 +170,8 @@ class Pipes:
             for members in claimed_alike(counts, low_ns[rows], high_ns[rows], which[rows]):
                 own = rows[members]
                 span = int(low_ns[own[0]]), int(high_ns[own[0]])
-                self.claims.append(
-                    Claim(len(self._whose), *span, len(own), tuple(kinds), group, rank, stream)
-                )
-                self._whose.append(_Own(fate, int(which[own[0]]), own, place))
+                self.claims.append(Claim(len(self.whose), *span, len(own), tuple(kinds), group, rank, stream))
+                self.whose.append(_Own(fate, int(which[own[0]]), own, place))
 
     def _bursts(self, fate: Fate) -> bool:
         """Return whether more messages of a stream may reach its pipe in one round than the pipe holds."""
@@ -193,7 +193,7 @@ class Pipes:
     def make_losses(self) -> None:
         """Turn the counts that the claims got into losses."""
         for claim in self.claims:
-            own, at = self._whose[claim.key], 0
+            own, at = self.whose[claim.key], 0
             if own.standing == _INTO_STOP:  # the stop is their cause: ``closed.Stops`` makes that loss
                 own.fate.counted_in_stop[int(own.fate.stop[own.rows[0]])] += sum(claim.assigned.values())
                 continue
@@ -553,11 +553,19 @@ class Leftover:
     def make_uncertain(self, claims: Sequence[Claim]) -> None:
         """Count messages as uncertain that may have caused the counts which gaps were given.
 
-        This is so where gaps show that telemetry was lost behind cFS, too: then a gap need not be a count.
+        This is so where no pipe was full of what is missing, or where gaps show that telemetry was lost
+        behind cFS, too: then a gap need not be a count.
 
         Args:
             claims: claims of gaps, settled.
         """
+        for own, number in zip(
+            self._pipes.claims, take_back(self._counts, claims, self._pipes.claims), strict=True
+        ):
+            ends = self._pipes.whose[own.key].fate.ends
+            part = min(number, ends["superseded"])
+            ends["superseded"] -= part
+            ends["missed"] += part
         behind = {at for own in claims if own.rank == Rank.MISSING and own.open for at in own.instances}
         places: Counter[Place] = Counter()
         for own in claims:
