@@ -188,3 +188,15 @@ def test_gaps_beside_an_overloaded_application_are_not_told_as_what_its_pipe_los
     assert not [
         row for row in result["balance"] if row["hop"] == "TO_LAB_TLM_PIPE" and row["lost_by"].get("limit")
     ]
+
+
+def test_what_ci_cannot_have_read_before_its_first_count_is_lost():
+    """It may have restarted since, and read what it could; the rest was lost in its full socket."""
+    simulation, sent = fly(Flight("two-rovers", SimProfile(), 60.0, 4.0, 18, 16, ()))
+    first_ns = START_NS + 6 * SECOND
+    kept = [item for item in sent if item.payload[:2] != b"\x08\x84" or item.time_ns > first_ns]
+    dropped = simulation.cfs.account.losses()[socket(1234), 0, QueueEnd.PIPE_OVERFLOW]
+    rows = [row for row in examined(kept)["balance"] if row["hop"] == "CI"]
+    proven, more = (sum(row.get(name) or 0 for row in rows) for name in ("lost", "uncertain"))
+    assert dropped > 500
+    assert 0.9 * dropped < proven <= dropped <= proven + more

@@ -559,13 +559,17 @@ class _Counted:
         capture came out, or until its socket was empty, CI read only datagrams from before the capture,
         because it reads in order.
         """
-        first = self._own[0]
-        since_ns = int(self._sent_ns[0]) if len(self._sent_ns) else first.seen_ns
-        most = self._most * max(0, 2 + (first.seen_ns - since_ns) // self._profile.ci_wake_ns) - first.count
+        most = self._most_uncounted()
         out_ns, went_ns = self._first_out
         idle = np.append(np.flatnonzero(np.diff(self._count[:end]) < self._most), end)
         until = [item for item in self._own[:end][: idle[0] + 1] if item.seen_ns <= out_ns]
         return min(most, int(self._sent_until(went_ns)) - until[-1].count) if until else most
+
+    def _most_uncounted(self) -> int:
+        """Return the most datagrams that CI can have read of those sent, besides its first count."""
+        first = self._own[0]
+        since_ns = int(self._sent_ns[0]) if len(self._sent_ns) else first.seen_ns
+        return self._most * max(0, 2 + (first.seen_ns - since_ns) // self._profile.ci_wake_ns) - first.count
 
     def _most_waited(self, before: int) -> int:
         """Return the most datagrams waiting or lost at a time before the first count, for a busy CI."""
@@ -586,11 +590,15 @@ class _Counted:
         return ("down" if since_ns < boot_ns < sample.seen_ns else "network"), since_ns
 
     def _unseen(self) -> int | None:
-        """Return how many datagrams sent before the first count did not come out; None if not seen."""
+        """Return how many datagrams sent before the first count did not come out and may have been read.
+
+        None if the way out is not captured.
+        """
         if self._arrived is None:
             return None
         seen_ns = self._own[0].seen_ns
-        return int(self._sent_until(seen_ns) - np.searchsorted(self._arrived, seen_ns, "right"))
+        absent = int(self._sent_until(seen_ns) - np.searchsorted(self._arrived, seen_ns, "right"))
+        return min(absent, max(0, self._most_uncounted()))
 
     def _ended_ns(self, last: _Sample, first: _Sample) -> int:
         """Return until when CI read before it started again."""
@@ -739,8 +747,10 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
                 cause = "socket" if full and not (early and number > run.overflow) else "network"
                 since_ns = int(run.seen[last])
                 if not account.losses and run.unread is not None and not account.older_until_ns:
-                    # The counts allow that these were missing at the first sample already.
-                    lost += max(0, min(run.unread, number - lost, missing_first))
+                    # The counts allow that these were missing at the first sample already: lost, or read by
+                    # a CI that has restarted since.
+                    early_lost = max(0, min(run.unread, number - lost, missing_first))
+                    account.unsure, lost = account.unsure + early_lost, lost + early_lost
                 elif early and {cause, begin[0]} == {"network"}:
                     account.unsure += number - lost  # or CI read them, and has restarted since
                     lost = number
