@@ -200,3 +200,18 @@ def test_what_ci_cannot_have_read_before_its_first_count_is_lost():
     proven, more = (sum(row.get(name) or 0 for row in rows) for name in ("lost", "uncertain"))
     assert dropped > 500
     assert 0.9 * dropped < proven <= dropped <= proven + more
+
+
+@pytest.mark.parametrize("every", [3, 7])
+def test_a_count_that_comes_late_is_of_no_idle_ci(every):
+    simulation, sent = fly(Flight("two-rovers", SimProfile(), 20.0, 4.0, 30, 16, ()))
+    counts = [item for item in sent if item.payload[:2] == b"\x08\x84"][::every]
+    late = {id(item) for item in counts}
+    jittered = [
+        item._replace(time_ns=item.time_ns + (id(item) in late) * 27 * SECOND // 100) for item in sent
+    ]
+    result = examined(sorted(jittered, key=lambda item: item.time_ns))
+    proven, (_, most) = lost_by(result)["socket"], truth(simulation, sent)
+    assert 0.9 * lost_by(examined(sent))["socket"] < proven
+    assert proven <= simulation.cfs.account.losses()[socket(1234), 0, QueueEnd.PIPE_OVERFLOW]
+    assert bounds(result)[0] <= most
