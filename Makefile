@@ -12,7 +12,7 @@ WORKERS := --workers 3
 unexport PYTHONDONTWRITEBYTECODE
 QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis render addons/tui/data io/formats io/frames)
 SEARCHES := $(addprefix --ignore=tests/,$(addprefix diagnosis/,test_variants.py test_cuts.py test_truth.py) \
-	$(addprefix io/formats/,mcap/test_recover.py test_split.py))
+	$(addprefix io/formats/,mcap/test_recover.py test_capture_file.py))
 
 .PHONY: help venv demo test tests same-bytes check long lint style types format bench kill explore fuzz growth soak lock sbom judges ros fprime npm yamcs cosmos docs dist clean
 

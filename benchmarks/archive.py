@@ -33,7 +33,7 @@ from edoras_tools.addons.archive.tables import TABLES
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import frames_of
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.formats.pcap.writer import PcapSink
+from edoras_tools.io.formats.pcap import PcapSink
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import concatenate
 from edoras_tools.pipelines.workbench import Settings

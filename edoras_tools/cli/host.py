@@ -23,8 +23,7 @@ def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> No
     The ports are those of the links, of the mission files (-c) and of --set port. No privilege is
     needed.
     """
-    from edoras_tools.io.host import read_host
-    from edoras_tools.pipelines.capture.host import advice, steal
+    from edoras_tools.io.host import advice, read_host, steal
     from edoras_tools.render.capture.host import host_lines
 
     context = decoding.settings().workbench().columns.context

@@ -39,7 +39,7 @@ def info(
             )
         _verify(paths, printing, decoding)
         return
-    from edoras_tools.io.formats.cfe.contents import read_cfe_file
+    from edoras_tools.io.formats.cfe import read_cfe_file
     from edoras_tools.pipelines.capture.info import inspect
 
     contents = [item for path in paths if (item := read_cfe_file(path)) is not None]

@@ -10,15 +10,20 @@ from __future__ import annotations
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Protocol
 
+import msgspec
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
 
     from edoras_tools.links.framing import Framing
+    from edoras_tools.links.site import Endpoints
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.sessions.sequence import SequenceCounts
+    from edoras_tools.structs import Structs
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
     Room = Callable[[int], Octets]
@@ -26,7 +31,53 @@ if TYPE_CHECKING:
     Choice = Callable[[Octets, NDArray[np.int32]], Mask]
     """Returns which datagrams are needed, from the link and the MsgId of each."""
 
-__all__ = ["Sink", "Source", "SourceDefaults", "SourceOver"]
+__all__ = ["RecordingOptions", "Sink", "Source", "SourceDefaults", "SourceOver"]
+
+
+class RecordingOptions(msgspec.Struct, frozen=True):
+    """Contents of a recording, and when a new file starts.
+
+    Attributes:
+        filter: expression that selected the datagrams, for the metadata record.
+        split_bytes: approximate size of a file at which a new one starts; 0: never.
+        split_ns: capture time in one file at which a new one starts; 0: never.
+        split_count: number of datagrams in one file after which a new one starts; 0: never.
+        datagrams: whether to write ``/edoras/datagrams``.
+        structs: C structs in packets; None: only cFE's own.
+        transforms: whether to write ``/tf``, made from the poses.
+        jobs: most processes that share the work; more than one only for MCAP that is not split by size.
+        yields: whether to share the work only while a processor is free, for the sake of other recorders.
+        sequences: sequence counts shared with other consumers of the same batches; None: own ones.
+        endpoints: DDS endpoints discovered so far; None: DDS samples have no topics.
+        topics: of a recording without datagrams: numbers of the topics to write; None: all.
+        offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
+        apart: a ``pipelines.reading.Independence``, which takes all batches; None: not recorded.
+    """
+
+    filter: str = ""
+    split_bytes: int = 0
+    split_ns: int = 0
+    split_count: int = 0
+    datagrams: bool = True
+    structs: Structs | None = None
+    offered: str = ""
+    transforms: bool = False
+    jobs: int = 1
+    yields: bool = False
+    sequences: SequenceCounts | None = None
+    endpoints: Endpoints | None = None
+    topics: Collection[int] | None = None
+    apart: Any = None
+
+    @property
+    def is_part(self) -> bool:
+        """Whether a file may contain only a part of the datagrams."""
+        return self.splits or bool(self.filter)
+
+    @property
+    def splits(self) -> bool:
+        """Whether the recording is written in parts."""
+        return bool(self.split_bytes or self.split_ns or self.split_count)
 
 
 class SourceDefaults(Protocol):

@@ -537,6 +537,11 @@ def path_beside(path: Path) -> Path:
     raise AssertionError("counting does not end")
 
 
+def part_path(path: Path, number: int) -> Path:
+    """Return the file of a part: ``NAME_0.mcap`` and so on."""
+    return path.with_name(f"{path.stem}_{number}{path.suffix}")
+
+
 def _take_after(fileno: int, older: os.stat_result) -> None:
     """Give a new file the permissions of the file that it replaces, and its owner if that is allowed."""
     with suppress(OSError):

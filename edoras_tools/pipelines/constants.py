@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs.profile import SimProfile, constant_names
 from edoras_tools.errors import ConfigError
-from edoras_tools.io.formats.cfe.contents import message_limits, network_peers
+from edoras_tools.io.formats.cfe import message_limits, network_peers
 from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from edoras_tools.errors import ConfigError, NoDatagramsError, OnFailure
 from edoras_tools.io.formats.merge import merge_sources
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.source import MessageSource, NumberedTopics
-from edoras_tools.io.topics.recorded import QOS_METADATA
+from edoras_tools.io.topics.streams import QOS_METADATA
 from edoras_tools.mission import Handling, Mission, RecordedTopic, Route
 from edoras_tools.model import NO_MSG_ID, OTHER
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files

@@ -26,7 +26,7 @@ import msgspec
 
 from edoras_tools.errors import CaptureError, EdorasError, OnFailure
 from edoras_tools.io import DisplaySink, Sink, SourceDefaults
-from edoras_tools.io.frames.build import HEADER_BYTES, FramePage
+from edoras_tools.io.frames.frame_batch import HEADER_BYTES, FramePage
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.outputs import Patience, waiting_for_room
 from edoras_tools.io.processes import Desk, Workers, portable, writer_killed

@@ -10,6 +10,8 @@ from typing import Final
 
 from edoras_tools.wire.layout import Field, Layout
 
+CFE_MAGIC: Final = b"cFE1"
+"""The first field of every such file."""
 RESET_LOG, SYSTEM_LOG, PERFORMANCE_LOG, TABLE_IMAGE, EVENT_LOG, STORED_PACKETS = 1, 2, 4, 8, 16, 10_000
 RESET_COMMAND, EXCEPTION = 5, 6
 """Reset subtypes of entries that are made while cFE runs; the others are made when it starts."""

@@ -18,8 +18,8 @@ from edoras_tools.io.formats.capture_file import CaptureFileSink
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.formats.table import Format
-from edoras_tools.io.frames.build import ENDS, FramePage
 from edoras_tools.io.frames.chain import walk_records
+from edoras_tools.io.frames.frame_batch import ENDS, FramePage
 from edoras_tools.model import SourceInfo
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.wire.arrays.window import copy_rows, gather, put_rows

@@ -17,11 +17,11 @@ from schema import check, published
 
 from edoras_tools.cfs.profile import SbnPeerConfig
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.cfe import CFE_MAGIC
-from edoras_tools.io.formats.cfe.contents import message_limits, network_peers, read_cfe_file
+from edoras_tools.io.formats.cfe import message_limits, network_peers, read_cfe_file
 from edoras_tools.io.formats.open import is_cfe_file, open_file
 from edoras_tools.model import Peer
 from edoras_tools.wire import cfe, cfe_file
+from edoras_tools.wire.cfe_file import CFE_MAGIC
 
 FILES = ROOT / "samples/cfs_files"
 EVENTS, STORED, RUN = FILES / "events.log", FILES / "stored_events.dat", FILES / "run.pcap"

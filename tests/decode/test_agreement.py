@@ -19,7 +19,7 @@ from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.lines import PacketLines, line_of
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.links.ci import CI
 from edoras_tools.mission import FlightSoftware, Mission, load

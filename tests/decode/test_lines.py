@@ -11,7 +11,7 @@ from edoras_tools.decode import ColumnDecoder, Context, Dissector, contents
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.lines import PacketLines, line_of
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.mission import load
 from edoras_tools.model import concatenate

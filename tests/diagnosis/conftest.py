@@ -14,7 +14,7 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.workbench import Settings

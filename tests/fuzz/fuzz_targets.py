@@ -43,7 +43,7 @@ from edoras_tools.errors import CaptureError, ConfigError, FieldError, WireError
 from edoras_tools.io.formats.mcap.recover import recover as run_recover
 from edoras_tools.io.formats.mcap.recover import verify
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.formats.pcapng.writer import PcapngSink
+from edoras_tools.io.formats.pcapng import PcapngSink
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.mission import Mission, load, loads

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire import cfe, sbn

@@ -12,7 +12,7 @@ from places import ROOT
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.file import McapFile
-from edoras_tools.io.formats.pcap.writer import PcapSink
+from edoras_tools.io.formats.pcap import PcapSink
 from edoras_tools.io.outputs import (
     NewFile,
     OutputFile,

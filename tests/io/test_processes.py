@@ -30,12 +30,12 @@ from waiting import until
 
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.errors import CaptureError, WireError
+from edoras_tools.io import RecordingOptions
 from edoras_tools.io import processes as module
 from edoras_tools.io.formats import stream
 from edoras_tools.io.formats.mcap import writer
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.formats.split import RecordingOptions
 from edoras_tools.io.processes import InOrder, Workers, receive, send, writer_killed
 from edoras_tools.mission import Mission
 from edoras_tools.model import SourceStatistics

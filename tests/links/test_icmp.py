@@ -15,9 +15,9 @@ from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.frames.fragments import quoted_ports
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.io.frames.network import quoted_ports
 from edoras_tools.links.icmp import ICMP
 from edoras_tools.model import OTHER, Endpoint, Finding, Peer
 from edoras_tools.pipelines.workbench import Settings

@@ -8,7 +8,7 @@ from rewriting import Udp, write
 
 from edoras_tools.cfs.time_services import START_S
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
-from edoras_tools.io.formats.cfe.reader import reset_times
+from edoras_tools.io.formats.cfe import reset_times
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.resets import RESETS
 from edoras_tools.links.table import STORED

@@ -8,8 +8,8 @@ from edoras_tools.addons.lab.emulator import Simulation, WireDatagram
 from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.addons.lab.emulator.routes import SystemRoutes
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.io.formats.pcap.writer import PcapSink
-from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.formats.pcap import PcapSink
+from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe

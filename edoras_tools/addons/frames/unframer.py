@@ -31,7 +31,7 @@ from msgspec.structs import replace
 from edoras_tools.addons.frames.link import frame_rows
 from edoras_tools.addons.frames.reading import FrameFields, read_frames
 from edoras_tools.decode.columns import blank_columns
-from edoras_tools.io.frames.build import packets_behind
+from edoras_tools.io.frames.frame_batch import packets_behind
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
 from edoras_tools.wire import ccsds

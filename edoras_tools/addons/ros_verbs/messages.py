@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 import numpy as np
 
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.io.topics.recorded import QOS_METADATA, RecordedStreams
 from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, lay_out
-from edoras_tools.io.topics.streams import OWN_TOPICS, Streams, Topic
+from edoras_tools.io.topics.streams import OWN_TOPICS, QOS_METADATA, RecordedStreams, Streams, Topic
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.units import SECOND

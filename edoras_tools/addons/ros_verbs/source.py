@@ -34,7 +34,7 @@ from edoras_tools.errors import ConfigError, OnFailure
 from edoras_tools.io import SourceDefaults
 from edoras_tools.io.formats.mcap.messages import SelectedMessages
 from edoras_tools.io.formats.rosbag2.source import message_batch
-from edoras_tools.io.topics.recorded import QOS_METADATA
+from edoras_tools.io.topics.streams import QOS_METADATA
 from edoras_tools.mission.model import RecordedTopic
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.messages import message_bench

@@ -16,9 +16,9 @@ from msgspec.structs import replace
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, ConfigError, os_errors
-from edoras_tools.io.capture.interfaces import interfaces as live_interfaces
+from edoras_tools.io.capture.device import interfaces as live_interfaces
 from edoras_tools.io.capture.live import open_live
-from edoras_tools.io.formats.pcapng.writer import PcapngSink
+from edoras_tools.io.formats.pcapng import PcapngSink
 from edoras_tools.io.net.address import parse_endpoint
 from edoras_tools.io.net.receive import UdpSource
 from edoras_tools.links import table

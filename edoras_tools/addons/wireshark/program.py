@@ -19,7 +19,7 @@ from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.dissectors.lua import GUARD, TITLE, own_digest
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.formats.pcapng.writer import PcapngSink
+from edoras_tools.io.formats.pcapng import PcapngSink
 from edoras_tools.io.outputs import write_files
 from edoras_tools.pipelines.interrupt import on_interrupt
 

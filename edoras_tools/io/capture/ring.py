@@ -10,7 +10,7 @@ Rules that this file keeps:
 1. A block is closed when the next packet does not fit, or after ``_RETIRE_MS``. A ring has enough blocks for
    minutes of traffic at any rate of a link.
 2. Nobody waits for a full block: the open block is checked every ``FRESH_S``, and its packets are read. The
-   count in its header says which packets the kernel had *begun* to write; after ``barrier.wait`` all of them
+   count in its header says which packets the kernel had *begun* to write; after ``wait`` all of them
    are complete. No other sign of a complete packet is reliable: fields are written in any order. That wait
    can take seconds, so another thread does it; meanwhile the block is closed by its age, and read then.
 3. If it is not possible to wait for the kernel, blocks are closed by age (``FRESH_S``), and the open one is
@@ -20,6 +20,13 @@ Rules that this file keeps:
 5. If an interface goes away, the socket is kept. If it returns with the same index, the kernel attaches it
    again as soon as it is up; with another index, the same socket is bound to it, which needs no privilege.
    ``outages`` says from when to when it was away.
+
+``Barrier`` waits until the kernel has finished every packet that it had begun to write at the time of the
+call. ``membarrier(2)`` with ``MEMBARRIER_CMD_GLOBAL`` is a ``synchronize_rcu()``
+(``kernel/sched/membarrier.c``). The kernel delivers packets to sockets inside RCU read sections. If a thread
+saw a part of what a section wrote before that call, it sees everything that the section wrote after it. The
+call takes some 10 ms and no CPU time; where the processors are busy it takes up to seconds, so ``Barrier``
+has a thread for it.
 """
 
 from __future__ import annotations
@@ -29,18 +36,32 @@ import ctypes
 import errno
 import mmap
 import os
+import platform
 import re
 import socket
 import struct
+import threading
 import time
+from functools import cache
+from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError, OnFailure
-from edoras_tools.io.capture import barrier, bpf, interfaces, tpacket
-from edoras_tools.io.capture.device import Device
+from edoras_tools.io.capture import bpf, tpacket
+from edoras_tools.io.capture.device import (
+    ANY_INTERFACE,
+    Device,
+    Interface,
+    claim_raw_sockets,
+    denied,
+    find_interface,
+    loopback_index,
+    possible,
+)
 from edoras_tools.model import InterfaceOutage, SourceInfo
 from edoras_tools.wire.arrays.window import PADDING
 
@@ -49,6 +70,79 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.frames.frame_batch import FrameBatch
     from edoras_tools.wire.arrays.order import Octets
+
+_NUMBERS: Final = {"x86_64": 324, "aarch64": 283, "riscv64": 283, "armv7l": 389, "ppc64le": 365, "s390x": 356}
+"""Number of the system call, by machine; the C library has no name for it."""
+_QUERY: Final = 0
+_GLOBAL: Final = 1 << 0
+_REAL_TIME: Final = Path("/sys/kernel/realtime")
+
+
+@cache
+def available() -> bool:
+    """Return whether this system has the call, and the call waits for sections.
+
+    It is not available if processors run without a timer tick (``nohz_full``). A real-time kernel may
+    interrupt a section to run a program, and on a single processor the call does not wait.
+    """
+    number = _NUMBERS.get(platform.machine())
+    if number is None or ctypes.sizeof(ctypes.c_void_p) != ctypes.sizeof(ctypes.c_long):
+        return False
+    commands = _call(_QUERY)
+    return commands > 0 and bool(commands & _GLOBAL) and not _REAL_TIME.exists()
+
+
+def wait() -> bool:
+    """Wait until every packet that the kernel has begun is complete; return whether it succeeded."""
+    return _call(_GLOBAL) == 0
+
+
+class Barrier:
+    """Waits in a thread of its own. One ``ask`` at a time: the next one after its answer."""
+
+    def __init__(self) -> None:
+        self._asks: SimpleQueue[bool] = SimpleQueue()
+        self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._succeeded = False
+        self._thread = threading.Thread(target=self._run, name="capture barrier", daemon=True)
+        self._thread.start()
+
+    def fileno(self) -> int:
+        """Return a file descriptor that becomes readable with the answer."""
+        return self._event
+
+    def ask(self) -> None:
+        """Begin to wait."""
+        self._asks.put(True)
+
+    def answer(self) -> bool | None:
+        """Return whether waiting succeeded, once; None while it lasts."""
+        try:
+            os.eventfd_read(self._event)
+        except BlockingIOError:
+            return None
+        return self._succeeded
+
+    def close(self) -> None:
+        """End the thread."""
+        self._asks.put(False)
+        self._thread.join()
+        os.close(self._event)
+
+    def _run(self) -> None:
+        while self._asks.get():
+            self._succeeded = wait()
+            os.eventfd_write(self._event, 1)
+
+
+def _call(command: int) -> int:
+    return int(_syscall()(_NUMBERS[platform.machine()], command, 0, 0))
+
+
+@cache
+def _syscall() -> ctypes._NamedFuncPointer:
+    return ctypes.CDLL(None, use_errno=True).syscall
+
 
 _SOL_PACKET: Final = 263
 _PACKET_ADD_MEMBERSHIP: Final = 1
@@ -133,12 +227,12 @@ class Ring(Device):
     ) -> None:
         if not hasattr(socket, "AF_PACKET"):
             raise CaptureError("packet rings are a Linux feature: use the scapy back end on this system")
-        device = _existing_interface(interface) if wait else interfaces.find_interface(interface)
+        device = _existing_interface(interface) if wait else find_interface(interface)
         if not wait and not device.up:
             raise CaptureError(
                 f"{interface} is down: switch it on with 'ip link set {interface} up', or -i wait:{interface}"
             )
-        walks = barrier.available()
+        walks = available()
         super().__init__(_BUSY_LINGER_S, look_s=FRESH_S if walks else _WATCH_S)
         self.info = SourceInfo(interface, "live", snap_length=snap_length)
         self._enough_s = _BUSY_LINGER_S
@@ -154,21 +248,21 @@ class Ring(Device):
         self._turn = 0
         self._asked: tuple[int, int] | None = None
         """Turn and count of the open block that the barrier waits for."""
-        self._barrier = barrier.Barrier() if walks else None
+        self._barrier = Barrier() if walks else None
         with OnFailure(self._end_barrier):
             self._open(device)
 
-    def _open(self, interface: interfaces.Interface) -> None:
+    def _open(self, interface: Interface) -> None:
         """Create socket and ring for this kind of interface, and bind it if the interface exists."""
         self._link_type = _LINK_TYPES.get(interface.hardware_type, bpf.LINUX_SLL2)
         if interface.loopback:
             loopback: int | None = interface.index
         else:
-            loopback = interfaces.loopback_index() if interface.name == interfaces.ANY_INTERFACE else None
+            loopback = loopback_index() if interface.name == ANY_INTERFACE else None
         cooked = self._link_type == bpf.LINUX_SLL2
         # The kernel marks packets of several datagrams, but not on a cooked socket. A socket of all
         # interfaces is therefore raw, and cooked headers are written by ``tpacket``.
-        self._marked = _marks_segments() and (not cooked or interface.name == interfaces.ANY_INTERFACE)
+        self._marked = _marks_segments() and (not cooked or interface.name == ANY_INTERFACE)
         program = bpf.port_filter(
             self._link_type,
             self._ports,
@@ -188,7 +282,7 @@ class Ring(Device):
             self._socket.close()
             raise CaptureError(f"{interface.name}: {error.strerror}") from error
 
-    def _start(self, interface: interfaces.Interface, program: Sequence[bpf.Instruction]) -> None:
+    def _start(self, interface: Interface, program: Sequence[bpf.Instruction]) -> None:
         """Set filter, then ring, then bind: in this order, every packet in the ring has passed the filter."""
         bpf.attach_program(self._socket, program)
         self._socket.setsockopt(_SOL_PACKET, _PACKET_VERSION, _TPACKET_V3)
@@ -202,14 +296,14 @@ class Ring(Device):
             with contextlib.suppress(OSError):  # before Linux 4.20 only the filter does it
                 self._socket.setsockopt(_SOL_PACKET, _PACKET_IGNORE_OUTGOING, 1)
         self._bound = 0
-        if interface.name == interfaces.ANY_INTERFACE:
+        if interface.name == ANY_INTERFACE:
             self._bind_all()
         elif interface.index:
             self._bind(interface)
         if not (interface.up and interface.carrier):
             self._leave(interface)
 
-    def _bind(self, interface: interfaces.Interface) -> None:
+    def _bind(self, interface: Interface) -> None:
         """Receive from an interface; if it is down, the kernel attaches it when it comes up."""
         if not interface.loopback:
             member = struct.pack("=iHH8s", interface.index, _PACKET_MR_PROMISC, 0, b"")
@@ -372,9 +466,7 @@ class Ring(Device):
         if error not in (0, errno.ENETDOWN):
             return f"{self.info.name}: {os.strerror(error)}"
         now = time.monotonic()
-        if self.info.name == interfaces.ANY_INTERFACE or not (
-            error or self._away or now - self._watched >= _WATCH_S
-        ):
+        if self.info.name == ANY_INTERFACE or not (error or self._away or now - self._watched >= _WATCH_S):
             return None
         self._watched = now
         try:
@@ -412,7 +504,7 @@ class Ring(Device):
             self._leave(replace(device, up=False))
             self.outages[-1] = replace(self.outages[-1], end_ns=self.outages[-1].start_ns)
 
-    def _leave(self, interface: interfaces.Interface) -> None:
+    def _leave(self, interface: Interface) -> None:
         why = "not there" if not interface.index else "without carrier" if interface.up else "down"
         self.outages.append(InterfaceOutage(interface.name, why, time.time_ns()))
         self._back_ns = 0
@@ -423,7 +515,7 @@ class Ring(Device):
             after = frames.time_ns[frames.time_ns > self.outages[-1].start_ns]
             self._back_ns = int(after[0]) if len(after) else 0
 
-    def _reopen(self, interface: interfaces.Interface) -> None:
+    def _reopen(self, interface: Interface) -> None:
         """Open a new socket under the old file descriptor, so that threads that poll it need not know."""
         before = self._socket
         self._release()
@@ -453,25 +545,25 @@ def _socket(interface: str, *, cooked: bool) -> socket.socket:
     kind = socket.SOCK_DGRAM if cooked else socket.SOCK_RAW
     with contextlib.suppress(PermissionError):
         return socket.socket(socket.AF_PACKET, kind, 0)
-    interfaces.claim_raw_sockets()
+    claim_raw_sockets()
     try:
         return socket.socket(socket.AF_PACKET, kind, 0)
     except PermissionError:
-        raise interfaces.denied(interface) from None
+        raise denied(interface) from None
 
 
-def _existing_interface(name: str) -> interfaces.Interface:
+def _existing_interface(name: str) -> Interface:
     """Look up an interface that may be away; if so, it has index 0 and is assumed to be Ethernet.
 
     Raises:
         CaptureError: no interface can have that name.
     """
     try:
-        return interfaces.find_interface(name)
+        return find_interface(name)
     except CaptureError:
-        if not interfaces.possible(name):
+        if not possible(name):
             raise
-        return interfaces.Interface(name, index=0, hardware_type=1, up=False, loopback=False, carrier=False)
+        return Interface(name, index=0, hardware_type=1, up=False, loopback=False, carrier=False)
 
 
 def _marks_segments() -> bool:

@@ -17,10 +17,16 @@ import numpy as np
 from edoras_tools.decode.links import beginning
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2, NOTHING, RAW, attach_program
-from edoras_tools.io.capture.device import Device, DeviceSource
-from edoras_tools.io.capture.interfaces import denied, find_interface, interfaces, missing_interface
-from edoras_tools.io.frames.fragments import error_rows, quoted_ports
+from edoras_tools.io.capture.device import (
+    Device,
+    DeviceSource,
+    denied,
+    find_interface,
+    interfaces,
+    missing_interface,
+)
 from edoras_tools.io.frames.frame_batch import FrameBatch
+from edoras_tools.io.frames.network import error_rows, quoted_ports
 from edoras_tools.model import Finding, PacketBatch, SourceInfo
 from edoras_tools.wire.arrays.window import PADDING
 

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.errors import CaptureError, NoDatagramsError, OnFailure
 from edoras_tools.io.formats import table
-from edoras_tools.io.formats.cfe import CFE_MAGIC
-from edoras_tools.io.formats.pcap.reader import MAGICS, PcapSource
+from edoras_tools.io.formats.pcap import MAGICS, PcapSource
 from edoras_tools.io.formats.stream import (
     ByteStream,
     CompressedStream,
@@ -22,6 +21,7 @@ from edoras_tools.io.formats.stream import (
     Window,
     settled_file,
 )
+from edoras_tools.wire.cfe_file import CFE_MAGIC
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source

@@ -23,18 +23,16 @@ from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.mcap.chunks import CHUNK_BYTES
-from edoras_tools.io.formats.mcap.file import McapFile, pack_chunks
-from edoras_tools.io.formats.mcap.index import MESSAGE_HEAD, RECORD_HEAD
+from edoras_tools.io.formats.mcap.file import MESSAGE_HEAD, RECORD_HEAD, McapFile, pack_chunks
+from edoras_tools.io.formats.mcap.recover import read_again
 from edoras_tools.io.formats.mcap.recover import recover as recover_mcap
 from edoras_tools.io.formats.mcap.recover import verify as verify_mcap
 from edoras_tools.io.formats.mcap.recovery.numbering import KnownTopics
-from edoras_tools.io.formats.mcap.recovery.records import FileBytes
+from edoras_tools.io.formats.mcap.recovery.records import FileBytes, walk
 from edoras_tools.io.formats.mcap.recovery.report import LostStretch, Recovery
-from edoras_tools.io.formats.mcap.recovery.walk import walk
-from edoras_tools.io.formats.mcap.result import read_again
 from edoras_tools.io.formats.open import unwrapped
-from edoras_tools.io.formats.pcap.reader import MAGICS, PcapSource
-from edoras_tools.io.formats.pcapng.reader import PcapngSource
+from edoras_tools.io.formats.pcap import MAGICS, PcapSource
+from edoras_tools.io.formats.pcapng import PcapngSource
 from edoras_tools.io.formats.rosbag2.reader import query
 from edoras_tools.io.formats.stream import Window
 from edoras_tools.io.outputs import NewFile

@@ -52,11 +52,11 @@ class Format(NamedTuple):
         return _imported(self.writer)
 
 
-PCAP: Final = Format("pcap", ".pcap", ".pcap.reader:PcapSource", ".pcap.writer:PcapSink")
-PCAPNG: Final = Format("pcapng", ".pcapng", ".pcapng.reader:PcapngSource", ".pcapng.writer:PcapngSink")
+PCAP: Final = Format("pcap", ".pcap", ".pcap:PcapSource", ".pcap:PcapSink")
+PCAPNG: Final = Format("pcapng", ".pcapng", ".pcapng:PcapngSource", ".pcapng:PcapngSink")
 MCAP: Final = Format("MCAP", ".mcap", ".mcap.reader:McapSource", ".mcap.writer:McapSink", messages=True)
 ROSBAG2: Final = Format("rosbag2", "", ".rosbag2.reader:Rosbag", ".rosbag2.writer:Rosbag2Sink", messages=True)
-CFE: Final = Format("cFE file", "", ".cfe.reader:CfePacketSource", "")
+CFE: Final = Format("cFE file", "", ".cfe:CfePacketSource", "")
 
 FILE_FORMATS: Final = (PCAP, PCAPNG, MCAP, ROSBAG2)
 

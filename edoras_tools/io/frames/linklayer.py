@@ -27,7 +27,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.io import SourceDefaults
-from edoras_tools.io.frames.fragments import Beginning, Fragment, Reassembler
 from edoras_tools.io.frames.frame_batch import (
     LINKTYPE_RAW,
     FrameBatch,
@@ -43,8 +42,11 @@ from edoras_tools.io.frames.network import (
     TCP,
     UDP_BYTES,
     UDP_HEADER,
+    Beginning,
+    Fragment,
     IpHeaders,
     IpPayloads,
+    Reassembler,
     ip_payloads,
     ipv4,
     transport_payloads,
@@ -225,7 +227,7 @@ class Demux:
         self, batch: PacketBatch, frames: FrameBatch, headers: IpHeaders, rows: Integers
     ) -> PacketBatch:
         """Add a row for each ICMP error among some frames, with ports 0, in the order of the frames."""
-        from edoras_tools.io.frames.fragments import find_errors
+        from edoras_tools.io.frames.network import find_errors
 
         errors = find_errors(headers, rows)
         if errors is None:

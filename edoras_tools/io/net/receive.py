@@ -11,7 +11,7 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError, OnFailure
 from edoras_tools.io.capture.device import Device, DeviceSource
-from edoras_tools.io.frames.build import ENDS, FramePage
+from edoras_tools.io.frames.frame_batch import ENDS, FramePage
 from edoras_tools.io.net.buffer import SLOTS, make_buffer
 from edoras_tools.io.net.sockets import LINUX, kernel_drops, local_endpoint, open_bound, waiting_bytes
 from edoras_tools.model import Endpoint, SourceInfo

@@ -1,13 +1,14 @@
 """The topics of a link's traffic, and the messages of each batch on them: the same for every sink.
 
-Mission time becomes UTC by the clock of the capture.
+Mission time becomes UTC by the clock of the capture. ``RecordedStreams`` is the counterpart of ``Streams``
+for a recording without datagrams.
 """
 
 from __future__ import annotations
 
 from functools import partial
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import numpy as np
@@ -15,11 +16,18 @@ from msgspec.structs import replace
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.io.topics import cfe
-from edoras_tools.io.topics.datagrams import DatagramWriter, ros_messages, without_trailing
-from edoras_tools.io.topics.rows import DATAGRAMS_TOPIC, RECORD, Messages, whole_messages
+from edoras_tools.io.topics.messages import (
+    TF_TOPIC,
+    TF_TYPE,
+    DatagramWriter,
+    Transforms,
+    log_messages,
+    ros_messages,
+    struct_messages,
+    without_trailing,
+)
+from edoras_tools.io.topics.rows import DATAGRAMS_TOPIC, RECORD, Messages, bodies_of, whole_messages
 from edoras_tools.io.topics.statistics import HOST_TOPIC, HOST_TYPE, LinkStatistics
-from edoras_tools.io.topics.structs import log_messages, struct_messages
-from edoras_tools.io.topics.transforms import TF_TOPIC, TF_TYPE, Transforms
 from edoras_tools.links import table
 from edoras_tools.links.resets import RESETS
 from edoras_tools.structs import Structs, shipped_structs
@@ -28,17 +36,16 @@ from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value, ord
 from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.links.site import Endpoints
-    from edoras_tools.mission import Mission
+    from edoras_tools.mission import Mission, RecordedTopic
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.sequence import SequenceCounts
     from edoras_tools.structs.shapes import Key
-
 
 _JUMP_NS = 5_000_000_000
 """Change of a sender's offset, in ns, that only a restart or a clock that was set can explain."""
@@ -516,3 +523,73 @@ class Streams:
     def finish(self) -> Messages:
         """Return the messages of the current second of statistics; all belong to row 0."""
         return self._statistics.finish(self._statistics_id)
+
+
+QOS_METADATA: Final = "offered_qos_profiles"
+"""Metadata of a topic: the quality of service of its publishers, as rosbag2 writes it."""
+
+
+class RecordedStreams:
+    """The topics of a recording without datagrams, and its messages, as they were recorded.
+
+    Sinks use it in place of ``Streams`` for such recordings.
+
+    Args:
+        types: type definitions that the recording may not hold.
+        places: indices of the topics to write; None: all.
+    """
+
+    def __init__(self, mission: Mission, types: TypeStore, places: Collection[int] | None = None) -> None:
+        every = range(len(mission.recorded))
+        self._places = [place for place in every if places is None or place in places]
+        self._ids = np.zeros(len(every), np.uint16)
+        self.topics = tuple(_recorded_topic(mission.recorded[place], types) for place in self._places)
+        self.structs = Structs()
+        self._latched = LatchedTopics(mission)
+        self.number(range(len(self.topics)))
+
+    def number(self, ids: Sequence[int]) -> None:
+        """Set the channel ids of messages, one per topic; until then each topic's index is used."""
+        self._ids[self._places] = ids
+
+    def prepare(self, batch: PacketBatch, columns: Columns) -> PreparedBatch:
+        """Process a batch, in the order of the recording; keep the last messages of latched topics."""
+        assert batch.recorded is not None, "they are messages of a recording"
+        published = batch.recorded["publish_ns"]
+        if self._latched.routes:
+            rows = np.flatnonzero(np.isin(columns.route, self._latched.routes))
+            self._latched.keep(columns.take(rows), self._messages(batch.take(rows)))
+        return PreparedBatch(published, [], {})
+
+    def prepared_messages(self, batch: PacketBatch, *_: Any) -> list[Messages]:
+        """Return the messages of a batch; callable in any order, and in any process."""
+        return [self._messages(batch)]
+
+    def _messages(self, batch: PacketBatch) -> Messages:
+        assert batch.recorded is not None, "they are messages of a recording"
+        heads = np.empty(len(batch), np.dtype(RECORD))
+        recorded = batch.recorded
+        channels = self._ids[recorded["topic"]]
+        rest = batch.data, batch.offset, batch.length
+        times = batch.time_ns, recorded["publish_ns"]
+        return whole_messages(np.arange(len(batch)), heads, channels, recorded["sequence"], *times, rest)
+
+    def latched(self, time_ns: int) -> list[Messages]:
+        """Return the last message of each latched topic, for the start of a new file; all belong to row 0."""
+        return [self._latched.again(self._ids, time_ns)]
+
+    def finish(self) -> Messages:
+        """Return no message: a recording that is copied gets no statistics."""
+        return bodies_of([], [], 0)
+
+    def outages(self, news: Sequence[InterfaceOutage]) -> Messages:
+        """Return no message: no interface is captured."""
+        return bodies_of([], [], 0)
+
+
+def _recorded_topic(topic: RecordedTopic, types: TypeStore) -> Topic:
+    """Return a topic as it is written: with its own schema, or with that of its type if it has none."""
+    schema = topic.schema_encoding, topic.schema
+    if not topic.schema and not topic.unread:
+        schema = "ros2msg", types.definition(topic.type).encode()
+    return Topic(topic.topic, topic.type, topic.metadata, topic.encoding, schema)

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from edoras_tools.errors import EdorasError, OnFailure, RouteError
-from edoras_tools.io.frames.build import ends_of
+from edoras_tools.io.frames.frame_batch import ends_of
 from edoras_tools.io.net.address import ANY_ADDRESS, address_of, host_of, own_address
 from edoras_tools.io.net.buffer import SLOTS, SPARE, DatagramBuffer
 from edoras_tools.io.net.forward import Direction, Outlet

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 
 from edoras_tools.diagnosis.evidence.copies import Repeats
 from edoras_tools.errors import ConfigError, EdorasError, os_errors
-from edoras_tools.io.formats.pcapng import LISTENED
-from edoras_tools.io.formats.split import RecordingOptions, SplitCaptureSink
+from edoras_tools.io import RecordingOptions
+from edoras_tools.io.formats.capture_file import LISTENED, SplitCaptureSink
 from edoras_tools.io.formats.table import FILE_SUFFIXES, MCAP, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import FileSink, Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import Patience, in_the_way, refuse_existing, refuse_input, waiting_for_room
@@ -382,7 +382,7 @@ def pour(
     host = None
     if source.on_this_host:
         source.pace(FLUSH_NS / 1e9, (1 + patient) * FLUSH_NS / 1e9)
-        from edoras_tools.pipelines.capture.host import HostWatch
+        from edoras_tools.io.host import HostWatch
 
         host = HostWatch(set(bench.columns.context.capture_ports()))
     wrote = ended = False

@@ -13,7 +13,7 @@ from waiting import HOST
 from websockets.sync.client import connect
 from websockets.sync.server import serve
 
-from edoras_tools.io.formats.pcapng.writer import PcapngSink
+from edoras_tools.io.formats.pcapng import PcapngSink
 from edoras_tools.io.frames.linklayer import Demux
 
 SAID = [to_ros(f"topic_{number}", bytes(range(number, number + 100))) for number in range(40)]

@@ -12,7 +12,7 @@ from edoras_tools.addons.runs.comparison import compare_captures
 from edoras_tools.decode import ColumnDecoder, Context, Options
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.links.ci import CI
 from edoras_tools.mission import Mission

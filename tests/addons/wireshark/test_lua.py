@@ -8,8 +8,8 @@ import pytest
 from edoras_tools.addons.lab.emulator import WireDatagram
 from edoras_tools.addons.wireshark.lua import dissector, engine_structs
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.formats.pcap.writer import PcapSink
-from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.formats.pcap import PcapSink
+from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.workbench import Settings

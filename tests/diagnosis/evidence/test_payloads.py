@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from edoras_tools.decode import ColumnDecoder, Context, Options
 from edoras_tools.diagnosis.evidence.payloads import Payloads, events_in
-from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import Endpoint
 from edoras_tools.wire import cfe

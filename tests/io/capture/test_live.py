@@ -12,7 +12,7 @@ from namespace import Cable, inside
 from waiting import PATIENCE_S, until
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.capture.interfaces import interfaces
+from edoras_tools.io.capture.device import interfaces
 from edoras_tools.io.capture.live import open_live
 from edoras_tools.links.icmp import ICMP
 from edoras_tools.model import Endpoint, concatenate

@@ -9,6 +9,7 @@ import contextlib
 import fcntl
 import itertools
 import os
+import platform
 import select
 import socket
 import struct
@@ -20,7 +21,8 @@ import pytest
 from waiting import PATIENCE_S, until
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.capture import interfaces
+from edoras_tools.io.capture import device
+from edoras_tools.io.capture import ring as module
 from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2, RAW
 from edoras_tools.io.capture.ring import Ring, _marks_segments
 from edoras_tools.io.frames.linklayer import demux
@@ -297,7 +299,7 @@ def read_until(source, count):
 @pytest.mark.parametrize("how", ["down", "not there"])
 def test_an_interface_that_goes_away_and_comes_back(ring, wire, monkeypatch, how, walks):
     """The same socket goes on, bound again where the interface was made anew."""
-    monkeypatch.setattr("edoras_tools.io.capture.ring.barrier.available", lambda: walks)
+    monkeypatch.setattr("edoras_tools.io.capture.ring.module.available", lambda: walks)
     tap = wire(IFF_TAP)
     source = ring(tap.name, [1234])
     handle = source.filenos()
@@ -420,7 +422,7 @@ def test_the_open_block_at_every_turn(ring, pair, monkeypatch):
 def test_a_wait_for_the_kernel_holds_nothing_up(ring, pair, monkeypatch, early):
     """Where processors are busy it takes seconds: what came is read when its block is closed by its age."""
     end = threading.Event()
-    monkeypatch.setattr("edoras_tools.io.capture.ring.barrier.wait", end.wait)
+    monkeypatch.setattr("edoras_tools.io.capture.ring.module.wait", end.wait)
     sender, port = pair
     source = ring("lo", [port])
     try:
@@ -503,6 +505,52 @@ def test_a_system_without_packet_sockets(monkeypatch):
 
 
 def test_interfaces_are_listed():
-    assert "lo" in interfaces.interfaces()
-    assert interfaces.loopback_index() == socket.if_nametoindex("lo")
-    assert interfaces.find_interface("lo").loopback
+    assert "lo" in device.interfaces()
+    assert device.loopback_index() == socket.if_nametoindex("lo")
+    assert device.find_interface("lo").loopback
+
+
+@pytest.fixture(autouse=True)
+def fresh():
+    module.available.cache_clear()
+    yield
+    module.available.cache_clear()
+
+
+def test_it_waits_where_it_says_so():
+    assert module.available() == module.wait() or not module.available()
+
+
+@pytest.mark.parametrize("known", [-1, 0, 0b110])
+def test_a_kernel_without_the_call(monkeypatch, known):
+    monkeypatch.setattr(module, "_call", lambda _: known)
+    assert not module.available()
+
+
+def test_an_unknown_machine(monkeypatch):
+    monkeypatch.setattr(platform, "machine", lambda: "abacus")
+    assert not module.available()
+
+
+def test_a_real_time_kernel(monkeypatch, tmp_path):
+    monkeypatch.setattr(module, "_REAL_TIME", tmp_path)
+    assert not module.available()
+
+
+@pytest.mark.parametrize("succeeds", [True, False])
+def test_a_thread_waits_and_answers_once(monkeypatch, succeeds):
+    end = threading.Event()
+    monkeypatch.setattr(module, "wait", lambda: end.wait() and succeeds)
+    one = module.Barrier()
+    try:
+        for _ in range(2):
+            one.ask()
+            assert one.answer() is None
+            end.set()
+            select.select([one.fileno()], [], [], PATIENCE_S)
+            end.clear()
+            assert [one.answer(), one.answer()] == [succeeds, None]
+    finally:
+        end.set()
+        one.close()
+    assert not one._thread.is_alive()

@@ -24,7 +24,7 @@ from edoras_tools.addons.racs2.link import RACS2
 from edoras_tools.decode import ColumnDecoder, Context, Options
 from edoras_tools.io.capture.live import open_live
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.formats.pcap.writer import PcapSink
+from edoras_tools.io.formats.pcap import PcapSink
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Finding, concatenate
 

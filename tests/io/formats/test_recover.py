@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.recovery.numbering import KnownTopics
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.formats.pcapng.writer import PcapngSink
+from edoras_tools.io.formats.pcapng import PcapngSink
 from edoras_tools.io.formats.recover import repair, repairable_as
 
 HEADS = {"pcap": ("<8xI", 24, 16), "pcapng": ("<4xI", 0, 0)}

@@ -17,9 +17,16 @@ from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io import Sink
 from edoras_tools.io.topics.cfe import fault_messages
-from edoras_tools.io.topics.recorded import RecordedStreams
 from edoras_tools.io.topics.rows import Messages, bodies_of, lay_out
-from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPIC, TRANSFORMS, Streams, Topic
+from edoras_tools.io.topics.streams import (
+    EVENTS_TOPIC,
+    FAULTS,
+    STATISTICS_TOPIC,
+    TRANSFORMS,
+    RecordedStreams,
+    Streams,
+    Topic,
+)
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.sessions.sequence import SequenceCounts

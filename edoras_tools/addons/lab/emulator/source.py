@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from edoras_tools.addons.lab.emulator import BOOT_NS, MISSIONS, Scenario, Simulation
 from edoras_tools.addons.lab.emulator.simulation import WireDatagram
 from edoras_tools.io import SourceDefaults
-from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.net.transmit import SendStatistics
 from edoras_tools.io.net.wire import Arrival

@@ -19,7 +19,7 @@ from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import demux
 from edoras_tools.links.table import carrying
 from edoras_tools.mission import Mission, Route

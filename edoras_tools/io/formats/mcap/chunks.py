@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import zstandard
 
-from edoras_tools.io.formats.mcap.file import LEVEL, McapFile, PackedChunks, pack_chunks
-from edoras_tools.io.formats.mcap.index import MessageIndex
+from edoras_tools.io.formats.mcap.file import LEVEL, McapFile, MessageIndex, PackedChunks, pack_chunks
 from edoras_tools.io.processes import InOrder, Workers
 from edoras_tools.io.topics.rows import Messages, within_rows
 from edoras_tools.wire.arrays.window import copy_rows, put_rows, spill_rows

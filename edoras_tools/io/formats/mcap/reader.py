@@ -26,7 +26,7 @@ from msgspec.structs import replace
 
 from edoras_tools import __version__, model
 from edoras_tools.errors import CaptureError, NoDatagramsError, OnFailure, WireError, os_errors
-from edoras_tools.io.formats.mcap.index import (
+from edoras_tools.io.formats.mcap.file import (
     CHUNK_HEAD_BYTES,
     CHUNK_INDEX,
     INDEX_ENTRY,
@@ -43,7 +43,7 @@ from edoras_tools.io.formats.table import TOPIC_READERS
 from edoras_tools.io.frames.frame_batch import FrameBatch, frames_at, joined_frames, packed_frames
 from edoras_tools.io.frames.linklayer import FrameSource
 from edoras_tools.io.topics.cfe import FAULTS_TOPIC, fault_of
-from edoras_tools.io.topics.datagrams import DATAGRAM
+from edoras_tools.io.topics.messages import DATAGRAM
 from edoras_tools.io.topics.rows import (
     CDR_LE_WORD,
     COUNTS_METADATA_NAME,

@@ -10,7 +10,7 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.mcap.index import CHUNK_HEAD_BYTES, MAX_CHUNK_BYTES, ChunkHead, chunk_head
+from edoras_tools.io.formats.mcap.file import CHUNK_HEAD_BYTES, MAX_CHUNK_BYTES, ChunkHead, chunk_head
 from edoras_tools.wire.arrays.crc import crc32
 
 if TYPE_CHECKING:

@@ -11,16 +11,22 @@ import numpy as np
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, OnFailure
-from edoras_tools.io import Sink
+from edoras_tools.io import RecordingOptions, Sink
 from edoras_tools.io.formats.mcap.chunks import ChunkPress, ChunkWriter
 from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks
-from edoras_tools.io.formats.split import RecordingOptions, part_path
+from edoras_tools.io.outputs import part_path
 from edoras_tools.io.processes import Workers, writer_killed
 from edoras_tools.io.topics.cfe import fault_messages
-from edoras_tools.io.topics.recorded import RecordedStreams
 from edoras_tools.io.topics.rows import COUNTS_METADATA_NAME, OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.statistics import host_messages
-from edoras_tools.io.topics.streams import FAULTS, HOST_COUNTERS, PreparedBatch, Streams, Topic
+from edoras_tools.io.topics.streams import (
+    FAULTS,
+    HOST_COUNTERS,
+    PreparedBatch,
+    RecordedStreams,
+    Streams,
+    Topic,
+)
 from edoras_tools.links import table
 from edoras_tools.model import Finding, InterfaceOutage
 

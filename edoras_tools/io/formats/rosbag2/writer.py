@@ -11,8 +11,8 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from edoras_tools.errors import CaptureError, os_errors
+from edoras_tools.io import RecordingOptions
 from edoras_tools.io.formats.mcap.writer import McapSink
-from edoras_tools.io.formats.split import RecordingOptions
 from edoras_tools.io.outputs import check_links, write_bytes
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.type_hash import type_hash

@@ -24,8 +24,8 @@ from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, LinkMonitor
 from edoras_tools.addons.foxglove.serving import attach, attach_player
 from edoras_tools.decode import Context
 from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.io import RecordingOptions
 from edoras_tools.io.formats.mcap.writer import McapSink
-from edoras_tools.io.formats.split import RecordingOptions
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.links.ci import CI
 from edoras_tools.model import Endpoint, Finding, SourceStatistics

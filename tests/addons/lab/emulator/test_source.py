@@ -10,7 +10,7 @@ from scapy.layers.inet import IP, UDP
 
 from edoras_tools.addons.lab.emulator import SCENARIOS, Simulation
 from edoras_tools.addons.lab.emulator.source import SimulatedSource
-from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.units import SECOND
 
 START_NS = 1_795_000_000 * SECOND

@@ -9,8 +9,7 @@ from mcap.records import Channel, Header, Message
 from mcap.writer import CompressionType, IndexType, Writer
 
 from edoras_tools.errors import CaptureError, NoDatagramsError
-from edoras_tools.io.formats.mcap.file import record_bytes
-from edoras_tools.io.formats.mcap.index import MOST_IDLE
+from edoras_tools.io.formats.mcap.file import MOST_IDLE, record_bytes
 from edoras_tools.io.formats.mcap.messages import SelectedMessages, chunk_content, is_indexed, scanned
 from edoras_tools.io.formats.mcap.reader import McapSource
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag

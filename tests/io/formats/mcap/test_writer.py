@@ -14,11 +14,11 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
 from edoras_tools.errors import CaptureError, RouteError
+from edoras_tools.io import RecordingOptions
 from edoras_tools.io.formats.mcap import chunks as mcap_chunks
 from edoras_tools.io.formats.mcap.file import McapFile
 from edoras_tools.io.formats.mcap.writer import McapSink
-from edoras_tools.io.formats.split import RecordingOptions
-from edoras_tools.io.topics.datagrams import NO_MESSAGE
+from edoras_tools.io.topics.messages import NO_MESSAGE
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
 from edoras_tools.mission.model import Mission, Route

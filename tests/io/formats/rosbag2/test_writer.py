@@ -7,8 +7,8 @@ from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.io import RecordingOptions
 from edoras_tools.io.formats.rosbag2.writer import Rosbag2Sink
-from edoras_tools.io.formats.split import RecordingOptions
 from edoras_tools.model import SourceStatistics
 from edoras_tools.ros import TypeStore
 

@@ -22,7 +22,7 @@ from edoras_tools.ros import TypeStore
 if TYPE_CHECKING:
     from collections.abc import Container, Hashable, Mapping
 
-    from edoras_tools.io.formats.mcap.recovery.walk import Walked
+    from edoras_tools.io.formats.mcap.recovery.records import Walked
 
 RecordId = tuple[type, int]
 """The kind of a record, ``Schema`` or ``Channel``, and its number."""

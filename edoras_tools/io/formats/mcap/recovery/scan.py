@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 from mcap.opcode import Opcode
 
-from edoras_tools.io.formats.mcap.index import (
+from edoras_tools.io.formats.mcap.file import (
     CHUNK_HEAD_BYTES,
     INDEX_ENTRY,
     INDEX_HEAD,
@@ -33,8 +33,7 @@ from edoras_tools.io.formats.mcap.index import (
     ChunkHead,
     chunk_head,
 )
-from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse
-from edoras_tools.io.formats.mcap.recovery.walk import Entries, Walked, walk
+from edoras_tools.io.formats.mcap.recovery.records import Entries, FileBytes, Walked, parse, walk
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, frame_at, inflate, unpack_chunk
 from edoras_tools.io.topics.rows import MAGIC
 from edoras_tools.wire.arrays.crc import crc32

@@ -9,8 +9,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.io.frames.build import ENDS, FramePage, ends_of, frames_of
-from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW, frames_at
+from edoras_tools.io.frames.frame_batch import ENDS, LINKTYPE_RAW, FramePage, ends_of, frames_at, frames_of
 from edoras_tools.io.frames.linklayer import demux
 from edoras_tools.model import Endpoint
 from edoras_tools.wire.arrays.window import PADDING

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.io.frames.fragments import QUOTED_BYTES, Fragment, Reassembler
+from edoras_tools.io.frames.network import QUOTED_BYTES, Fragment, Reassembler
 
 KEY = (4, 7, b"\x7f\0\0\1", b"\x7f\0\0\2")
 SECOND = 1_000_000_000

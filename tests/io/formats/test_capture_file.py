@@ -1,5 +1,7 @@
 """Recordings in parts: every part is complete, holds no more than it may, and together they are the whole."""
 
+from __future__ import annotations
+
 from contextlib import closing
 
 import numpy as np

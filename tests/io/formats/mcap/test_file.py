@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.records import MessageIndex as Record
 
-from edoras_tools.io.formats.mcap.index import MessageIndex
+from edoras_tools.io.formats.mcap.file import MessageIndex
 
 TIMES = st.integers(0, 2**63 - 1)
 SIZE = 7

@@ -1,1 +1,0 @@
-"""Classic pcap files."""
