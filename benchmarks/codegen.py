@@ -15,8 +15,8 @@ from rosbags.typesys import Stores, get_typestore
 from edoras_tools.addons.codegen.bounds import BoundRule, Bounds
 from edoras_tools.addons.codegen.generation import LibraryOrder, generate
 from edoras_tools.addons.codegen.writing import write_folder
+from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.arbitrary import arbitrary
 
 JOINTS = [f"big_arm_joint_{number}" for number in range(2, 9)]
 MESSAGES = {

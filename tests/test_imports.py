@@ -66,7 +66,7 @@ PUT_OFF = {
     ),
     "addons/lab/demo/run.py": ("zenoh", "an extra"),
     "pipelines/capture/ledger.py": (
-        "edoras_tools.mission edoras_tools.ros.fitting importlib",
+        "edoras_tools.mission edoras_tools.ros.store importlib",
         "20 ms, and only where no message is of its type",
     ),
     "pipelines/selection.py": (
@@ -76,8 +76,10 @@ PUT_OFF = {
     "pipelines/workbench.py": ("edoras_tools", "only for several files, missions, layouts or single packets"),
     "render/capture/watch.py": ("edoras_tools.render", "rich, and only where something is drawn"),
     "ros/store.py": ("edoras_tools.ros.cdr", "10 ms, and only where messages are checked or become columns"),
-    "ros/types/library.py": ("rosbags", "15 ms, and only for .idl files"),
-    "ros/types/standard.py": ("rosbags", "15 ms, and only to make the table of standard messages anew"),
+    "ros/types/library.py": (
+        "rosbags",
+        "15 ms, and only for .idl files and to make the table of standard messages anew",
+    ),
     "sessions/faults/chance.py": ("hashlib", "20 ms, and only where there are faults"),
     "addons/debug_info/dwarf.py": ("elftools", "an extra"),
     "structs/files.py": ("ruamel", "14 ms, and only for layouts that are files"),

@@ -86,7 +86,6 @@ ELSEWHERE = {
     "render/pages/*": "addons/report/test_charts.py",
     "render/terminal/*": "render/terminal/test_text.py",
     "ros/cdr/*": "ros/test_against_rosbags.py",
-    "ros/types/schema.py": "ros/types/test_grammar.py",
     "sessions/faults/*": "sessions/faults/test_machine.py",
     "sessions/sbn/*": "sessions/sbn/test_connection.py",
     "structs/*": "structs/test_cfe.py",

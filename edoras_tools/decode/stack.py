@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
-from edoras_tools.decode.links import link_of
+from edoras_tools.decode.columns import link_of
 from edoras_tools.decode.recorded import dissect_recorded
 from edoras_tools.decode.summary import summarise
 from edoras_tools.errors import EdorasError, TruncatedError, WireError

@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.doors import LinkEvidence, SampleStream, Unwrapper
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import CutDatagram, HostCounters, InterfaceOutage
-    from edoras_tools.structs.bound import Bound
+    from edoras_tools.structs.bindings import Bound
 
 _MOST: Final = 0.5
 _SLACK_NS: Final = 50 * MILLISECOND

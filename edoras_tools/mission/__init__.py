@@ -1,9 +1,9 @@
 """Reads EDORAS bridge YAML into a frozen mission: which topic, type, MsgId and link belong together.
 
-``scalars`` holds rcl's rules for numbers and words. ``parameters`` reads a ROS 2 parameter file into dotted
-names. ``bridges`` makes a link and its routes from one node, with the keys that only edoras-tools knows.
-``loading`` joins several files, and reads the groups for transfer frames, spacecraft and cFS. Every mistake
-of every file is reported at once, each with its file, line and key.
+``tree`` reads YAML with rcl's rules for numbers and words. ``parameters`` reads a ROS 2 parameter file into
+dotted names. ``bridges`` makes a link and its routes from one node, with the keys that only edoras-tools
+knows. ``loading`` joins several files, and reads the groups for transfer frames, spacecraft and cFS. Every
+mistake of every file is reported at once, each with its file, line and key.
 """
 
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ from edoras_tools.mission.model import (
     StoredTopic,
     TransferLink,
 )
-from edoras_tools.mission.scalars import read_scalar
+from edoras_tools.mission.tree import read_scalar
 
 if TYPE_CHECKING:
     from edoras_tools.mission.loading import load, loads

@@ -15,9 +15,8 @@ from msgspec.structs import replace
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.table import carrying
 from edoras_tools.mission import model
-from edoras_tools.mission.fields import Fields, suggestion
-from edoras_tools.mission.report import Mistakes, printable
-from edoras_tools.mission.tree import ScalarNode
+from edoras_tools.mission.parameters import Fields, suggestion
+from edoras_tools.mission.tree import Mistakes, ScalarNode, printable
 from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import EnvelopeFormat
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds

@@ -25,12 +25,9 @@ from edoras_tools.mission.bridges import (
     read_transfer,
     warn_of_unknown,
 )
-from edoras_tools.mission.fields import Fields, suggestion
 from edoras_tools.mission.model import FlightSoftware, FramedPort, Mission
-from edoras_tools.mission.parameters import NodeParameters, read_nodes
-from edoras_tools.mission.report import Mistakes, printable
-from edoras_tools.mission.scalars import read_scalar
-from edoras_tools.mission.tree import LARGEST_FILE, yaml_text
+from edoras_tools.mission.parameters import Fields, NodeParameters, read_nodes, suggestion
+from edoras_tools.mission.tree import LARGEST_FILE, Mistakes, printable, read_scalar, yaml_text
 from edoras_tools.wire.cfe import HIGHEST_MSG_ID, MissionTime
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FrameFormat

@@ -8,7 +8,7 @@ import msgspec
 from msgspec.structs import replace
 
 from edoras_tools.errors import RouteError
-from edoras_tools.mission.scalars import read_scalar
+from edoras_tools.mission.tree import read_scalar
 from edoras_tools.model import Endpoint, Link
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 

@@ -26,14 +26,15 @@ import numpy as np
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW
-from edoras_tools.mission.fields import suggestion
-from edoras_tools.mission.report import Mistakes, printable
+from edoras_tools.mission.parameters import suggestion
 from edoras_tools.mission.tree import (
     MappingNode,
+    Mistakes,
     ScalarNode,
     SequenceNode,
     Tree,
     named_entries,
+    printable,
     read_document,
 )
 from edoras_tools.model import Datagram, Endpoint, Link

@@ -6,7 +6,7 @@ from edoras_tools.doors import later
 
 if TYPE_CHECKING:
     from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
-    from edoras_tools.ros.cdr.reader import ValueSpan
+    from edoras_tools.ros.cdr.values import ValueSpan
     from edoras_tools.ros.store import TypeStore
 
 __all__ = ["MessageColumns", "Ragged", "TypeStore", "ValueSpan"]

@@ -1,22 +1,26 @@
-"""The interface to ROS messages: types, definitions, and CDR to values and back, for one message or many."""
+"""The interface to ROS messages: types, definitions, and CDR to values and back, for one message or many.
+
+``types_that_fit`` finds the types that messages of unknown type may have.
+"""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.ros.cdr import reader
-from edoras_tools.ros.cdr.plan import CdrPlan, Compiler
-from edoras_tools.ros.cdr.writer import Writer
+import numpy as np
+
+from edoras_tools.errors import ConfigError, EdorasError, RouteError
+from edoras_tools.ros.cdr.plan import ROUNDING, CdrPlan, Compiler
+from edoras_tools.ros.cdr.values import ENCAPSULATION_BYTES, ValueSpan, Writer, decode, value_spans
 from edoras_tools.ros.types.library import Library
 from edoras_tools.ros.types.schema import Definition, MessageField, complete_text, full_name, with_used
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from edoras_tools.ros.cdr.columns import MessageColumns
@@ -112,9 +116,9 @@ class TypeStore:
             WireError: the message is not valid; the error names the field, its place and what it needs.
         """
         name, plan = self.plan(type_name)
-        return reader.decode(name, plan, bytes(cdr))
+        return decode(name, plan, bytes(cdr))
 
-    def spans(self, type_name: str, cdr: bytes) -> list[reader.ValueSpan]:
+    def spans(self, type_name: str, cdr: bytes) -> list[ValueSpan]:
         """Return every leaf of a message as (dotted path, value, start, end).
 
         Offsets count from the start of ``cdr``. An array or a sequence of primitives is one leaf, count
@@ -123,7 +127,7 @@ class TypeStore:
         Raises:
             WireError: as ``decode``.
         """
-        return reader.value_spans(*self.plan(type_name), bytes(cdr))
+        return value_spans(*self.plan(type_name), bytes(cdr))
 
     def encode(self, type_name: str, values: Mapping[str, Any], *, big_endian: bool = False) -> bytes:
         """Return a message from plain values, encapsulation included.
@@ -140,7 +144,7 @@ class TypeStore:
     def fixed_size(self, type_name: str) -> int | None:
         """Return the bytes of every message of a type, encapsulation included; None if the size varies."""
         size = self.plan(type_name)[1].fixed_size
-        return None if size is None else reader.ENCAPSULATION_BYTES + size
+        return None if size is None else ENCAPSULATION_BYTES + size
 
     def extent(self, type_name: str, cdr: bytes) -> int:
         """Return the bytes of one message with its encapsulation, without the bytes after its last field.
@@ -150,7 +154,7 @@ class TypeStore:
         Raises:
             WireError: the message ends before its last field does, or is not CDR.
         """
-        from edoras_tools.ros.cdr.validity import extent
+        from edoras_tools.ros.cdr.bulk import extent
 
         return extent(*self.plan(type_name), cdr)
 
@@ -171,9 +175,9 @@ class TypeStore:
 
         Arguments as ``valid``. ``most_trailing`` returns the usual maximum.
         """
-        from edoras_tools.ros.cdr import validity
+        from edoras_tools.ros.cdr import bulk
 
-        return validity.trailing(self.plan(type_name)[1], data, offset, length)
+        return bulk.trailing(self.plan(type_name)[1], data, offset, length)
 
     def most_trailing(self, type_name: str) -> int:
         """Return the most bytes that a writer of ROS 2 leaves after the last field of a type."""
@@ -208,3 +212,51 @@ class TypeStore:
             hint += "give its definition with --set msg-path"
             raise RouteError(f"type {name!r} is not known to ROS 2 {self.distro}; {hint}")
         return definition
+
+
+PACKAGES: Final = ("geometry_msgs", "sensor_msgs", "std_msgs", "nav_msgs", "builtin_interfaces")
+"""Packages whose types are tried, besides the types that the caller names."""
+USUAL: Final = (
+    "geometry_msgs/msg/Pose",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/Twist",
+    "sensor_msgs/msg/JointState",
+)
+"""Types that the EDORAS demos send: more likely than another type of the same shape."""
+
+
+def types_that_fit(types: TypeStore, samples: Collection[bytes], own: Collection[str] = ()) -> list[str]:
+    """Return the types whose last field ends every sample, or leaves at most their ``excess`` after it.
+
+    Args:
+        types: the type store.
+        samples: CDR of the messages, encapsulation included.
+        own: types to try besides those of ``PACKAGES``; they come first in the result, then ``USUAL``.
+    """
+    return types_that_fit_each(types, [samples], own)[0]
+
+
+def types_that_fit_each(
+    types: TypeStore, groups: Sequence[Collection[bytes]], own: Collection[str] = ()
+) -> list[list[str]]:
+    """Return the result of ``types_that_fit`` for each group of samples; no types for an empty group."""
+    some = [group for group in groups if group]
+    if not some:
+        return [[] for _ in groups]
+    cdrs = [cdr for group in some for cdr in group]
+    length = np.array([len(cdr) for cdr in cdrs], np.int32)
+    offset = np.cumsum(length, dtype=np.int64) - length
+    data, begins = np.frombuffer(b"".join(cdrs), np.uint8), np.cumsum([0, *map(len, some[:-1])])
+    names = {name for name in types.types() if name.startswith(tuple(f"{item}/msg/" for item in PACKAGES))}
+    fits: list[list[str]] = [[] for _ in some]
+    for name in sorted({*names, *own}, key=lambda name: (name not in own, name not in USUAL, name)):
+        with suppress(EdorasError):
+            size, most = types.fixed_size(name), types.most_trailing(name) - ROUNDING
+            if size and not np.logical_and.reduceat((size <= length) & (length <= size + most), begins).any():
+                continue  # the case of most types: each group has a message of another size
+            behind = types.trailing(name, data, offset, length)
+            ends = (behind >= 0) & (behind <= most)
+            for place in np.flatnonzero(np.logical_and.reduceat(ends, begins)).tolist():
+                fits[place].append(name)
+    lists = iter(fits)
+    return [next(lists) if group else [] for group in groups]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from edoras_tools.decode.summary import message_texts, short_values
+from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.arbitrary import arbitrary
 
 TYPES = TypeStore()
 

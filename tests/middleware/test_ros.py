@@ -25,9 +25,9 @@ from waiting import PATIENCE_S, free_ports, until
 
 from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
 from edoras_tools.pipelines.bridge.run import Bridges
+from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.arbitrary import arbitrary
 from edoras_tools.ros.type_hash import type_hash
 from edoras_tools.wire import cfe, envelope
 

@@ -14,8 +14,8 @@ from random import Random
 
 from edoras_tools.middleware import Qos, open_graph
 from edoras_tools.middleware.opening import usual_domain
+from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.arbitrary import arbitrary
 
 MOST_SECONDS = 120
 

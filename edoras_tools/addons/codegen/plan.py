@@ -21,7 +21,7 @@ import numpy as np
 from edoras_tools.addons.codegen.names import c_type_name, member_name
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.cdr.plan import WIDE_UNIT
-from edoras_tools.ros.cdr.reader import ENCAPSULATION_BYTES
+from edoras_tools.ros.cdr.values import ENCAPSULATION_BYTES
 from edoras_tools.ros.types.schema import PLACEHOLDER, PRIMITIVES, STRINGS, MessageField, Shape
 
 if TYPE_CHECKING:

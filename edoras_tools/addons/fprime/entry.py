@@ -17,7 +17,7 @@ import numpy as np
 
 from edoras_tools.addons.fprime import wire as fprime
 from edoras_tools.addons.fprime.wire import TIME_BYTES, PacketType
-from edoras_tools.structs.bound import Bound, Encoded, headed
+from edoras_tools.structs.bindings import Bound, Encoded, headed
 from edoras_tools.structs.transcode import HEAD, StructPlan
 from edoras_tools.wire.arrays.window import copy_rows, gather, read_at
 

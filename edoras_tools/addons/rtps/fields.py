@@ -10,8 +10,15 @@ import numpy as np
 from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.reader import NamedSubmessages, named_submessages
 from edoras_tools.addons.rtps.wire.messages import guid_text
-from edoras_tools.decode.filters.field import BYTES_COST, FilterField
-from edoras_tools.decode.filters.rows import INDEX_DTYPE, ColumnRows, PacketRows, Series, ValueKind
+from edoras_tools.decode.filters.rows import (
+    BYTES_COST,
+    INDEX_DTYPE,
+    ColumnRows,
+    FilterField,
+    PacketRows,
+    Series,
+    ValueKind,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

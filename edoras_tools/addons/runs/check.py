@@ -22,7 +22,7 @@ from edoras_tools.diagnosis.ledger import CAPTURE
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
 from edoras_tools.errors import OnFailure
 from edoras_tools.io.outputs import write_bytes
-from edoras_tools.mission.report import printable
+from edoras_tools.mission.tree import printable
 from edoras_tools.render.severity import NOTABLE
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural

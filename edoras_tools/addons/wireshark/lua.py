@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.structs.bound import Bound
+    from edoras_tools.structs.bindings import Bound
     from edoras_tools.structs.transcode import StructLeaf
 
 

@@ -9,8 +9,16 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
-from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, FilterField
-from edoras_tools.decode.filters.rows import INDEX_DTYPE, ColumnRows, PacketRows, Series, ValueKind
+from edoras_tools.decode.filters.rows import (
+    BYTES_COST,
+    COLUMN_COST,
+    INDEX_DTYPE,
+    ColumnRows,
+    FilterField,
+    PacketRows,
+    Series,
+    ValueKind,
+)
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Decoded, Finding
 from edoras_tools.wire import ccsds, cfe, sbn

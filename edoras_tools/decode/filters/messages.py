@@ -24,13 +24,20 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs.arguments import SERVICES
-from edoras_tools.decode.filters.field import MESSAGE_COST, FilterField
-from edoras_tools.decode.filters.rows import INDEX_DTYPE, ColumnRows, PacketRows, Series, ValueKind
+from edoras_tools.decode.filters.rows import (
+    INDEX_DTYPE,
+    MESSAGE_COST,
+    ColumnRows,
+    FilterField,
+    PacketRows,
+    Series,
+    ValueKind,
+)
 from edoras_tools.links.table import among
 from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
-from edoras_tools.ros.types import grammar, schema
-from edoras_tools.structs.bound import Bound, Encoded, Held
-from edoras_tools.structs.names import INLINED, aliased, field_name
+from edoras_tools.ros.types import schema
+from edoras_tools.structs.bindings import Bound, Encoded, Held
+from edoras_tools.structs.messages import INLINED, aliased, field_name
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.structs.shapes import PACKETS, UDP_KEY
 from edoras_tools.wire import cfe
@@ -94,12 +101,10 @@ class MessageFieldFinder:
         types = self._context.types
         if types is None or not types.has(name):
             return
-        sections = () if name in self._routes else grammar.sections(name, types.definition(name))
+        sections = () if name in self._routes else schema.sections(name, types.definition(name))
         self._routes.setdefault(name, []).extend(routes)
         for part in sections:
-            self._definitions[part.name] = grammar.parse_definition(
-                part.name, part.text, part.name, part.line
-            )
+            self._definitions[part.name] = schema.parse_definition(part.name, part.text, part.name, part.line)
 
     def look_ahead(self) -> None:
         """Add the types of the DDS topics that the input announces."""

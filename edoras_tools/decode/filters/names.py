@@ -9,10 +9,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, MESSAGE_COST, FilterField
 from edoras_tools.decode.filters.layers import layer_fields
 from edoras_tools.decode.filters.messages import MessageFieldFinder, samples_of, structs_of
-from edoras_tools.decode.filters.rows import INDEX_DTYPE, ColumnRows, PacketRows, Series, ValueKind
+from edoras_tools.decode.filters.rows import (
+    BYTES_COST,
+    COLUMN_COST,
+    INDEX_DTYPE,
+    MESSAGE_COST,
+    ColumnRows,
+    FilterField,
+    PacketRows,
+    Series,
+    ValueKind,
+)
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Finding
 from edoras_tools.ros.types.schema import full_name

@@ -20,7 +20,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.model import NO_ROUTE, Finding, Link
 from edoras_tools.ros.cdr.plan import ROUNDING
-from edoras_tools.ros.fitting import types_that_fit, types_that_fit_each
+from edoras_tools.ros.store import types_that_fit, types_that_fit_each
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays.order import Integers, Places, by_value, groups

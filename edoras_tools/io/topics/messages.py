@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission, Route
     from edoras_tools.ros import TypeStore
     from edoras_tools.structs import Structs
-    from edoras_tools.structs.bound import Held
+    from edoras_tools.structs.bindings import Held
 
 NO_MESSAGE = Finding.CDR_INVALID | Finding.ENVELOPE_OVERRUN | Finding.TRUNCATED | Finding.CAPTURE_CUT
 """Findings of a datagram that contains no complete ROS message."""

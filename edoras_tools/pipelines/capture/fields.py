@@ -11,7 +11,7 @@ from edoras_tools.decode.filters.rows import PacketRows, Series, ValueKind
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from edoras_tools.decode.filters.field import FilterField
+    from edoras_tools.decode.filters.rows import FilterField
 
     Column = tuple[str, Sequence[FilterField]]
     """A column's title, and its field; several fields if message types or endpoints share the name."""

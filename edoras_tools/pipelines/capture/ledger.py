@@ -14,7 +14,7 @@ import numpy as np
 from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.links import table
-from edoras_tools.mission.report import printable
+from edoras_tools.mission.tree import printable
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, Link, PacketBatch, rate_hz
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
 from edoras_tools.units import MILLISECOND, SECOND
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission, Route
     from edoras_tools.ros import TypeStore
     from edoras_tools.structs import Structs
-    from edoras_tools.structs.bound import Bound
+    from edoras_tools.structs.bindings import Bound
 
 
 LONGEST_NOTE: Final = 300
@@ -192,7 +192,7 @@ class _UnfitMessages:
             place: index of the route in ``Mission.routes``.
             count: number of its messages.
         """
-        from edoras_tools.ros.fitting import types_that_fit
+        from edoras_tools.ros.store import types_that_fit
 
         start = f"0 of {count:,} messages of {route.topic} fit {route.type}"
         samples, own_types = list(self._samples.get(place, ())), _packaged(route)

@@ -23,7 +23,7 @@ from edoras_tools.io.processors import jobs_for
 from edoras_tools.io.topics.cfe import fault_messages
 from edoras_tools.io.topics.rows import APART, DATAGRAMS_TOPIC, RECORD, RECORD_BYTES, Messages, lay_out
 from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, PreparedBatch, Streams, Topic
-from edoras_tools.mission.report import printable
+from edoras_tools.mission.tree import printable
 from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.pipelines.capture.ledger import LONGEST_NOTE
 from edoras_tools.pipelines.clocks import open_aligned

@@ -1,7 +1,12 @@
-"""Messages and commands that are made up, not recorded, and sent once or at a rate."""
+"""Messages and commands that are made up, not recorded, and sent once or at a rate.
+
+``arbitrary`` makes messages with a value in every field; the same seed gives the same messages.
+"""
 
 from __future__ import annotations
 
+import string
+import struct
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any, Final
@@ -19,7 +24,7 @@ from edoras_tools.pipelines.sending.options import LinkReceiver, Receiver, SendO
 from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.pipelines.sending.topics import Encoder, routes_towards, sender_of
 from edoras_tools.pipelines.sending.wait_for import enable_output
-from edoras_tools.ros.arbitrary import arbitrary
+from edoras_tools.ros.types.schema import PRIMITIVES, STRINGS, MessageField, Shape
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
@@ -29,6 +34,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission import Mission, Route
     from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.ros.store import TypeStore
     from edoras_tools.wire.msg_id import MsgIds
 
 _MOST: Final = 1 << 17
@@ -292,3 +298,39 @@ def _values(text: str, kinds: tuple[type, ...] = (dict,)) -> Any:
     if not isinstance(values, kinds):
         raise ConfigError(f"{where}: needs fields and values, e.g. '{{linear: {{x: 0.5}}}}', not {values!r}")
     return values
+
+
+_MOST_ITEMS: Final = 4
+_MOST_CHARACTERS: Final = 12
+_LETTERS: Final = string.ascii_letters + string.digits + "_"
+_REACH: Final = 1000.0
+"""Largest absolute floating-point value: all are finite, and of a size that is usual for robots."""
+
+
+def arbitrary(types: TypeStore, type_name: str, dice: Random) -> dict[str, Any]:
+    """Return random values for every field of a type, in the form that ``TypeStore.encode`` takes."""
+    return {field.name: _arbitrary_values(types, field, dice) for field in types.fields(type_name)}
+
+
+def _arbitrary_values(types: TypeStore, field: MessageField, dice: Random) -> Any:
+    if field.shape is Shape.SCALAR:
+        return _value(types, field, dice)
+    most = min(field.size or _MOST_ITEMS, _MOST_ITEMS)
+    count = field.size if field.shape is Shape.ARRAY else dice.randint(1, most)
+    return [_value(types, field, dice) for _ in range(count)]
+
+
+def _value(types: TypeStore, field: MessageField, dice: Random) -> Any:
+    if field.type in STRINGS:
+        most = min(field.string_bound or _MOST_CHARACTERS, _MOST_CHARACTERS)
+        return "".join(dice.choices(_LETTERS, k=dice.randint(1, most)))
+    if field.type == "bool":
+        return dice.random() < 0.5
+    if field.type.startswith("float"):
+        value = dice.uniform(-_REACH, _REACH)
+        return struct.unpack("f", struct.pack("f", value))[0] if field.type == "float32" else value
+    if field.type in PRIMITIVES:
+        bits = 8 * struct.calcsize("=" + PRIMITIVES[field.type])
+        signed = field.type.startswith("int")
+        return dice.getrandbits(bits) - (1 << (bits - 1) if signed else 0)
+    return arbitrary(types, field.type, dice)

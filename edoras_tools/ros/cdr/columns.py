@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from edoras_tools.ros.cdr import bulk, reader, validity
+from edoras_tools.ros.cdr import bulk
 from edoras_tools.ros.cdr.plan import CdrPlan, Leaf, PrimitiveRun, Repeat, Text
+from edoras_tools.ros.cdr.values import string_value
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -108,7 +109,7 @@ def columns(
     data = np.ascontiguousarray(data)
     rows, fields = np.arange(len(offset)), _Fields(plan, len(offset))
     if not _walked(plan, data, offset, length, rows, fields):  # some do not fit the type: rarely
-        rows = np.flatnonzero(validity.trailing(plan, data, offset, length) >= 0)
+        rows = np.flatnonzero(bulk.trailing(plan, data, offset, length) >= 0)
         fields = _Fields(plan, len(offset))
         _walked(plan, data, offset[rows], length[rows], rows, fields)
     valid = np.zeros(len(offset), bool)
@@ -250,6 +251,6 @@ def _strings(
             if units == 0 or not len(members):
                 continue
             raw = source.gather(start[members], int(units) * text.width).tolist()
-            decoded = {item: reader.string_value(text, int(big), item) for item in set(raw)}
+            decoded = {item: string_value(text, int(big), item) for item in set(raw)}
             texts[members] = [decoded[item] for item in raw]
     return texts

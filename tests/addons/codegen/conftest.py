@@ -226,7 +226,7 @@ def corpus(store, tmp_path_factory):
     """A file of messages for judge.c, one of every type but those that nest too much, the same every time."""
     import random
 
-    from edoras_tools.ros.arbitrary import arbitrary
+    from edoras_tools.pipelines.sending.inject import arbitrary
 
     path = tmp_path_factory.mktemp("corpus") / "messages"
     records = []

@@ -14,8 +14,8 @@ from effort import examples
 from edoras_tools.addons.codegen.generation import LibraryOrder, generate
 from edoras_tools.addons.codegen.writing import write_folder
 from edoras_tools.errors import WireError
+from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.arbitrary import arbitrary
 
 STORE = TypeStore()
 TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/Pose"

@@ -23,8 +23,8 @@ from edoras_tools.addons.dds import messages as dds_messages
 from edoras_tools.addons.dds.graph import open_graph
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware import Qos
+from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.arbitrary import arbitrary
 
 pytestmark = pytest.mark.own_network
 

@@ -10,8 +10,8 @@ from places import SUPPORT
 
 from edoras_tools.addons.dds.messages import DdsTypes, dds_name, is_little_endian, padded, rewritten, trimmed
 from edoras_tools.errors import ConfigError, RouteError, WireError
+from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.arbitrary import arbitrary
 from edoras_tools.ros.types.schema import PRIMITIVES
 
 TYPES = TypeStore()

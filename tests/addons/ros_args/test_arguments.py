@@ -11,7 +11,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.mission import load, loads
 from edoras_tools.mission.loading import read_file
 from edoras_tools.mission.parameters import NodeParameters
-from edoras_tools.mission.report import Mistakes
+from edoras_tools.mission.tree import Mistakes
 
 BRIDGE = """
 {}:

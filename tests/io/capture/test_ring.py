@@ -299,7 +299,7 @@ def read_until(source, count):
 @pytest.mark.parametrize("how", ["down", "not there"])
 def test_an_interface_that_goes_away_and_comes_back(ring, wire, monkeypatch, how, walks):
     """The same socket goes on, bound again where the interface was made anew."""
-    monkeypatch.setattr("edoras_tools.io.capture.ring.module.available", lambda: walks)
+    monkeypatch.setattr("edoras_tools.io.capture.ring.available", lambda: walks)
     tap = wire(IFF_TAP)
     source = ring(tap.name, [1234])
     handle = source.filenos()
@@ -422,7 +422,7 @@ def test_the_open_block_at_every_turn(ring, pair, monkeypatch):
 def test_a_wait_for_the_kernel_holds_nothing_up(ring, pair, monkeypatch, early):
     """Where processors are busy it takes seconds: what came is read when its block is closed by its age."""
     end = threading.Event()
-    monkeypatch.setattr("edoras_tools.io.capture.ring.module.wait", end.wait)
+    monkeypatch.setattr("edoras_tools.io.capture.ring.wait", end.wait)
     sender, port = pair
     source = ring("lo", [port])
     try:

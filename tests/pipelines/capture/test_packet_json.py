@@ -19,8 +19,8 @@ from edoras_tools.links.ci import CI
 from edoras_tools.mission import Mission, Route
 from edoras_tools.model import concatenate
 from edoras_tools.pipelines.capture.packet_json import PacketTexts, as_json
+from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.arbitrary import arbitrary
 from edoras_tools.ros.cdr.plan import Repeat
 from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import DEFAULT

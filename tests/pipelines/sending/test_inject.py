@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import struct
+from random import Random
 
 import pytest
 import zstandard
@@ -18,6 +19,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.pipelines.sending.inject import (
     Injection,
+    arbitrary,
     command_names,
     described_commands,
     injection_receiver,
@@ -25,6 +27,7 @@ from edoras_tools.pipelines.sending.inject import (
 )
 from edoras_tools.pipelines.sending.options import Receiver, SendOptions
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.outgoing import Changes, ChecksumRule
 from edoras_tools.wire import cfe
 
@@ -290,3 +293,30 @@ def test_every_command_is_listed_with_its_arguments():
     assert "stack_size        0 to 4294967295          bytes (default: 65536)" in described_commands(
         "es-start"
     )
+
+
+STORE = TypeStore()
+NAMES = [
+    "geometry_msgs/msg/Twist",
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/Imu",
+    "nav_msgs/msg/Odometry",
+    "sensor_msgs/msg/PointCloud2",
+    "std_msgs/msg/Empty",
+    "rcl_interfaces/msg/Log",
+]
+
+
+@pytest.mark.parametrize("name", [*NAMES, *STORE.types()[::40]])
+def test_values_encode_and_come_back(name):
+    if not STORE.has(name):
+        pytest.skip("its definition is not complete")
+    values = arbitrary(STORE, name, Random(1))
+    assert set(values) == {field.name for field in STORE.fields(name)}
+    assert STORE.decode(name, STORE.encode(name, values)) == values
+
+
+def test_a_seed_gives_the_same_message_and_another_seed_another():
+    one, same, other = (arbitrary(STORE, NAMES[1], Random(seed)) for seed in (1, 1, 2))
+    assert one == same != other
+    assert all(one[name] for name in ("name", "position", "velocity", "effort"))

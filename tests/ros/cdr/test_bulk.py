@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from edoras_tools.errors import WireError
 from edoras_tools.ros import Ragged
-from edoras_tools.ros.cdr import bulk, validity
+from edoras_tools.ros.cdr import bulk
 
 TYPES = [
     "geometry_msgs/msg/Twist",
@@ -41,7 +41,6 @@ FEW = settings(max_examples=examples(20, least=4), deadline=None, suppress_healt
 def _few(request, monkeypatch):
     """Small batches are read one by one; here they are to go both ways."""
     monkeypatch.setattr(bulk, "FEW", request.param)
-    monkeypatch.setattr(validity, "FEW", request.param)
 
 
 def laid_out(messages, gaps=()):
@@ -175,7 +174,7 @@ def test_places_outside_the_buffer(store, name, places):
     "name", ["geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/JointState", "tf2_msgs/msg/TFMessage"]
 )
 def test_more_than_one_chunk(store, name, monkeypatch):
-    monkeypatch.setattr(validity, "_CHUNK_ROWS", 32)
+    monkeypatch.setattr(bulk, "_CHUNK_ROWS", 32)
     stamped = {"header": {"frame_id": "map"}}
     shapes = {
         "geometry_msgs/msg/PoseStamped": [stamped, {"header": {"frame_id": "odom_of_the_robot"}}],

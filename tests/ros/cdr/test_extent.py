@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.errors import WireError
+from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.arbitrary import arbitrary
 
 TYPES = TypeStore()
 NAMES = [name for name in TYPES.types() if TYPES.has(name)]

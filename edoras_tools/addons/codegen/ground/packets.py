@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission import Route
     from edoras_tools.ros import TypeStore
-    from edoras_tools.structs.bound import Bound
+    from edoras_tools.structs.bindings import Bound
     from edoras_tools.wire.layout import Layout
 
 Encoding = Literal["uint", "int", "float", "bytes", "text"]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.tui.data.store import Part
     from edoras_tools.decode.context import Context
-    from edoras_tools.decode.filters.field import FilterField
+    from edoras_tools.decode.filters.rows import FilterField
 
 _FIELDS: Final = {
     "time": "time_ns",

@@ -36,7 +36,7 @@ from edoras_tools.io.formats.mcap.messages import (
 from edoras_tools.io.formats.stream import SettledFile
 from edoras_tools.io.topics.rows import MAGIC
 from edoras_tools.mission.model import RecordedTopic
-from edoras_tools.mission.report import printable
+from edoras_tools.mission.tree import printable
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 
 if TYPE_CHECKING:

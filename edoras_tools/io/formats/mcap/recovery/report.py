@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
-from edoras_tools.mission.report import printable
+from edoras_tools.mission.tree import printable
 from edoras_tools.older import UTC
 
 if TYPE_CHECKING:

@@ -5,8 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros.types.grammar import parse_definition, sections
-from edoras_tools.ros.types.schema import Constant, Definition, MessageField, Shape, complete_text
+from edoras_tools.ros.types.schema import (
+    Constant,
+    Definition,
+    MessageField,
+    Shape,
+    complete_text,
+    parse_definition,
+    sections,
+)
 
 OWNER = "my_msgs/msg/Thing"
 
