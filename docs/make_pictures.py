@@ -29,7 +29,7 @@ from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.render.capture import packet
+from edoras_tools.render.capture import tree
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.doctor.doctor import screen
@@ -99,7 +99,7 @@ def decode() -> str:
     """Draw one packet, its tree and its bytes."""
     settings, path = _bench("f_sbn_disconnect", _ROVERS)
     decoded = decode_packet(open_files([path]), settings.workbench(), 189)
-    lines = packet.packet_lines(decoded, 150, colour=True, highlight="ros.linear.x")
+    lines = tree.packet_lines(decoded, 150, colour=True, highlight="ros.linear.x")
     title = f"edoras decode f_sbn_disconnect.pcap 189 {_CONFIGS} --layer ros.linear.x"
     return terminal_picture(lines, width=150, title=title)
 

@@ -233,7 +233,7 @@ def _keys() -> str:
 
 def _sbn_states() -> str:
     """Return the states of an SBN connection as a diagram."""
-    from edoras_tools.sessions.sbn.events import TRANSITIONS, ConnectionState
+    from edoras_tools.sessions.sbn import TRANSITIONS, ConnectionState
 
     lines = [f"[*] --> {next(iter(ConnectionState)).value}"]
     lines += [

@@ -80,7 +80,7 @@ PUT_OFF = {
         "rosbags",
         "15 ms, and only for .idl files and to make the table of standard messages anew",
     ),
-    "sessions/faults/chance.py": ("hashlib", "20 ms, and only where there are faults"),
+    "sessions/faults/bytes.py": ("hashlib", "20 ms, and only where there are faults"),
     "addons/debug_info/dwarf.py": ("elftools", "an extra"),
     "structs/files.py": ("ruamel", "14 ms, and only for layouts that are files"),
     "structs/table.py": ("edoras_tools", "20 ms, when the first packet holds a struct"),

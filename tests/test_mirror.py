@@ -20,7 +20,7 @@ NO_BEHAVIOUR = (
     *("cfs/limits.py", "cfs/names.py", "cfs/sbn.py", "cfs/software_bus.py", "cfs/telemetry_output.py"),
     *("cfs/table_services.py", "cfs/time_services.py"),
     *("links/protocol.py", "middleware/graph.py"),
-    *("sessions/sbn/habits.py", "addons/tui/theme.py"),
+    "addons/tui/theme.py",
 )
 """Constants, types and protocols: what uses them is tested."""
 
@@ -73,10 +73,8 @@ ELSEWHERE = {
     "io/net/*": "io/net/test_transmit.py",
     "io/topics/*": "io/formats/mcap/test_writer.py",
     "links/*": "decode/test_agreement.py",
-    "middleware/names.py": "addons/zenoh/test_identity.py",
     "mission/*": "mission/test_mistakes.py",
     "pipelines/*": "pipelines/capture/test_record.py",
-    "pipelines/bridge/*": "pipelines/bridge/test_run.py",
     "pipelines/doctor/*": "cli/test_doctor.py",
     "pipelines/export/*": "pipelines/export/test_run.py",
     "pipelines/sending/*": "pipelines/sending/test_replay.py",
@@ -87,7 +85,6 @@ ELSEWHERE = {
     "render/terminal/*": "render/terminal/test_text.py",
     "ros/cdr/*": "ros/test_against_rosbags.py",
     "sessions/faults/*": "sessions/faults/test_machine.py",
-    "sessions/sbn/*": "sessions/sbn/test_connection.py",
     "structs/*": "structs/test_cfe.py",
     "addons/dds/session.py": "addons/dds/test_graph.py",
     "addons/debug_info/*": "addons/debug_info/test_dwarf.py",

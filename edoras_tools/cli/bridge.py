@@ -12,8 +12,7 @@ from typer import Argument, BadParameter, Option
 from edoras_tools import doors
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped, headed
-from edoras_tools.cli.endings import say, tell, tell_reach
-from edoras_tools.cli.output import print_json, print_view
+from edoras_tools.cli.output import print_json, print_view, say, tell, tell_reach
 from edoras_tools.cli.relays import RelayOutputOptions, finish_relay, run_relay
 from edoras_tools.cli.sending import Yes, confirm_targets
 from edoras_tools.middleware.opening import middleware, names

@@ -10,9 +10,8 @@ from typer import Argument, Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import print_json, tell
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import READ_PACKED
 
@@ -49,11 +48,11 @@ def decode(
     if json:
         print_json(as_json(decoded))
         return
-    from edoras_tools.render.capture import packet
+    from edoras_tools.render.capture import tree
     from edoras_tools.render.terminal.terminal import detect_terminal
 
     terminal = detect_terminal(sys.stdout)
-    lines = packet.packet_lines(
+    lines = tree.packet_lines(
         decoded, terminal.width, colour=terminal.colour, highlight=layer, base="frame" if frame else "payload"
     )
     sys.stdout.write("\n".join(lines) + "\n")

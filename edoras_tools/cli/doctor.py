@@ -14,10 +14,9 @@ from typer import Exit, Option
 from edoras_tools import doors
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.options import share
-from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
+from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_csv, print_json, print_view, tell
 from edoras_tools.errors import ConfigError
 from edoras_tools.older import StrEnum
 
@@ -202,7 +201,7 @@ def _list_lost(
         again, _ = open_input(inputs, settings, aligned=True, progress=bar)
         losses = list_missing(findings.diagnosis, again, bench, bar)
     if listing is Listing.TABLE:
-        from edoras_tools.render.doctor.missing import missing_table
+        from edoras_tools.render.doctor.balance import missing_table
 
         print_view(lambda width: missing_table(losses, findings.diagnosis.zero_ns, width))
     elif listing is Listing.JSON:

@@ -10,8 +10,7 @@ from msgspec.structs import asdict
 
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import LOST
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import LOST, print_json
 
 
 @grouped

@@ -11,9 +11,8 @@ from typer import Exit, Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import LOST, finish
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
-from edoras_tools.cli.output import print_json, print_view, watcher
+from edoras_tools.cli.output import LOST, finish, print_json, print_view, watcher
 from edoras_tools.cli.recordings import known_topics
 from edoras_tools.errors import ConfigError
 

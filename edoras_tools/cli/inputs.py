@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 from typer import Argument, Option
 
 from edoras_tools.cli.declare import headed
-from edoras_tools.cli.endings import tell
+from edoras_tools.cli.output import tell
 from edoras_tools.errors import ConfigError, NoDatagramsError, OnFailure
 from edoras_tools.io.formats.table import READ_PACKED
 
@@ -189,9 +189,9 @@ def _opened(live: LiveOptions, bench: Workbench, *, every_port: bool) -> Source:
         return open_live(
             interface, ports, streams=streams, begins=begins, ready=ready, on_outage=_tell, wait=waits
         )
-    from edoras_tools.cli.endings import tell_reach
-    from edoras_tools.io.net.address import parse_endpoint
+    from edoras_tools.cli.output import tell_reach
     from edoras_tools.io.net.receive import UdpSource
+    from edoras_tools.io.net.sockets import parse_endpoint
 
     sockets = UdpSource(
         [parse_endpoint(item, "--listen") for item in listen or ()], ready=lambda: _ready(sockets.info.name)

@@ -18,8 +18,8 @@ import typer.core
 
 from edoras_tools import __version__, doors
 from edoras_tools.cli import settings
-from edoras_tools.cli.endings import INTERRUPTED, tell
 from edoras_tools.cli.options import OLD_NAMES, QUIET, VERBOSE
+from edoras_tools.cli.output import INTERRUPTED, tell
 from edoras_tools.cli.usage import write_options
 from edoras_tools.errors import ConfigError, EdorasError
 

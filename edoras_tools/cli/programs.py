@@ -27,7 +27,7 @@ def _start(alone: str = "") -> NoReturn:
     gc.set_threshold(200_000)
     sys.setswitchinterval(_TURN_S)
     try:
-        from edoras_tools.cli import endings, main
+        from edoras_tools.cli import main, output
 
         line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
         completes = "_EDORAS_COMPLETE" in os.environ
@@ -53,7 +53,7 @@ def _start(alone: str = "") -> NoReturn:
                 sys.stdout.flush()
                 sys.stderr.flush()
     except KeyboardInterrupt:
-        code = endings.INTERRUPTED
+        code = output.INTERRUPTED
     os._exit(code)
 
 

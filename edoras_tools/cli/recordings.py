@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Option, echo
 
-from edoras_tools.cli.endings import tell
+from edoras_tools.cli.output import tell
 from edoras_tools.io.formats.table import WRITTEN
 from edoras_tools.io.outputs import STDOUT, check_new, write_bytes
 

@@ -11,8 +11,7 @@ from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import LOST
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import LOST, print_json
 from edoras_tools.io.outputs import in_the_way, refuse_existing
 
 

@@ -11,8 +11,7 @@ from typer import BadParameter, Option
 from edoras_tools import doors
 from edoras_tools.cli import recordings
 from edoras_tools.cli.declare import headed
-from edoras_tools.cli.endings import LOST, lost_outputs, say, tell
-from edoras_tools.cli.output import Metrics, measured, place, print_json
+from edoras_tools.cli.output import LOST, Metrics, lost_outputs, measured, place, print_json, say, tell
 from edoras_tools.errors import EdorasError
 
 if TYPE_CHECKING:

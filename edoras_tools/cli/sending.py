@@ -14,10 +14,17 @@ from typer import BadParameter, Exit, Option, confirm
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import headed
-from edoras_tools.cli.endings import INTERRUPTED, LOST, lost_outputs, tell, tell_reach
 from edoras_tools.cli.options import duration, room, share
-from edoras_tools.cli.output import address as address  # noqa: PLC0414  also of those who send
-from edoras_tools.cli.output import print_json, print_view
+from edoras_tools.cli.output import (
+    INTERRUPTED,
+    LOST,
+    address,
+    lost_outputs,
+    print_json,
+    print_view,
+    tell,
+    tell_reach,
+)
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -203,7 +210,7 @@ def carry_out(
         result
             did not come, or if the recording was removed; with code 130, if Ctrl-C ended it too early.
     """
-    from edoras_tools.pipelines.sending.expect import AwaitedResults
+    from edoras_tools.pipelines.sending.responses import AwaitedResults
     from edoras_tools.render.sending.status import send_status
 
     send_options, (json, quiet) = transmission.options, ending.printing

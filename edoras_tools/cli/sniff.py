@@ -12,9 +12,8 @@ from typer import Option
 from edoras_tools import doors
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import no_messages, nothing_shown
 from edoras_tools.cli.inputs import InputOptions, open_input
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import no_messages, nothing_shown, print_json
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.older import StrEnum
 from edoras_tools.render.units import TimeFormat
@@ -350,8 +349,7 @@ def sniff(
 
 def _whole(packets: Iterable[Decoded], terminal: Terminal, *, hexdump: bool) -> Iterator[list[str]]:
     """Yield the bytes of packets, or all their layers and fields."""
-    from edoras_tools.render.capture.packet import packet_lines
-    from edoras_tools.render.capture.tree import tree_lines
+    from edoras_tools.render.capture.tree import packet_lines, tree_lines
     from edoras_tools.render.terminal.palette import Paint
 
     for decoded in packets:

@@ -14,7 +14,7 @@ ROWS: Final = {
     "sbn": "edoras_tools.links.sbn:SBN",
     "robot": "edoras_tools.links.robot:ROBOT",
     "file": "edoras_tools.links.table:STORED",
-    "reset": "edoras_tools.links.resets:RESETS",
+    "reset": "edoras_tools.links.table:RESETS",
     "icmp": "edoras_tools.links.icmp:ICMP",
 }
 """Locations of the built-in links; other packages add theirs by entry points."""

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import Qos, TopicState
-from edoras_tools.middleware.names import check_name, node_name, unknown_options
+from edoras_tools.middleware.graph import Qos, TopicState, check_name, node_name, unknown_options
 from edoras_tools.ros.types.schema import full_name
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io import Source, SourceOver
 from edoras_tools.io.formats.merge import SEAM_NS, MergedSource, merge_sources
 from edoras_tools.io.formats.open import is_cfe_file, open_file
-from edoras_tools.pipelines.runs import APART_NS
+from edoras_tools.pipelines.reading import APART_NS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe_file import RESET_LOG

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.sessions.faults.scopes import Predicate
+    from edoras_tools.sessions.faults.machine import Predicate
 
 
 _SCENARIO_FORM: Final = "a scenario needs faults: with a list, e.g. - drop: 0.1"

@@ -32,9 +32,8 @@ from edoras_tools.io.outputs import Patience, waiting_for_room
 from edoras_tools.io.processes import Desk, Workers, portable, writer_killed
 from edoras_tools.io.processors import run_soon
 from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
-from edoras_tools.pipelines.capture.flushing import Flushing
 from edoras_tools.pipelines.capture.ledger import Ledger
-from edoras_tools.pipelines.capture.record import Target, open_sink
+from edoras_tools.pipelines.capture.record import Flushing, Target, open_sink
 from edoras_tools.sessions.sequence import SequenceCounts
 
 if TYPE_CHECKING:

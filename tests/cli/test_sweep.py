@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.render import svg
+from edoras_tools.render.plot import svg
 
 
 @pytest.mark.long

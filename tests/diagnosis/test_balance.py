@@ -14,7 +14,7 @@ from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.diagnosis.missing import missing
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.render.doctor.missing import missing_table
+from edoras_tools.render.doctor.balance import missing_table
 from edoras_tools.wire.robot import ROBOT_PORT
 from tests.support.balance import wrong_rows
 

@@ -50,7 +50,7 @@ from edoras_tools.mission import Mission, load, loads
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.packet_json import as_json
-from edoras_tools.render.capture import packet as packet_view
+from edoras_tools.render.capture import tree as packet_view
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.doctor.doctor import diagnosis as view
 from edoras_tools.render.pages.parts import Made

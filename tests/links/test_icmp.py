@@ -18,11 +18,10 @@ from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.frames.network import quoted_ports
-from edoras_tools.links.icmp import ICMP
+from edoras_tools.links.icmp import FORMS, ICMP
 from edoras_tools.model import OTHER, Endpoint, Finding, Peer
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.icmp import FORMS
 
 ROVER, CFS, FAR = ("10.0.0.4", 8585), ("10.0.0.2", 8080), "10.0.0.1"
 ROVER_6, CFS_6 = ("fd00::4", 1235), ("fd00::2", 40000)

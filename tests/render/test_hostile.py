@@ -15,7 +15,7 @@ from edoras_tools.decode.lines import line_of
 from edoras_tools.errors import WireError
 from edoras_tools.links import table
 from edoras_tools.model import OTHER, Datagram, Decoded, Endpoint, Finding, Layer, LayerField, RosMessage
-from edoras_tools.render.capture import packet, tree
+from edoras_tools.render.capture import tree
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.terminal.palette import Paint
@@ -109,7 +109,7 @@ def test_tree(decoded, width, colour):
 @quick
 @given(packets, st.integers(44, 220), st.booleans(), st.sampled_from(["payload", "frame"]))
 def test_whole_packet(decoded, width, colour, base):
-    for line in packet.packet_lines(decoded, width, colour=colour, base=base):
+    for line in tree.packet_lines(decoded, width, colour=colour, base=base):
         check(line, width, colour=colour)
 
 

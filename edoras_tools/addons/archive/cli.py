@@ -13,10 +13,9 @@ from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped, headed
-from edoras_tools.cli.endings import INTERRUPTED, LOST, tell
 from edoras_tools.cli.main import Command, Group, command_group
 from edoras_tools.cli.options import moment
-from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
+from edoras_tools.cli.output import INTERRUPTED, LOST, file_progress, print_csv, print_json, print_view, tell
 from edoras_tools.errors import ConfigError
 from edoras_tools.older import StrEnum
 from edoras_tools.words import plural

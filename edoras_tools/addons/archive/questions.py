@@ -9,7 +9,7 @@ import msgspec
 
 from edoras_tools.addons.archive.page import BINS, MOST_COLUMNS, ArchiveTrends, bin_ns
 from edoras_tools.errors import CaptureError
-from edoras_tools.pipelines.names import fits_topic
+from edoras_tools.pipelines.selection import fits_topic
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -35,7 +35,7 @@ from cyclonedds.domain import Domain
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import MOST_DOMAIN
-from edoras_tools.middleware.names import unknown_options
+from edoras_tools.middleware.graph import unknown_options
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

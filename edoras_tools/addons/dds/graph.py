@@ -24,7 +24,7 @@ from edoras_tools.addons.dds.messages import DdsTypes, padded, trimmed, writer_o
 from edoras_tools.addons.dds.peers import Discovered, OwnEndpoint, user_data
 from edoras_tools.addons.dds.session import Session
 from edoras_tools.errors import ConfigError, WireError
-from edoras_tools.middleware.names import check_name, dds_name, node_name
+from edoras_tools.middleware.graph import check_name, dds_name, node_name
 from edoras_tools.ros.type_hash import type_hash
 
 if TYPE_CHECKING:

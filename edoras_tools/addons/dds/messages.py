@@ -23,7 +23,7 @@ from cyclonedds.idl import types as idl
 from cyclonedds.internal import DDS, InvalidSample
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.names import dds_name
+from edoras_tools.middleware.graph import dds_name
 from edoras_tools.ros.types.schema import PLACEHOLDER, MessageField, Shape, full_name
 
 if TYPE_CHECKING:

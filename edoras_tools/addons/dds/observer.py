@@ -23,8 +23,7 @@ from edoras_tools.addons.dds.graph import reader_qos
 from edoras_tools.addons.dds.messages import DdsTypes, info_taker_of, trimmed
 from edoras_tools.addons.dds.session import Session
 from edoras_tools.errors import ConfigError, WireError
-from edoras_tools.middleware.graph import Qos
-from edoras_tools.middleware.names import ros_name
+from edoras_tools.middleware.graph import Qos, ros_name
 from edoras_tools.ros.type_hash import type_hash
 
 if TYPE_CHECKING:

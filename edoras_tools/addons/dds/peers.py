@@ -26,7 +26,7 @@ from cyclonedds.qos import Policy, Qos
 from edoras_tools.addons.dds.domain import configuration, hold, release
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import graph
-from edoras_tools.middleware.names import dds_name, ros_name
+from edoras_tools.middleware.graph import dds_name, ros_name
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.ros.type_hash import HASH_VERSION, type_hash

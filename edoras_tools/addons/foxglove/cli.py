@@ -18,9 +18,20 @@ from typer import Option
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings, sending
 from edoras_tools.cli.declare import grouped, headed
-from edoras_tools.cli.endings import finish, say, tell, tell_reach
 from edoras_tools.cli.inputs import InputOptions, open_input
-from edoras_tools.cli.output import Metrics, file_progress, measured, place, print_json, watcher
+from edoras_tools.cli.output import (
+    Metrics,
+    address,
+    file_progress,
+    finish,
+    measured,
+    place,
+    print_json,
+    say,
+    tell,
+    tell_reach,
+    watcher,
+)
 from edoras_tools.cli.relays import Origins, Token
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.words import plural
@@ -81,7 +92,7 @@ class PublishingOptions(NamedTuple):
     """Topics that Foxglove may publish, and their receiver."""
 
     allow: Annotated[list[str] | None, Option(help="Topics that Foxglove may send to cFS.")] = None
-    target: Annotated[Any, Option(parser=sending.address, help="Where cFS is; default: this machine.")] = None
+    target: Annotated[Any, Option(parser=address, help="Where cFS is; default: this machine.")] = None
     sender: Annotated[Any, Option("--as", parser=sending.peer, help="SBN: send as this peer.")] = None
     yes: sending.Yes = False
 

@@ -18,10 +18,10 @@ from edoras_tools.addons.foxglove.server.page import OriginCheck
 from edoras_tools.addons.foxglove.server.protocol import Publisher
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.io.net.address import reach_note
+from edoras_tools.io.net.sockets import reach_note
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.io.topics.streams import Topic
-from edoras_tools.middleware.names import unknown_options
+from edoras_tools.middleware.graph import unknown_options
 from edoras_tools.model import Endpoint
 
 if TYPE_CHECKING:

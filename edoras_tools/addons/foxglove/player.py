@@ -21,7 +21,7 @@ from edoras_tools.links.table import LinkStates
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.messages import open_inputs
-from edoras_tools.pipelines.runs import RunCounter
+from edoras_tools.pipelines.reading import RunCounter
 from edoras_tools.pipelines.selection import outside
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.units import MILLISECOND, SECOND

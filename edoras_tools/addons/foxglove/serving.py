@@ -17,7 +17,7 @@ from edoras_tools.addons.foxglove.server.page import OriginCheck
 from edoras_tools.addons.foxglove.server.protocol import Player, Publisher
 from edoras_tools.addons.foxglove.server.server import HERE, ServerOptions
 from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, LinkMonitor, RecordedSink, ServedSink
-from edoras_tools.io.net.address import is_loopback
+from edoras_tools.io.net.sockets import is_loopback
 from edoras_tools.pipelines.capture.record import CaptureReport, Target, pour, record
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.render.severity import EXPLANATIONS, Level

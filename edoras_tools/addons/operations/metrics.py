@@ -17,7 +17,7 @@ from json import dumps
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools import __version__
-from edoras_tools.cli.endings import say, tell_reach
+from edoras_tools.cli.output import say, tell_reach
 from edoras_tools.errors import os_errors
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from typer import Argument, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import topics_read
-from edoras_tools.cli.output import file_progress, print_json
+from edoras_tools.cli.output import file_progress, print_json, topics_read
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import FILE_SUFFIXES, READ_PACKED
 from edoras_tools.words import plural
@@ -102,7 +101,7 @@ def _check(output: Path) -> None:
     if output.suffix.lower() not in _PICTURES:
         raise ConfigError(f"{output}: {output.suffix or 'no suffix'} is no picture; use .svg, .png or .html")
     if output.suffix.lower() == ".png":
-        from edoras_tools.render.svg import need_png
+        from edoras_tools.render.plot.svg import need_png
 
         need_png()
 
@@ -110,8 +109,7 @@ def _check(output: Path) -> None:
 def _write(figure: Figure, output: Path) -> int:
     """Write a picture; return its size in bytes."""
     from edoras_tools.addons.plot.page import plot_page
-    from edoras_tools.render.plot.svg import PLOT_WIDTH, plot_svg
-    from edoras_tools.render.svg import png
+    from edoras_tools.render.plot.svg import PLOT_WIDTH, plot_svg, png
 
     suffix = output.suffix.lower()
     picture = plot_page(figure) if suffix == ".html" else plot_svg(figure)

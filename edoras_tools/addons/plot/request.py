@@ -11,7 +11,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.older import StrEnum
 from edoras_tools.pipelines.export.tables import TableForm, chosen_topics, fits_field
-from edoras_tools.pipelines.names import fits_topic
+from edoras_tools.pipelines.selection import fits_topic
 from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.words import did_you_mean, listed
 

@@ -18,8 +18,8 @@ from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.export.judged import LOST_TOPIC
 from edoras_tools.pipelines.export.sources import TopicSource, open_topics
 from edoras_tools.pipelines.export.tables import TableForm
-from edoras_tools.pipelines.names import PATTERN_SIGNS, fits_topic
 from edoras_tools.pipelines.plot_lines import RateCounts, bar_seconds
+from edoras_tools.pipelines.selection import PATTERN_SIGNS, fits_topic
 from edoras_tools.render.plot.figure import GREY, EventMark, Figure, Panel, PlotLine, extremes
 from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.words import listed, plural

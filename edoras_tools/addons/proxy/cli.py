@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from msgspec.structs import replace
 from typer import Argument, Option
 
-from edoras_tools.cli import options, sending
+from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import say, tell_reach
-from edoras_tools.cli.output import print_json, print_view
+from edoras_tools.cli.output import address, print_json, print_view, say, tell_reach
 from edoras_tools.cli.relays import RelayOutputOptions, finish_relay, run_relay
-from edoras_tools.cli.sending import DryRun, Yes, address, confirm_targets
+from edoras_tools.cli.sending import DryRun, Yes, confirm_targets
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ class RelayOptions(NamedTuple):
         Any,
         Option(parser=address, metavar="[HOST:]PORT", help="Where clients send; of link to: where cFS does."),
     ]
-    target: Annotated[Any, Option(parser=sending.address, help="Where to send everything.")]
+    target: Annotated[Any, Option(parser=address, help="Where to send everything.")]
     further: Annotated[
         list[Any] | None,
         Option(
@@ -45,7 +44,7 @@ class RelayOptions(NamedTuple):
         Any,
         Option(parser=address, metavar="[HOST:]PORT", help="Where the target sends, as an SBN peer's port."),
     ] = None
-    client: Annotated[Any, Option(parser=sending.address, help="With --bind: the first client.")] = None
+    client: Annotated[Any, Option(parser=address, help="With --bind: the first client.")] = None
     limit: Annotated[
         list[str] | None,
         Option(

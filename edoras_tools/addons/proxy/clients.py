@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from edoras_tools.io.frames.frame_batch import ends_of
-from edoras_tools.io.net.address import Address, host_of, resolve
 from edoras_tools.io.net.forward import Direction, Outlet
-from edoras_tools.io.net.sockets import bind, connect, kernel_drops, open_socket
+from edoras_tools.io.net.sockets import Address, bind, connect, host_of, kernel_drops, open_socket, resolve
 
 if TYPE_CHECKING:
     import socket

@@ -8,7 +8,7 @@ import msgspec
 from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.io.net.address import arrives_at
+from edoras_tools.io.net.sockets import arrives_at
 from edoras_tools.sessions.faults.machine import FaultPlan
 from edoras_tools.sessions.faults.rules import Rule, make_rule
 from edoras_tools.wire.cfe import STANDARD, Headers

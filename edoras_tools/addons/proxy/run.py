@@ -26,10 +26,9 @@ import numpy as np
 
 from edoras_tools.addons.proxy.clients import Clients, ProxyClient
 from edoras_tools.addons.proxy.faults import FaultStage, Outbox
-from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.buffer import SLOTS, SPARE, make_buffer
 from edoras_tools.io.net.forward import Direction
-from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
+from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound, resolve
 from edoras_tools.io.processors import Precedence
 from edoras_tools.pipelines.interrupt import Keys, on_interrupt, threads_take_turns, watched
 from edoras_tools.units import MILLISECOND
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.render.terminal.text import Watcher
     from edoras_tools.sessions.faults.fault import Fault
-    from edoras_tools.sessions.faults.scopes import Predicate
+    from edoras_tools.sessions.faults.machine import Predicate
 
 _TURNS: Final = 4
 """Times that a busy socket is read before the others are read."""

@@ -15,10 +15,8 @@ import numpy as np
 from edoras_tools.addons.racs2 import wire as racs2
 from edoras_tools.addons.racs2.streams import Opcode, WebSocketFraming
 from edoras_tools.errors import CaptureError, OnFailure
-from edoras_tools.io.net.address import address_of, resolve
-from edoras_tools.io.net.sockets import bind, local_endpoint
-from edoras_tools.io.net.transmit import SendStatistics
-from edoras_tools.io.net.transmit_stream import ANSWER_WITHIN_S, StreamTransmitter
+from edoras_tools.io.net.sockets import address_of, bind, local_endpoint, resolve
+from edoras_tools.io.net.transmit import ANSWER_WITHIN_S, SendStatistics, StreamTransmitter
 from edoras_tools.links.sending import LinkSending, SendingSession
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.window import gather

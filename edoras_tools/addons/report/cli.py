@@ -12,9 +12,8 @@ from typer import Exit, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
-from edoras_tools.cli.output import file_progress, print_json
+from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_json, tell
 from edoras_tools.io.outputs import check_new
 from edoras_tools.words import plural
 

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.names import node_name, unknown_options
+from edoras_tools.middleware.graph import node_name, unknown_options
 from edoras_tools.middleware.rclpy import RclpyGraph, qos_profile, rclpy_line
 
 if TYPE_CHECKING:

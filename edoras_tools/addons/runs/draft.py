@@ -27,7 +27,7 @@ from edoras_tools.diagnosis.ledger import CAPTURE
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.mission.tree import LARGEST_FILE
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
-from edoras_tools.pipelines.names import PacketKinds, SampleTopics
+from edoras_tools.pipelines.selection import PacketKinds, SampleTopics
 from edoras_tools.structs.shapes import Key
 from edoras_tools.words import listed
 

@@ -47,7 +47,7 @@ from edoras_tools.mission.parameters import suggestion
 from edoras_tools.mission.tree import Mistakes, ScalarNode, SequenceNode, Tree, named_entries, read_document
 from edoras_tools.model import Finding
 from edoras_tools.render import units
-from edoras_tools.sessions.faults.values import time_ns
+from edoras_tools.sessions.faults.kinds import time_ns
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 

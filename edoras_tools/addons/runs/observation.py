@@ -23,8 +23,8 @@ from edoras_tools.model import NO_MSG_ID, rate_hz
 from edoras_tools.pipelines.capture.info import Counting
 from edoras_tools.pipelines.doctor.doctor import Findings, Pace, examine
 from edoras_tools.pipelines.doctor.scope import Scope
-from edoras_tools.pipelines.names import PATTERN_SIGNS, PacketKinds, find_packets
 from edoras_tools.pipelines.reading import ReadLoop, reading
+from edoras_tools.pipelines.selection import PATTERN_SIGNS, PacketKinds, find_packets
 from edoras_tools.structs.shapes import Key
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe

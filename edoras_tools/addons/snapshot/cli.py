@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from edoras_tools.addons.snapshot.sink import record_snapshots
 from edoras_tools.addons.snapshot.triggers import ask, listening
-from edoras_tools.cli.endings import finish
-from edoras_tools.cli.output import print_json, watcher
+from edoras_tools.cli.output import finish, print_json, watcher
 from edoras_tools.pipelines.interrupt import Keys
 from edoras_tools.words import plural
 

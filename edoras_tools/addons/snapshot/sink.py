@@ -31,8 +31,7 @@ from edoras_tools.io import Sink, Source
 from edoras_tools.io.formats.watched import Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import path_beside
 from edoras_tools.model import Columns, Finding, PacketBatch, SourceStatistics
-from edoras_tools.pipelines.capture.flushing import ROW_BYTES, compact
-from edoras_tools.pipelines.capture.record import CaptureReport, Target, open_sink, pour
+from edoras_tools.pipelines.capture.record import ROW_BYTES, CaptureReport, Target, compact, open_sink, pour
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.render.severity import NOTABLE
 from edoras_tools.units import MILLISECOND, SECOND

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from edoras_tools.addons.tables.recordings import recordings_in
-from edoras_tools.cli.endings import tell
 from edoras_tools.cli.export import print_written
-from edoras_tools.cli.output import file_progress
+from edoras_tools.cli.output import file_progress, tell
 from edoras_tools.errors import CaptureError, ConfigError, EdorasError, InterruptError, RouteError, os_errors
 from edoras_tools.pipelines.export.run import ExportTarget, export
 from edoras_tools.pipelines.export.sources import open_topics, recording_names

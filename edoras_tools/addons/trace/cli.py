@@ -13,9 +13,8 @@ from edoras_tools import doors
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.bridge import RosOptions
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, LiveOptions, open_input
-from edoras_tools.cli.output import file_progress, print_json, print_view
+from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_json, print_view, tell
 from edoras_tools.errors import ConfigError, NoDatagramsError
 from edoras_tools.io.formats.table import READ_PACKED
 from edoras_tools.io.outputs import check_new

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from edoras_tools.cli.endings import nothing_shown
+from edoras_tools.cli.output import nothing_shown
 from edoras_tools.errors import CaptureError, ConfigError, OnFailure
 
 if TYPE_CHECKING:

@@ -34,8 +34,8 @@ from edoras_tools.errors import EdorasError
 from edoras_tools.io.outputs import ENDING
 from edoras_tools.links.table import among
 from edoras_tools.pipelines.capture.conversation import Conversation
-from edoras_tools.pipelines.capture.flushing import compact
 from edoras_tools.pipelines.capture.ledger import Ledger
+from edoras_tools.pipelines.capture.record import compact
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.render import units
 from edoras_tools.render.severity import Level

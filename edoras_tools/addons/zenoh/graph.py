@@ -18,8 +18,7 @@ from zenoh import ext
 
 from edoras_tools.addons.zenoh import identity
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import Qos, TopicState
-from edoras_tools.middleware.names import check_name, unknown_options
+from edoras_tools.middleware.graph import Qos, TopicState, check_name, unknown_options
 from edoras_tools.ros.type_hash import type_hash
 from edoras_tools.ros.types.schema import full_name
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import msgspec
 import xxhash
 
-from edoras_tools.middleware.names import dds_name, node_name
+from edoras_tools.middleware.graph import dds_name, node_name
 from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:

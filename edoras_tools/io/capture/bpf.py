@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW
-from edoras_tools.wire import icmp
+from edoras_tools.links import icmp
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

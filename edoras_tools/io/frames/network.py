@@ -12,9 +12,9 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from edoras_tools.links.icmp import FORMS, LONGEST, QUOTED_UDP
 from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.wire.arrays.window import gather, read_at, word_sums
-from edoras_tools.wire.icmp import FORMS, LONGEST, QUOTED_UDP
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

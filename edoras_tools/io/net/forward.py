@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import socket
     from collections.abc import Iterable
 
-    from edoras_tools.io.net.address import Address
+    from edoras_tools.io.net.sockets import Address
     from edoras_tools.wire.arrays.order import Integers
 
 _LATENCIES: Final = 4096

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from edoras_tools.io.net.transmit import Listener, SendStatistics, Transmitter
-    from edoras_tools.io.net.transmit_stream import StreamTransmitter
+    from edoras_tools.io.net.transmit import Listener, SendStatistics, StreamTransmitter, Transmitter
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.sessions.outgoing import Outgoing
 

@@ -11,7 +11,7 @@ from edoras_tools.cfs.executive_services import NAME
 from edoras_tools.errors import WireError
 from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, no_messages, whole_messages
 from edoras_tools.links import table
-from edoras_tools.links.resets import RESETS
+from edoras_tools.links.table import RESETS
 from edoras_tools.sessions.faults.fault import Fault
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, cfe_file

@@ -29,7 +29,7 @@ from edoras_tools.io.topics.messages import (
 from edoras_tools.io.topics.rows import DATAGRAMS_TOPIC, RECORD, Messages, bodies_of, whole_messages
 from edoras_tools.io.topics.statistics import HOST_TOPIC, HOST_TYPE, LinkStatistics
 from edoras_tools.links import table
-from edoras_tools.links.resets import RESETS
+from edoras_tools.links.table import RESETS
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value, order_by

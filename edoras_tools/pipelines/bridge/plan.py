@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.io.net.address import arrives_at
+from edoras_tools.io.net.sockets import arrives_at
 from edoras_tools.middleware import Qos
 from edoras_tools.mission import Bridge, GroundLink, Route, load, read_scalar
 from edoras_tools.mission.bridges import node_of

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.errors import CaptureError, OnFailure, RouteError
 from edoras_tools.io.net.buffer import make_buffer
 from edoras_tools.middleware import Graph, open_graph
-from edoras_tools.pipelines.bridge.inbox import Inbox
 from edoras_tools.pipelines.bridge.plan import BridgePlan, BridgeRequest
-from edoras_tools.pipelines.bridge.station import BridgeContext, Station
+from edoras_tools.pipelines.bridge.station import BridgeContext, Inbox, Station
 from edoras_tools.pipelines.interrupt import on_interrupt, threads_take_turns, watched
 
 if TYPE_CHECKING:

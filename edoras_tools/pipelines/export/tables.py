@@ -10,7 +10,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.formats.columns import TableColumn
 from edoras_tools.io.formats.table import TimeForm
-from edoras_tools.pipelines.names import PATTERN_SIGNS, fits_topic
+from edoras_tools.pipelines.selection import PATTERN_SIGNS, fits_topic
 from edoras_tools.ros.cdr.columns import Ragged, TopicBlock
 from edoras_tools.words import did_you_mean, listed
 

@@ -19,7 +19,7 @@ from edoras_tools.cfs import edoras_app
 from edoras_tools.cfs.commands import CALLS, ENABLE_OUTPUT, NAMED, Argument, arguments_taken, call
 from edoras_tools.cfs.telemetry_output import USUAL_LIMIT
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.io.net.address import own_address
+from edoras_tools.io.net.sockets import own_address
 from edoras_tools.pipelines.sending.options import LinkReceiver, Receiver, SendOptions
 from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.pipelines.sending.topics import Encoder, routes_towards, sender_of

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from edoras_tools.render.terminal.text import Watcher
     from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.sessions.faults.machine import Delivery, FaultMachine
-    from edoras_tools.sessions.sbn.connection import SbnConnection
+    from edoras_tools.sessions.sbn import SbnConnection
 
 _BLOCK: Final = 512
 """Maximum datagrams that leave together."""

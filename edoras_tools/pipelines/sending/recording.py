@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
-from edoras_tools.pipelines.capture.flushing import FLUSH_NS
-from edoras_tools.pipelines.capture.record import Target, open_sink
+from edoras_tools.pipelines.capture.record import FLUSH_NS, Target, open_sink
 from edoras_tools.pipelines.recorder import PushedSource
 from edoras_tools.units import MILLISECOND
 

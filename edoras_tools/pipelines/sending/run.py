@@ -11,8 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.net.transmit import Listener, Transmitter
-from edoras_tools.io.net.transmit_stream import StreamTransmitter
+from edoras_tools.io.net.transmit import Listener, StreamTransmitter, Transmitter
 from edoras_tools.io.net.wire import UdpWire, Wire, precise_timing
 from edoras_tools.links.table import carrying, protocol
 from edoras_tools.model import NO_MSG_ID, Endpoint, Link
@@ -20,8 +19,7 @@ from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedul
 from edoras_tools.pipelines.sending.options import Receiver, Role, SendOptions, check_allowed
 from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.pipelines.sending.wait_for import conditions, count_known, leaves_at_once, only_enables
-from edoras_tools.sessions.sbn.connection import SbnConnection
-from edoras_tools.sessions.sbn.habits import CLIENT, PUBLIC_BRIDGE, TCP_CLIENT
+from edoras_tools.sessions.sbn import CLIENT, PUBLIC_BRIDGE, TCP_CLIENT, SbnConnection
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 
@@ -31,8 +29,8 @@ if TYPE_CHECKING:
     from edoras_tools.links.sending import SendingSession
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.interrupt import Keys
-    from edoras_tools.pipelines.sending.expect import AwaitedResults
     from edoras_tools.pipelines.sending.recording import SentRecording
+    from edoras_tools.pipelines.sending.responses import AwaitedResults
     from edoras_tools.render.terminal.text import Watcher
     from edoras_tools.sessions.faults.machine import FaultMachine
     from edoras_tools.sessions.outgoing import Changes, Outgoing

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.cfs import sbn, telemetry_output
-from edoras_tools.io.net.address import ANY_ADDRESS, own_address
+from edoras_tools.io.net.sockets import ANY_ADDRESS, own_address
 from edoras_tools.model import NO_MSG_ID, Endpoint
 from edoras_tools.pipelines.sending.options import SendOptions, called
-from edoras_tools.sessions.sbn.connection import SbnConnection
+from edoras_tools.sessions.sbn import SbnConnection
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
 

@@ -1,14 +1,22 @@
-"""A plot as SVG: light or dark like the reader's system, readable at 400 pixels; it loads nothing."""
+"""A plot as SVG: light or dark like the reader's system, readable at 400 pixels; it loads nothing.
+
+Also pictures of the views for documentation, and SVG as PNG.
+"""
 
 from __future__ import annotations
 
+from functools import partial
 from html import escape
-from typing import TYPE_CHECKING, Final
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.errors import ConfigError
 from edoras_tools.render.plot.figure import DARK_COLOURS, LIGHT_COLOURS, text_width, tick_texts
 from edoras_tools.render.terminal.text import clean, clip, wrap
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
 
 PLOT_WIDTH: Final = 640
@@ -178,3 +186,46 @@ def _look(line: PlotLine) -> str:
 
 def _dots(line: PlotLine) -> str:
     return f'class="c{line.look[0]}" stroke-width="5" stroke-linecap="round"'
+
+
+_DEJAVU: Final = {
+    "serif_family": "DejaVu Serif",
+    "sans_serif_family": "DejaVu Sans",
+    "monospace_family": "DejaVu Sans Mono",
+}
+"""Fonts for systems without fontconfig, such as small containers, where resvg finds no ``sans-serif``."""
+
+
+def need_png() -> Callable[..., Any]:
+    """Return ``resvg_py.svg_to_bytes`` after a test drawing of one letter.
+
+    Raises:
+        ConfigError: it is not installed, or this system has no font.
+    """
+    try:
+        resvg = import_module("resvg_py")
+    except ImportError:
+        raise ConfigError(
+            "PNG needs resvg, which is not installed: pip install 'edoras-tools[plot]', or write SVG"
+        ) from None
+    box = '<svg xmlns="http://www.w3.org/2000/svg" width="20" height="20">{}</svg>'
+    texts = ("", '<text y="15" font-family="sans-serif">W</text>')
+    for names in ({}, _DEJAVU):
+        draw = partial(resvg.svg_to_bytes, **names)
+        blank, letter = (draw(svg_string=box.format(text)) for text in texts)
+        if blank != letter:
+            return draw
+    raise ConfigError("PNG needs a font, and this system has none: install fonts-dejavu-core, or write SVG")
+
+
+def png(svg: str, width: int) -> bytes:
+    """Return an SVG picture as PNG.
+
+    Args:
+        svg: the picture; its size is that of its view box.
+        width: pixels.
+
+    Raises:
+        ConfigError: see ``need_png``.
+    """
+    return bytes(need_png()(svg_string=svg, width=width))

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
-from edoras_tools.sessions.faults.bytes import CONTENT, Chance, Struck, sequence_ahead
-from edoras_tools.sessions.faults.chance import fraction
+from edoras_tools.sessions.faults.bytes import CONTENT, Chance, Struck, fraction, sequence_ahead
 from edoras_tools.sessions.sequence import MODULUS
 
 if TYPE_CHECKING:

@@ -1,16 +1,124 @@
-"""Every kind of fault: its options, and the stage at which it acts."""
+"""Every kind of fault: its options, and the stage at which it acts.
+
+The times, probabilities, counts, rates and field changes of a rule are read from text. Each function that
+reads one raises ValueError for another text; the message says which texts are allowed.
+"""
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
-from edoras_tools.sessions.faults import values as read
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+_TIMES = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "m": 60 * 10**9, "h": 3600 * 10**9}
+_MULTIPLES = {"k": 10**3, "M": 10**6, "G": 10**9}
+_LONGEST_NS = 1 << 60
+
+
+class NumberChange(NamedTuple):
+    """A change of a number: ``+3`` and ``-3`` are added, ``12`` replaces it.
+
+    Attributes:
+        amount: number to add, or the new value.
+        relative: whether to add it.
+    """
+
+    amount: int
+    relative: bool
+
+    def apply(self, value: int) -> int:
+        """Return the changed number."""
+        return value + self.amount if self.relative else self.amount
+
+
+def time_ns(text: str) -> int:
+    """Read a length of time in ns: ``200ms``, ``1.5s``, ``2m``; a bare number is seconds."""
+    unit = next((name for name in sorted(_TIMES, key=len, reverse=True) if text.endswith(name)), "")
+    value = _decimal(text.removesuffix(unit)) * _TIMES.get(unit, 10**9)
+    if not 0 <= value < _LONGEST_NS:  # also if it is not a number
+        raise ValueError("a length of time is needed, as 200ms, 1.5s or 2m")
+    return int(value)
+
+
+def probability(text: str) -> float:
+    """Read a probability: ``0.1``, ``10%``."""
+    value = _decimal(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
+    if not 0 <= value <= 1:
+        raise ValueError("a probability is needed, from 0 to 1 or from 0% to 100%")
+    return value
+
+
+def natural(text: str) -> int:
+    """Read a count, 1 or more, decimal or hex."""
+    value = _integer(text)
+    if value is None or not 1 <= value < 1 << 32:
+        raise ValueError("a whole number is needed, 1 or more")
+    return value
+
+
+def byte_count(text: str) -> int:
+    """Read a number of bytes, 0 to 65,507: ``40``, ``0x40``."""
+    value = _integer(text)
+    if value is None or not 0 <= value <= 65507:
+        raise ValueError("a number of bytes is needed, from 0 to 65507")
+    return value
+
+
+def volume(text: str) -> int:
+    """Read an amount of bytes: ``65536``, ``64k``, ``2M``."""
+    value = _decimal(text.removesuffix(text[-1:] if text[-1:] in _MULTIPLES else "")) * _MULTIPLES.get(
+        text[-1:], 1
+    )
+    if not 1 <= value < 1 << 40:
+        raise ValueError("an amount of bytes is needed, as 65536, 64k or 2M")
+    return int(value)
+
+
+def hertz(text: str) -> float:
+    """Read a rate in messages a second: ``30``, ``0.5``, ``30Hz``."""
+    value = _decimal(text.removesuffix("Hz").removesuffix("hz"))
+    if not 1e-6 <= value <= 1e9:
+        raise ValueError("a rate is needed, above 0, as 30 or 0.5Hz")
+    return value
+
+
+def bits_per_second(text: str) -> float:
+    """Read a bandwidth in bits a second: ``9600``, ``128k``, ``2M``, with or without ``bit/s``."""
+    text = text.removesuffix("bit/s").removesuffix("bit")
+    unit = text[-1:] if text[-1:] in _MULTIPLES else ""
+    value = _decimal(text.removesuffix(unit)) * _MULTIPLES.get(unit, 1)
+    if not 1 <= value <= 1e15:
+        raise ValueError("a bandwidth in bits a second is needed, as 9600, 128k or 2M")
+    return value
+
+
+def change(text: str) -> NumberChange:
+    """Read a change of a field: ``+3``, ``-3``, ``12``, ``0xFFFF``."""
+    value = _integer(text)
+    if value is None or abs(value) >= 1 << 64:
+        raise ValueError("a number to set is needed, as 12, or one to add, as +3 or -3")
+    return NumberChange(value, text[:1] in {"+", "-"})
+
+
+def _decimal(text: str) -> float:
+    """Return a number, or NaN, which fits no limits."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _integer(text: str) -> int | None:
+    try:
+        return int(text, 0)
+    except ValueError:
+        return None
+
 
 REQUIRED: Final = object()
 """Default of an option that must be given."""
@@ -77,7 +185,7 @@ def _field(name: str, doc: str, default: str = "+1") -> FaultKind:
         Stage.CONTENT,
         doc,
         "value",
-        {"value": Option(read.change, read.change(default), f"the new value, or the difference; {default}")},
+        {"value": Option(change, change(default), f"the new value, or the difference; {default}")},
     )
 
 
@@ -90,28 +198,28 @@ FAULT_KINDS: Final[Mapping[str, FaultKind]] = {
             Stage.LOSS,
             "nothing passes for this time, like a peer that is down",
             "time",
-            {"time": Option(read.time_ns, REQUIRED, "how long")},
+            {"time": Option(time_ns, REQUIRED, "how long")},
         ),
         FaultKind(
             "corrupt",
             Stage.CONTENT,
             "bits are turned over",
             "p",
-            {"bits": Option(read.natural, 1, "how many bits; 1")},
+            {"bits": Option(natural, 1, "how many bits; 1")},
         ),
         FaultKind(
             "truncate",
             Stage.CONTENT,
             "the datagram is cut",
             "bytes",
-            {"bytes": Option(read.byte_count, REQUIRED, "how many bytes are left")},
+            {"bytes": Option(byte_count, REQUIRED, "how many bytes are left")},
         ),
         FaultKind(
             "pad",
             Stage.CONTENT,
             "zero bytes follow the datagram",
             "bytes",
-            {"bytes": Option(read.byte_count, REQUIRED, "how many bytes are added")},
+            {"bytes": Option(byte_count, REQUIRED, "how many bytes are added")},
         ),
         _field("packet-length", "the packet data length is wrong"),
         FaultKind("checksum", Stage.CONTENT, "the command checksum is wrong"),
@@ -120,7 +228,7 @@ FAULT_KINDS: Final[Mapping[str, FaultKind]] = {
             Stage.CONTENT,
             "the sequence count skips ahead and continues from there",
             "by",
-            {"by": Option(read.natural, 1, "how many counts are skipped; 1")},
+            {"by": Option(natural, 1, "how many counts are skipped; 1")},
         ),
         _field("envelope-length", "the envelope's buffer_length is wrong"),
         _field("envelope-capacity", "the envelope's buffer_capacity is wrong", "0"),
@@ -134,7 +242,7 @@ FAULT_KINDS: Final[Mapping[str, FaultKind]] = {
             Stage.COPIES,
             "the datagram arrives more than once",
             "p",
-            {"copies": Option(read.natural, 1, "how many more; 1")},
+            {"copies": Option(natural, 1, "how many more; 1")},
         ),
         FaultKind(
             "rate",
@@ -142,7 +250,7 @@ FAULT_KINDS: Final[Mapping[str, FaultKind]] = {
             "at most so many a second; the others are lost",
             "hz",
             {
-                "hz": Option(read.hertz, REQUIRED, "messages a second"),
+                "hz": Option(hertz, REQUIRED, "messages a second"),
                 "keep": Option(_one_of("first", "latest"), "first", "which ones pass: first, latest"),
                 "per": Option(
                     _one_of("msg_id", "link"), "msg_id", "what is limited: each msg_id, or the link"
@@ -154,7 +262,7 @@ FAULT_KINDS: Final[Mapping[str, FaultKind]] = {
             Stage.ORDER,
             "datagrams are collected and sent together",
             "time",
-            {"time": Option(read.time_ns, REQUIRED, "how long they are collected")},
+            {"time": Option(time_ns, REQUIRED, "how long they are collected")},
         ),
         FaultKind(
             "reorder",
@@ -162,8 +270,8 @@ FAULT_KINDS: Final[Mapping[str, FaultKind]] = {
             "other datagrams overtake it",
             "p",
             {
-                "by": Option(read.natural, 1, "how many overtake it; 1"),
-                "within": Option(read.time_ns, 1_000_000_000, "the longest time that it waits; 1s"),
+                "by": Option(natural, 1, "how many overtake it; 1"),
+                "within": Option(time_ns, 1_000_000_000, "the longest time that it waits; 1s"),
             },
         ),
         FaultKind(
@@ -172,10 +280,8 @@ FAULT_KINDS: Final[Mapping[str, FaultKind]] = {
             "the line transmits so many bits a second",
             "rate",
             {
-                "rate": Option(
-                    read.bits_per_second, REQUIRED, "bits a second, UDP and IPv4 headers included"
-                ),
-                "queue": Option(read.volume, 1 << 20, "bytes that may wait for it; more are lost; 1048576"),
+                "rate": Option(bits_per_second, REQUIRED, "bits a second, UDP and IPv4 headers included"),
+                "queue": Option(volume, 1 << 20, "bytes that may wait for it; more are lost; 1048576"),
             },
         ),
         FaultKind(
@@ -183,14 +289,14 @@ FAULT_KINDS: Final[Mapping[str, FaultKind]] = {
             Stage.DELAY,
             "the datagram arrives late",
             "time",
-            {"time": Option(read.time_ns, REQUIRED, "how late")},
+            {"time": Option(time_ns, REQUIRED, "how late")},
         ),
         FaultKind(
             "jitter",
             Stage.JITTER,
             "the datagram arrives up to this much later, never before the previous one",
             "time",
-            {"time": Option(read.time_ns, REQUIRED, "the largest delay")},
+            {"time": Option(time_ns, REQUIRED, "the largest delay")},
         ),
     )
 }

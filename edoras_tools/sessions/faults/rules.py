@@ -10,7 +10,7 @@ import msgspec
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import table
-from edoras_tools.sessions.faults import values as read
+from edoras_tools.sessions.faults import kinds as read
 from edoras_tools.sessions.faults.kinds import FAULT_KINDS, PROFILES, REQUIRED, FaultKind, Option
 from edoras_tools.wire.sbn import MsgType
 from edoras_tools.words import did_you_mean

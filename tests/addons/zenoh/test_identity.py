@@ -18,7 +18,7 @@ from edoras_tools.addons.zenoh.identity import (
 )
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import Qos
-from edoras_tools.middleware.names import check_name, node_name
+from edoras_tools.middleware.graph import check_name, node_name
 
 HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 CHATTER = KeyedTopic("/chatter", "std_msgs/msg/String", HASH)

@@ -9,10 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.net.address import address_of, host_of, resolve
-from edoras_tools.io.net.buffer import SLOTS, SPARE, DatagramBuffer, VectorBuffer
-from edoras_tools.io.net.mmsg import usable
-from edoras_tools.io.net.sockets import open_bound, open_socket
+from edoras_tools.io.net.buffer import SLOTS, SPARE, DatagramBuffer, VectorBuffer, usable
+from edoras_tools.io.net.sockets import address_of, host_of, open_bound, open_socket, resolve
 from edoras_tools.model import Endpoint
 
 LOOPBACK = Endpoint("127.0.0.1", 0)

@@ -1,5 +1,7 @@
 """Recording without a command line: limits, flushing, losses, and ends of every kind."""
 
+from __future__ import annotations
+
 import itertools
 import os
 import signal
@@ -9,6 +11,7 @@ import threading
 import time
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,8 +20,8 @@ from mcap.reader import make_reader
 from msgspec.structs import replace
 from places import ROOT
 
-from edoras_tools.cli import endings
-from edoras_tools.cli.endings import LOST
+from edoras_tools.cli import output
+from edoras_tools.cli.output import LOST
 from edoras_tools.decode import Options
 from edoras_tools.errors import CaptureError, ConfigError, InterruptError, RouteError
 from edoras_tools.io import Sink
@@ -26,10 +29,10 @@ from edoras_tools.io.formats.mcap import writer
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.net.receive import UdpSource
 from edoras_tools.mission import Mission
-from edoras_tools.model import Endpoint
+from edoras_tools.model import Columns, Endpoint
 from edoras_tools.pipelines.capture import record as module
 from edoras_tools.pipelines.capture.info import inspect
-from edoras_tools.pipelines.capture.record import Target, check_output, record
+from edoras_tools.pipelines.capture.record import FLUSH_NS, Flushing, Target, Waiting, check_output, record
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
@@ -124,7 +127,7 @@ def test_the_end_of_a_cut_source_is_told_after_all_was_written(bench, batches, m
     assert opened.done == [100, 100, "close"]
     assert str(report.failure) == "x.pcap: ends inside record 201"
     with pytest.raises(CaptureError, match="record 201"):
-        endings.finish(report, live=False)
+        output.finish(report, live=False)
 
 
 def test_an_output_that_fails_ends_the_recording(bench, batches, made_up, sink):
@@ -140,7 +143,7 @@ def test_losses_are_exit_code_3(bench, batches, made_up, sink, capsys):
     report = record(made_up(batches, kernel_drops=1234), bench, TARGET, limits=STILL)
     assert (report.lost, report.summary()["capture_drops"]) == (1234, 1234)
     with pytest.raises(typer.Exit) as ending:
-        endings.finish(report, live=True)
+        output.finish(report, live=True)
     assert ending.value.exit_code == LOST == 3
     assert (
         capsys.readouterr().err == "edoras: the capture itself lost 1,234 packets; it was too slow for them\n"
@@ -418,3 +421,117 @@ def test_small_batches_wait_for_each_other_where_nobody_watches(given, waits, be
     assert report.ledger.datagrams == sum(decoded) >= 6
     assert [number for part in written for number in part] == list(range(1, sum(decoded) + 1))
     assert (len(written) < len([size for size in decoded if size])) is waits
+
+
+MS = 1_000_000
+
+
+class Clocks:
+    """Monotonic and wall time, moved by hand, and a sink that notes when it is flushed."""
+
+    def __init__(self):
+        self.now, self.offset, self.flushed = 0, 10**18, []
+        self.flushing = Flushing(self, lambda: self.now, lambda: self.now + self.offset)
+
+    def flush(self):
+        self.flushed.append(self.now // MS)
+
+    def take(self, age_ms=0, size=100):
+        length = np.array([size], np.int32)
+        times = np.array([self.now + self.offset - age_ms * MS])
+        self.flushing.took(_Batch(time_ns=times, frame_length=length))
+        self.flushing.flush_if_due()
+
+
+class _Batch(SimpleNamespace):
+    def __len__(self):
+        return len(self.time_ns)
+
+
+@pytest.fixture
+def clocks():
+    return Clocks()
+
+
+def test_what_comes_in_time_is_flushed_together(clocks):
+    for clocks.now in range(0, 1001 * MS, 10 * MS):
+        clocks.take()
+    assert clocks.flushed == [200, 410, 620, 830]
+
+
+@pytest.mark.parametrize("behind_ms", [200, 900, 60_000])
+def test_who_is_behind_flushes_every_batch(clocks, behind_ms):
+    for clocks.now in range(100 * MS, 400 * MS, 100 * MS):
+        clocks.take(behind_ms)
+    assert clocks.flushed == [100, 200, 300]
+
+
+def test_age_and_wait_together_are_bounded(clocks):
+    clocks.take(150)
+    for clocks.now in range(0, 100 * MS, 10 * MS):
+        clocks.flushing.flush_if_due()
+    assert clocks.flushed == [50]
+
+
+def test_a_clock_set_back_delays_nothing(clocks):
+    clocks.offset -= 3600 * 10**9
+    clocks.take(-3600 * 1000)
+    clocks.now = FLUSH_NS
+    clocks.flushing.flush_if_due()
+    assert clocks.flushed == [200]
+
+
+def test_it_is_flushed_with_nothing_to_write_too(clocks):
+    for clocks.now in range(0, 2550 * MS, 50 * MS):
+        clocks.flushing.flush_if_due()
+    assert clocks.flushed == [200, 1200, 2200]
+
+
+def test_what_has_no_packets_is_flushed_as_soon(clocks):
+    clocks.now = 200 * MS
+    clocks.flushing.flush_if_due()
+    for clocks.now in range(250 * MS, 1000 * MS, 50 * MS):
+        if clocks.now == 300 * MS:
+            clocks.flushing.noted()
+        clocks.flushing.flush_if_due()
+    assert clocks.flushed == [200, 500]
+
+
+def test_swift_traffic_fills_chunks_by_itself(clocks):
+    for clocks.now in range(0, 500 * MS, 10 * MS):
+        clocks.take(size=1 << 20)
+    assert clocks.flushed == []
+
+
+def test_of_files_no_age_is_taken(clocks):
+    clocks.flushing = Flushing(clocks, lambda: clocks.now, None)
+    clocks.take(10**9)
+    assert clocks.flushed == []
+    assert clocks.flushing.wait_s == 0.2
+
+
+@pytest.mark.parametrize(
+    ("patient", "step_ms", "size", "written"),
+    [
+        (True, 200, 10, [3, 3]),
+        (True, 100, 10, [5]),
+        (True, 200, 300_000, [1] * 8),
+        (False, 200, 10, [1] * 8),
+    ],
+    ids=["quiet", "quick", "much", "watched"],
+)
+def test_small_batches_wait_for_each_other(patient, step_ms, size, written, batches):
+    """For 0.35 s from the first on; none is older than a second when the next one is written."""
+    now, taken = 0, []
+    waiting = Waiting(patient=patient, clock=lambda: now)
+    one = batches[0].take(slice(0, 2))
+    one = replace(one, data=np.zeros(size, np.uint8))
+    for _ in range(8):
+        waiting.add(one, Columns(**{name: np.zeros(2, int) for name in Columns.__struct_fields__}))
+        if not waiting.waits:
+            taken.append(len(waiting.take()[0]) // 2)
+        now += step_ms * MS
+    assert taken == written
+    left = waiting.take()
+    assert (len(left[0]) // 2 if left else 0) == 8 - sum(written)
+    assert waiting.take() is None

@@ -28,7 +28,7 @@ from edoras_tools.pipelines.sending.wait_for import Condition, conditions, count
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.outgoing import Changes, Outgoing, Packet, SequenceRule
 from edoras_tools.sessions.pacing import Pacing
-from edoras_tools.sessions.sbn.connection import SbnConnection
+from edoras_tools.sessions.sbn import SbnConnection
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe, sbn
 

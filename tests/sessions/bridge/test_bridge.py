@@ -17,8 +17,7 @@ from edoras_tools.links.to import TO
 from edoras_tools.mission import Handling, Route
 from edoras_tools.model import Peer
 from edoras_tools.sessions.bridge.bridge import BridgeOptions, BridgeSession, Limit, Limiter, Traffic
-from edoras_tools.sessions.bridge.flight import FlightSession
-from edoras_tools.sessions.bridge.ground import GroundSession
+from edoras_tools.sessions.bridge.ends import FlightSession, GroundSession
 from edoras_tools.sessions.bridge.packets import PacketWriter
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe, envelope, sbn

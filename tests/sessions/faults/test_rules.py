@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
-from edoras_tools.sessions.faults.kinds import FAULT_KINDS
-from edoras_tools.sessions.faults.rules import COMMON, Schedule, parse_profile, parse_rule
-from edoras_tools.sessions.faults.values import (
+from edoras_tools.sessions.faults.kinds import (
+    FAULT_KINDS,
     NumberChange,
     bits_per_second,
     change,
@@ -17,6 +16,7 @@ from edoras_tools.sessions.faults.values import (
     time_ns,
     volume,
 )
+from edoras_tools.sessions.faults.rules import COMMON, Schedule, parse_profile, parse_rule
 
 GOOD = {
     "drop:0.1": ("drop", {}, {"probability": 0.1}),

@@ -9,7 +9,7 @@ from typer import Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import tell
+from edoras_tools.cli.output import tell
 from edoras_tools.older import StrEnum
 
 

@@ -31,7 +31,7 @@ from edoras_tools.io.topics.rows import Messages, lay_out
 from edoras_tools.links import table
 from edoras_tools.links.table import link_of_label
 from edoras_tools.model import NO_MSG_ID, Columns, PacketBatch, SourceStatistics
-from edoras_tools.pipelines.capture.flushing import ROW_BYTES, compact, join
+from edoras_tools.pipelines.capture.record import ROW_BYTES, compact, join
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:

@@ -12,9 +12,8 @@ from typer import Argument, Exit, Option
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped, headed
-from edoras_tools.cli.endings import LOST, say, tell
 from edoras_tools.cli.options import SCENARIOS, Scenario
-from edoras_tools.cli.output import print_json, print_view
+from edoras_tools.cli.output import LOST, print_json, print_view, say, tell
 from edoras_tools.cli.relays import run_relay
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.outputs import in_the_way, path_beside

@@ -32,7 +32,7 @@ def experiment(
     from edoras_tools.addons.lab.experiment.plan import load_plan
     from edoras_tools.addons.lab.experiment.run import Experiment
     from edoras_tools.addons.lab.views.sweep import cells_table, step_status
-    from edoras_tools.io.net.address import parse_endpoint
+    from edoras_tools.io.net.sockets import parse_endpoint
 
     plan_ = load_plan(plan)
     if plan_.target:

@@ -8,9 +8,8 @@ from typer import Exit
 
 from edoras_tools.addons.lab.proof.run import prove_capture
 from edoras_tools.addons.lab.views.proof import proof_picture, proof_view
-from edoras_tools.cli.endings import LOST
 from edoras_tools.cli.inputs import InputOptions, open_input
-from edoras_tools.cli.output import file_progress, print_json, print_view
+from edoras_tools.cli.output import LOST, file_progress, print_json, print_view
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.outputs import check_new, write_bytes
 

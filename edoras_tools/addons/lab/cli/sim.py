@@ -11,8 +11,8 @@ from typer import Argument, Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import tell_reach
 from edoras_tools.cli.options import SCENARIOS, Scenario
+from edoras_tools.cli.output import tell_reach
 
 
 class FlightOptions(NamedTuple):

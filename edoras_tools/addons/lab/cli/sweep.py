@@ -9,9 +9,8 @@ from typer import Argument, BadParameter, Exit, Option
 
 from edoras_tools.cli import options, recordings, sending
 from edoras_tools.cli.declare import grouped, headed
-from edoras_tools.cli.endings import INTERRUPTED, tell_reach
 from edoras_tools.cli.options import Scenario
-from edoras_tools.cli.output import print_json, print_view
+from edoras_tools.cli.output import INTERRUPTED, print_json, print_view, tell_reach
 from edoras_tools.errors import ConfigError
 from edoras_tools.units import SECOND
 
@@ -181,7 +180,7 @@ def sweep(
     from edoras_tools.addons.lab.views import sweep as view
     from edoras_tools.io.outputs import check_new
     from edoras_tools.links.table import links
-    from edoras_tools.render import svg
+    from edoras_tools.render.plot import svg
 
     json, quiet = printing
     steps.check(how.target)
@@ -232,8 +231,7 @@ def sweep(
 def _draw(summary: dict[str, Any], pictures: dict[str, Path]) -> None:
     from edoras_tools.addons.lab.views.sweep import chart, threshold_line
     from edoras_tools.io.outputs import write_bytes
-    from edoras_tools.render.plot.svg import PLOT_WIDTH, plot_svg
-    from edoras_tools.render.svg import png
+    from edoras_tools.render.plot.svg import PLOT_WIDTH, plot_svg, png
 
     picture = plot_svg(chart(summary, f"threshold {threshold_line(summary)}"))
     for form, path in pictures.items():

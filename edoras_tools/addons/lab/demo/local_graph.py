@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import Qos, TopicState
-from edoras_tools.middleware.names import unknown_options
+from edoras_tools.middleware.graph import Qos, TopicState, unknown_options
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

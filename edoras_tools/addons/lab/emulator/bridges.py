@@ -11,9 +11,7 @@ from edoras_tools.addons.lab.emulator.robots import robot_of
 from edoras_tools.cfs import edoras_app, limits, telemetry_output
 from edoras_tools.errors import ConfigError
 from edoras_tools.model import Endpoint
-from edoras_tools.sessions.sbn.connection import SbnConnection
-from edoras_tools.sessions.sbn.events import AppMessage
-from edoras_tools.sessions.sbn.habits import PUBLIC_BRIDGE
+from edoras_tools.sessions.sbn import PUBLIC_BRIDGE, AppMessage, SbnConnection
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from edoras_tools.addons.lab.emulator.streams import PeerStreams
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io.net.address import resolve
-from edoras_tools.io.net.sockets import open_bound, received, send_one
+from edoras_tools.io.net.sockets import open_bound, received, resolve, send_one
 from edoras_tools.model import Endpoint
 from edoras_tools.units import SECOND
 

@@ -14,8 +14,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import OnFailure
-from edoras_tools.io.net.address import resolve
-from edoras_tools.io.net.sockets import bind
+from edoras_tools.io.net.sockets import bind, resolve
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.units import SECOND

@@ -28,7 +28,7 @@ from msgspec.structs import asdict
 from edoras_tools.addons.lab.emulator import SCENARIOS
 from edoras_tools.cfs.profile import constant_names
 from edoras_tools.mission.tree import Mistakes, ScalarNode, SequenceNode, Tree, named_entries, read_document
-from edoras_tools.sessions.faults.values import hertz, natural, probability, time_ns
+from edoras_tools.sessions.faults.kinds import hertz, natural, probability, time_ns
 from edoras_tools.units import SECOND
 from edoras_tools.words import did_you_mean
 

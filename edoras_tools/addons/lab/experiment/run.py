@@ -29,7 +29,7 @@ from edoras_tools.addons.lab.experiment.plan import RATE, Cell, ExperimentPlan
 from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.errors import ConfigError, EdorasError, InterruptError
 from edoras_tools.intervals import mean_interval
-from edoras_tools.io.net.address import parse_endpoint
+from edoras_tools.io.net.sockets import parse_endpoint
 from edoras_tools.io.outputs import write_bytes
 from edoras_tools.links.table import carrying
 from edoras_tools.pipelines.capture.record import Target, record

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.net.wire import Wire
     from edoras_tools.pipelines.sending.wait_for import Condition
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.sessions.sbn.connection import SbnConnection
+    from edoras_tools.sessions.sbn import SbnConnection
 
 _SLOTS: Final = cfe.SOFTWARE_BUS_HOUSEKEEPING.by_name
 _LOSSES: Final = slice(_SLOTS["pipe_overflow_error_counter"].start, _SLOTS["message_limit_error_counter"].end)

@@ -12,7 +12,7 @@ from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.addons.lab.sweep.observer import reset_filters
 from edoras_tools.cfs import edoras_app, telemetry_output
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.io.net.address import is_loopback
+from edoras_tools.io.net.sockets import is_loopback
 from edoras_tools.links.table import carrying
 from edoras_tools.mission import Mission, Route
 from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver, SendOptions, check_allowed

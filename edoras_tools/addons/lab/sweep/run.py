@@ -25,7 +25,7 @@ from edoras_tools.pipelines.sending.options import called
 from edoras_tools.pipelines.sending.run import open_wire
 from edoras_tools.pipelines.sending.wait_for import Condition, conditions
 from edoras_tools.sessions.outgoing import Outgoing, Packet
-from edoras_tools.sessions.sbn.connection import SbnConnection
+from edoras_tools.sessions.sbn import SbnConnection
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
 

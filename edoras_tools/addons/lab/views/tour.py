@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, TextIO
 
 from edoras_tools.decode.lines import line_of
-from edoras_tools.render.capture import packet
+from edoras_tools.render.capture import tree
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.terminal import palette
@@ -66,9 +66,7 @@ class Guide:
         if self._command is not None:
             self._title(2, "One command, every layer")
             self._say(f"$ edoras decode {folder}/two_rovers.mcap {self._command.datagram.number}")
-            for line in packet.packet_lines(
-                self._command, self._terminal.width, colour=self._terminal.colour
-            ):
+            for line in tree.packet_lines(self._command, self._terminal.width, colour=self._terminal.colour):
                 self._line(line)
         console = output_console()
         self._title(3, "What was recorded")

@@ -13,8 +13,7 @@ from edoras_tools.addons.ros_verbs.cli.topics import QosOptions, SourceOptions, 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.bridge import RosOptions
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import LOST, finish, say
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import LOST, finish, print_json, say
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:

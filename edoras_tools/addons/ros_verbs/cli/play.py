@@ -13,8 +13,7 @@ from typer import Argument, Exit, Option
 from edoras_tools.cli import options
 from edoras_tools.cli.bridge import RosOptions
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import INTERRUPTED, LOST, say, tell
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import INTERRUPTED, LOST, print_json, say, tell
 from edoras_tools.cli.replay import pair
 from edoras_tools.cli.sending import factor, loops
 from edoras_tools.io.formats.table import READ_PACKED

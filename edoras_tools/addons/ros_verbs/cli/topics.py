@@ -17,10 +17,9 @@ from edoras_tools.addons.ros_verbs.echo import TextOptions
 from edoras_tools.cli import options
 from edoras_tools.cli.bridge import RosOptions
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, LiveOptions, open_input
 from edoras_tools.cli.main import command_group
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import print_json, tell
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.io.formats.table import READ_PACKED
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import msgspec
 
 from edoras_tools.addons.rtps.wire.headers import GUID_BYTES
-from edoras_tools.middleware.names import ros_name
+from edoras_tools.middleware.graph import ros_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

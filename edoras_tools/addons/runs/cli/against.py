@@ -11,9 +11,8 @@ from typer import Exit
 from edoras_tools.addons.runs.against import BagComparison, against_bag, against_capture, bridge_counts, diff
 from edoras_tools.addons.runs.views import comparison_table
 from edoras_tools.cli.doctor import print_diagnosis
-from edoras_tools.cli.endings import LOST, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
-from edoras_tools.cli.output import file_progress, print_json, print_view
+from edoras_tools.cli.output import LOST, file_progress, print_json, print_view, tell
 from edoras_tools.diagnosis.balance import Chain, chains
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.pipelines.doctor.doctor import Pace, examine

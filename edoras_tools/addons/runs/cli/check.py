@@ -11,9 +11,8 @@ from typer import Exit, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
-from edoras_tools.cli.output import file_progress, print_json, print_view
+from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_json, print_view, tell
 from edoras_tools.errors import ConfigError, InterruptError
 
 if TYPE_CHECKING:

@@ -9,9 +9,8 @@ from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import LOST, tell
 from edoras_tools.cli.options import share
-from edoras_tools.cli.output import file_progress, print_json, print_view
+from edoras_tools.cli.output import LOST, file_progress, print_json, print_view, tell
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 
-from edoras_tools.pipelines.capture.flushing import ROW_BYTES, join
+from edoras_tools.pipelines.capture.record import ROW_BYTES, join
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

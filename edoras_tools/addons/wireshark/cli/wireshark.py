@@ -10,8 +10,8 @@ from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import tell
 from edoras_tools.cli.main import Command, command_group
+from edoras_tools.cli.output import tell
 from edoras_tools.io.formats.table import READ
 
 To = Annotated[Path | None, Option("--to", help="A folder other than Wireshark's own.")]

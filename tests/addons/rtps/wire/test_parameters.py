@@ -20,7 +20,7 @@ from edoras_tools.addons.rtps.wire.parameters import (
     ros_name,
     ros_topic,
 )
-from edoras_tools.middleware.names import dds_name
+from edoras_tools.middleware.graph import dds_name
 from edoras_tools.ros import TypeStore
 
 

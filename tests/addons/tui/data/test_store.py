@@ -8,7 +8,7 @@ from places import ROOT
 from edoras_tools.addons.tui.data.store import PacketBlock, Store, join_blocks
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.model import Columns
-from edoras_tools.pipelines.capture.flushing import compact
+from edoras_tools.pipelines.capture.record import compact
 from edoras_tools.pipelines.workbench import Settings, open_files
 
 BENCH = Settings([ROOT / "samples/missions/two_rovers_ground.yaml"]).workbench()

@@ -26,18 +26,18 @@ from edoras_tools.cfs import table_services
 from edoras_tools.cfs.profile import SbnPeerConfig
 from edoras_tools.cfs.queues import NO_LIMIT
 from edoras_tools.model import Endpoint, Peer
-from edoras_tools.sessions.sbn.connection import SbnConnection
-from edoras_tools.sessions.sbn.events import (
+from edoras_tools.sessions.sbn import (
+    STOCK,
     AppMessage,
     Connected,
     Disconnected,
+    SbnConnection,
     Step,
     Subscriptions,
     Trigger,
     UnknownType,
     Version,
 )
-from edoras_tools.sessions.sbn.habits import STOCK
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
 from edoras_tools.wire.cfe import function_code_of, length_of
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.addons.lab.emulator.services.software_bus import Pipe
     from edoras_tools.cfs.event_services import EventText
-    from edoras_tools.sessions.sbn.events import ConnectionEvent as SbnEvent
+    from edoras_tools.sessions.sbn import ConnectionEvent as SbnEvent
 
 NOT_REPORTED: Final = frozenset({cfe.EVENT_MSG_ID, facts.COMMAND_MSG_ID, facts.HOUSEKEEPING_MSG_ID})
 """Subscriptions that are not sent to peers: SBN's own, and events, which its filter blocks."""

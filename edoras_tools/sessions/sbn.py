@@ -3,47 +3,229 @@
 Rules that it keeps:
 
 1. Bytes and times in, ``Step`` out: events and datagrams to send. No socket, no clock.
-2. The state changes by ``states.TRANSITIONS`` only, and only by triggers that the habits do not ignore.
+2. The state changes by ``TRANSITIONS`` only, and only by triggers that the habits do not ignore. The diagram
+   in ``docs/bridge.md`` is written from that table.
 3. Any datagram of the peer except a DISCONNECT connects. Stock SBN announces itself only to other spacecraft,
    so the first SUB or PROTO of either side connects peers of one spacecraft.
 4. The peer is identified by spacecraft and processor, never by its address.
 5. Subscriptions are sent with the greeting; later only changes. The peer's subscriptions end with the
-  connection.
+   connection.
 6. Every sent datagram delays the next heartbeat; every received datagram delays the time-out.
 7. Any bytes may come. They cause events, never exceptions.
 
-``habits`` has the differences between implementations.
+``Habits`` has the differences between implementations, and there is a preset for each.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence  # noqa: TC003  annotations of named tuples are read at run time
+from enum import Enum
+from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
+from msgspec.structs import replace
+
+from edoras_tools.cfs import limits
+from edoras_tools.cfs import sbn as facts
 from edoras_tools.errors import TruncatedError
 from edoras_tools.model import Peer
-from edoras_tools.sessions.sbn.events import (
-    TRANSITIONS,
-    AppMessage,
-    Connected,
-    ConnectionState,
-    Disconnected,
-    NotTaken,
-    Refusal,
-    Step,
-    Subscriptions,
-    Trigger,
-    UnknownType,
-    Version,
-)
-from edoras_tools.sessions.sbn.habits import CLIENT, Habits
+from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.sbn import MsgType
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
-    from edoras_tools.sessions.sbn.events import ConnectionEvent
+
+class ConnectionState(Enum):
+    """Whether messages can be sent and received."""
+
+    DISCONNECTED = "disconnected"
+    CONNECTED = "connected"
+
+
+class Trigger(Enum):
+    """A cause of a change of state; the value is the text for people."""
+
+    HEARD = "any datagram of the peer but DISCONNECT"
+    DISCONNECT = "DISCONNECT"
+    TIMEOUT = "nothing from the peer for 11 s"
+    RESTART = "PROTO again, 1 s or more after the last SUB"
+
+
+TRANSITIONS: Final[Mapping[tuple[ConnectionState, Trigger], ConnectionState]] = {
+    (ConnectionState.DISCONNECTED, Trigger.HEARD): ConnectionState.CONNECTED,
+    (ConnectionState.CONNECTED, Trigger.DISCONNECT): ConnectionState.DISCONNECTED,
+    (ConnectionState.CONNECTED, Trigger.TIMEOUT): ConnectionState.DISCONNECTED,
+    (ConnectionState.CONNECTED, Trigger.RESTART): ConnectionState.CONNECTED,
+}
+"""Next state by state and trigger; any other pair changes nothing."""
+
+
+class Refusal(Enum):
+    """The reason why a datagram was refused; the value is the text for people."""
+
+    SHORT = "shorter than an SBN header"
+    OLD_HEADER = "SBN header of 7 bytes"
+    NEGATIVE_SIZE = "SBN size below 0"
+    OTHER_PEER = "another peer"
+    CUT_SUBSCRIPTIONS = "subscriptions cut short"
+    LENGTH = "length modulo 256 below an SBN header's"
+
+
+class Connected(NamedTuple):
+    """A connection was made."""
+
+    peer: Peer
+
+
+class Disconnected(NamedTuple):
+    """The connection was lost; ``reason`` is ``DISCONNECT`` or ``TIMEOUT``."""
+
+    reason: Trigger
+
+
+class Version(NamedTuple):
+    """A PROTO came; None where it names no version."""
+
+    version: int | None
+
+
+class Subscriptions(NamedTuple):
+    """A SUB or an UNSUB came."""
+
+    msg_type: int
+    ident: str
+    msg_ids: tuple[int, ...]
+
+
+class AppMessage(NamedTuple):
+    """An APP message came, in its whole datagram."""
+
+    datagram: bytes
+
+    @property
+    def packet(self) -> bytes:
+        """The space packet."""
+        return self.datagram[sbn.HEADER.size :]
+
+
+class UnknownType(NamedTuple):
+    """A message of a type that SBN does not have came."""
+
+    msg_type: int
+
+
+class NotTaken(NamedTuple):
+    """A datagram was refused; ``sender`` if it can be read."""
+
+    reason: Refusal
+    sender: Peer | None = None
+
+
+ConnectionEvent = Connected | Disconnected | Version | Subscriptions | AppMessage | UnknownType | NotTaken
+
+
+class Step(NamedTuple):
+    """The result of one call.
+
+    Attributes:
+        events: events, in order.
+        datagrams: datagrams to send to the peer, in order.
+    """
+
+    events: Sequence[ConnectionEvent] = ()
+    datagrams: Sequence[bytes] = ()
+
+
+class PolledReading(NamedTuple):
+    """A receiver that polls its socket, and stops at the first datagram that is not a message.
+
+    Attributes:
+        every_ns: polling period.
+        buffer: most bytes of a datagram that it keeps.
+        length_modulus: modulus of its length variable; a datagram whose result is below a header is dropped.
+    """
+
+    every_ns: int
+    buffer: int
+    length_modulus: int
+
+
+class Habits(msgspec.Struct, frozen=True):
+    """The behaviour of a peer.
+
+    Attributes:
+        ask: messages that it sends while it is not connected, in order.
+        ask_ns: time between two requests.
+        ask_first: messages that it sends before the first request, at the start and after each loss.
+        asks_when_silent: whether the time to ask counts from the last datagram of any kind that it sent.
+        asks_strangers_only: whether it asks only peers whose spacecraft and processor both differ from its
+            own.
+        asks_always: whether it also asks while it is connected.
+        greeting: messages that it sends when a connection is made.
+        farewell: messages that it sends at the end of a connection.
+        one_by_one: whether it sends a SUB for each MsgId instead of one for all.
+        heartbeat_ns: time without sending, after which it sends a heartbeat; None: it sends none.
+        timeout_ns: silence after which the connection is lost; None: it never is.
+        ignores: triggers that do not change its state.
+        reading: behaviour of a polled socket; None: it reads datagrams as they arrive.
+    """
+
+    ask: tuple[MsgType, ...]
+    ask_ns: int
+    ask_first: tuple[MsgType, ...] = ()
+    asks_when_silent: bool = False
+    asks_strangers_only: bool = False
+    asks_always: bool = False
+    greeting: tuple[MsgType, ...] = (MsgType.PROTO, MsgType.SUB)
+    farewell: tuple[MsgType, ...] = (MsgType.DISCONNECT,)
+    one_by_one: bool = False
+    heartbeat_ns: int | None = facts.HEARTBEAT_S * SECOND
+    timeout_ns: int | None = facts.TIMEOUT_S * SECOND
+    ignores: frozenset[Trigger] = frozenset({Trigger.RESTART})
+    reading: PolledReading | None = None
+
+
+STOCK: Final = Habits(
+    ask=(MsgType.ANNOUNCE,), ask_ns=facts.ANNOUNCE_S * SECOND, asks_when_silent=True, asks_strangers_only=True
+)
+"""SBN in cFS.
+
+It announces itself only to peers of other spacecraft, and waits for others to send first.
+"""
+
+CLIENT: Final = Habits(ask=(MsgType.PROTO, MsgType.SUB), ask_ns=SECOND)
+"""A peer that connects at once: the default of replay, inject and sweep."""
+
+TCP_CLIENT: Final = replace(CLIENT, farewell=(), timeout_ns=None)
+"""The same over TCP: cFS's module has no timeout and no DISCONNECT; a peer closes the connection."""
+
+BRIDGE: Final = Habits(
+    ask=(MsgType.PROTO,),
+    ask_ns=SECOND,
+    # A cFS that still has this side as connected would not answer: the DISCONNECT resets that first.
+    ask_first=(MsgType.DISCONNECT,),
+    farewell=(MsgType.UNSUB, MsgType.DISCONNECT),
+    ignores=frozenset(),
+)
+"""The flight bridge of these tools: subscribes once, and again after a restart of cFS."""
+
+PUBLIC_BRIDGE: Final = Habits(
+    ask=(MsgType.SUB,),
+    ask_ns=500 * MILLISECOND,
+    asks_always=True,
+    greeting=(),
+    farewell=(),
+    one_by_one=True,
+    heartbeat_ns=None,
+    timeout_ns=None,
+    ignores=frozenset(Trigger) - {Trigger.HEARD},
+    reading=PolledReading(100 * MILLISECOND, limits.FLIGHT_BRIDGE_BUFFER, limits.BRIDGE_LENGTH_MODULUS),
+)
+"""The public EDORAS flight bridge with its bugs: it repeats its SUB and answers every datagram with PROTO."""
+
 
 _NEVER: Final = 2**63 - 1
 _NO_CONTENT: Final = frozenset({MsgType.NO_MSG, MsgType.HEARTBEAT, MsgType.ANNOUNCE, MsgType.DISCONNECT})

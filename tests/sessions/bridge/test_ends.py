@@ -1,4 +1,4 @@
-"""The SBN peer that the flight bridge is: transcripts, ten minutes with the emulated SBN, any bytes."""
+"""CI and TO as a ground bridge has them: transcripts."""
 
 from __future__ import annotations
 
@@ -8,13 +8,92 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnNode
+from edoras_tools.addons.lab.emulator.apps.telemetry_output import TelemetryOutput
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.model import Endpoint, Peer
-from edoras_tools.sessions.bridge.flight import FlightSession
+from edoras_tools.pipelines.sending.wait_for import enable_output
+from edoras_tools.sessions.bridge.ends import ASK_NS, SILENCE_NS, STEP_NS, FlightSession, GroundSession
 from edoras_tools.sessions.bridge.packets import PacketWriter
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.sbn import MsgType
+
+
+@pytest.fixture
+def session():
+    return GroundSession(PacketWriter(), "127.0.0.1", now=0)
+
+
+def test_it_asks_until_telemetry_comes(session):
+    assert session.ready
+    assert session.service(now=0) == [enable_output("127.0.0.1")]
+    assert session.next_ns == ASK_NS
+    assert session.service(now=ASK_NS - 1) == []
+    assert session.service(now=ASK_NS) == [enable_output("127.0.0.1")]
+    assert session.receive_datagram(b"any", now=ASK_NS + 5) == (0, [])
+    assert session.notes == ["telemetry arrives"]
+    assert session.next_ns == ASK_NS + 5 + SILENCE_NS
+
+
+def test_a_cfs_that_falls_silent_is_asked_again_and_told_of_once(session):
+    session.service(now=0)
+    session.receive_datagram(b"", now=1)
+    session.receive_datagram(b"", now=9 * SECOND)
+    session.notes.clear()
+    assert session.service(now=1 + SILENCE_NS) == []
+    assert session.next_ns == 9 * SECOND + SILENCE_NS
+    assert len(session.service(now=19 * SECOND)) == 1
+    assert session.notes == ["no telemetry for 10 s: is cFS running, does its TO send here? asking again"]
+    assert not session.summary()["connected"]
+    for second in range(20, 80):
+        session.service(now=second * SECOND)
+    assert len(session.notes) == 1
+    session.receive_datagram(b"", now=80 * SECOND)
+    assert session.notes[1:] == ["telemetry arrives"]
+
+
+def test_who_never_answers_is_told_of_once(session):
+    asked = sum(len(session.service(now=tenth * SECOND // 10)) for tenth in range(600))
+    assert session.notes == ["no telemetry for 10 s: is cFS running, does its TO send here? asking again"]
+    assert asked == session.asked == 10
+
+
+def test_what_the_mission_wants_in_the_table_is_added_and_real_to_takes_it():
+    cfs = BareCfs()
+    output = TelemetryOutput(cfs, [0x828])
+    cfs.said()
+    session = GroundSession(PacketWriter(checksum=True, sequence=True), "10.0.0.7", {0x828: 255}, now=0)
+    for packet in session.service(now=0):
+        output.command(packet)
+    assert cfs.said() == [
+        "TO_LAB_APP 3: TO telemetry output enabled for IP 10.0.0.7",
+        "TO_LAB_APP 16: L497 TO RemovePkt 0x828",
+        "TO_LAB_APP 15: L473 TO AddPkt 0x828, QoS 0.0, limit 255",
+    ]
+    assert output.pipe.limits[0x828] == 255
+
+
+def test_no_more_is_asked_at_once_than_telemetry_output_takes():
+    session = GroundSession(PacketWriter(), "10.0.0.7", dict.fromkeys(range(0x828, 0x82C), 20), now=0)
+    bursts = [session.service(now=0)]
+    session.receive_datagram(b"telemetry", now=1)  # the rest is asked for all the same
+    while session.next_ns == len(bursts) * STEP_NS:
+        bursts.append(session.service(now=session.next_ns))
+    assert [len(burst) for burst in bursts] == [3, 4, 2]
+    assert bursts[0][0] == enable_output("10.0.0.7")
+    assert session.next_ns == 1 + SILENCE_NS
+    assert (session.asked, session.hearing) == (1, True)
+
+
+def test_telemetry_output_is_left_alone_where_that_is_wanted():
+    session = GroundSession(PacketWriter(), None, now=0)
+    assert session.next_ns is None
+    assert session.service(now=SECOND) == []
+    session.receive_datagram(b"", now=SECOND)
+    assert session.next_ns is None
+    session.sent(now=2)
+    assert (session.goodbye(), session.frame(b"packet")) == ([], b"packet")
+
 
 US, CFS = Peer(0x42, 3), Peer(0x42, 1)
 PACKET = PacketWriter().write(0x1829, bytes(20))
@@ -45,45 +124,45 @@ def said(datagrams):
 
 
 @pytest.fixture
-def session():
+def flight_session():
     return FlightSession(US, CFS, [0x82A, 0x82B], now=0)
 
 
 @pytest.fixture
-def connected(session):
-    session.service(now=0)
-    session.receive_datagram(proto(), now=1)
-    session.receive_datagram(subscriptions(MsgType.SUB, 0x1829), now=1)
-    return session
+def connected(flight_session):
+    flight_session.service(now=0)
+    flight_session.receive_datagram(proto(), now=1)
+    flight_session.receive_datagram(subscriptions(MsgType.SUB, 0x1829), now=1)
+    return flight_session
 
 
-def test_it_asks_once_a_second_and_subscribes_when_somebody_answers(session):
-    assert said(session.service(now=0)) == ["DISCONNECT", "PROTO"]
-    assert session.next_ns == SECOND
-    assert session.service(now=SECOND - 1) == []
-    assert said(session.service(now=SECOND)) == ["PROTO"]
-    assert (session.ready, session.notes) == (False, [])
-    at, answers = session.receive_datagram(proto(), now=SECOND + 5)
+def test_it_asks_once_a_second_and_subscribes_when_somebody_answers(flight_session):
+    assert said(flight_session.service(now=0)) == ["DISCONNECT", "PROTO"]
+    assert flight_session.next_ns == SECOND
+    assert flight_session.service(now=SECOND - 1) == []
+    assert said(flight_session.service(now=SECOND)) == ["PROTO"]
+    assert (flight_session.ready, flight_session.notes) == (False, [])
+    at, answers = flight_session.receive_datagram(proto(), now=SECOND + 5)
     assert (at, said(answers)) == (-1, ["PROTO", "SUB 82a 82b"])
-    assert (session.ready, session.notes) == (True, ["connected to peer 66:1"])
-    assert session.receive_datagram(subscriptions(MsgType.SUB, 0x1829), now=SECOND + 6) == (-1, [])
-    assert session.connection.subscribed == {0x1829}
+    assert (flight_session.ready, flight_session.notes) == (True, ["connected to peer 66:1"])
+    assert flight_session.receive_datagram(subscriptions(MsgType.SUB, 0x1829), now=SECOND + 6) == (-1, [])
+    assert flight_session.connection.subscribed == {0x1829}
 
 
-def test_a_cfs_that_speaks_first_is_answered_and_its_own_proto_is_no_restart(session):
-    assert said(session.receive_datagram(subscriptions(MsgType.SUB, 0x1829), now=5)[1]) == [
+def test_a_cfs_that_speaks_first_is_answered_and_its_own_proto_is_no_restart(flight_session):
+    assert said(flight_session.receive_datagram(subscriptions(MsgType.SUB, 0x1829), now=5)[1]) == [
         "PROTO",
         "SUB 82a 82b",
     ]
-    assert session.receive_datagram(proto(), now=9) == (-1, [])
-    assert session.receive_datagram(proto(), now=10) == (-1, [])
-    assert session.connections == 1
+    assert flight_session.receive_datagram(proto(), now=9) == (-1, [])
+    assert flight_session.receive_datagram(proto(), now=10) == (-1, [])
+    assert flight_session.connections == 1
 
 
-def test_an_application_message_connects_and_is_read(session):
-    at, answers = session.receive_datagram(sbn.emit(MsgType.APP, CFS, PACKET), now=5)
+def test_an_application_message_connects_and_is_read(flight_session):
+    at, answers = flight_session.receive_datagram(sbn.emit(MsgType.APP, CFS, PACKET), now=5)
     assert (at, said(answers)) == (11, ["PROTO", "SUB 82a 82b"])
-    assert session.receive_datagram(sbn.emit(MsgType.APP, CFS, PACKET), now=6) == (11, [])
+    assert flight_session.receive_datagram(sbn.emit(MsgType.APP, CFS, PACKET), now=6) == (11, [])
 
 
 def test_changes_are_said_once_each(connected):
@@ -93,9 +172,9 @@ def test_changes_are_said_once_each(connected):
     assert said(connected.goodbye()) == ["DISCONNECT"]
 
 
-def test_what_changes_before_a_connection_is_said_with_it(session):
-    assert session.want([0x82C], now=0) == []
-    assert said(session.receive_datagram(HEARTBEAT, now=1)[1]) == ["PROTO", "SUB 82c"]
+def test_what_changes_before_a_connection_is_said_with_it(flight_session):
+    assert flight_session.want([0x82C], now=0) == []
+    assert said(flight_session.receive_datagram(HEARTBEAT, now=1)[1]) == ["PROTO", "SUB 82c"]
 
 
 def test_heartbeats_go_out_only_after_six_idle_seconds(connected):
@@ -137,14 +216,14 @@ def test_a_cfs_that_started_anew_meanwhile_is_told_all_once_more(connected):
     assert connected.connections == 1
 
 
-def test_another_protocol_version_is_told_once_and_the_rest_goes_on(session):
-    assert said(session.receive_datagram(proto(10), now=1)[1]) == ["PROTO", "SUB 82a 82b"]
-    session.receive_datagram(proto(10), now=2)
-    assert session.notes == [
+def test_another_protocol_version_is_told_once_and_the_rest_goes_on(flight_session):
+    assert said(flight_session.receive_datagram(proto(10), now=1)[1]) == ["PROTO", "SUB 82a 82b"]
+    flight_session.receive_datagram(proto(10), now=2)
+    assert flight_session.notes == [
         "connected to peer 66:1",
         "peer 66:1 speaks SBN protocol 10, this side 11: it may refuse messages; continuing",
     ]
-    assert session.receive_datagram(sbn.emit(MsgType.APP, CFS, PACKET), now=3) == (11, [])
+    assert flight_session.receive_datagram(sbn.emit(MsgType.APP, CFS, PACKET), now=3) == (11, [])
 
 
 def test_another_build_of_sbn_is_told_and_its_wishes_are_heard(connected):
@@ -154,22 +233,22 @@ def test_another_build_of_sbn_is_told_and_its_wishes_are_heard(connected):
     assert connected.connection.subscribed == {0x1829, 0x182A}
 
 
-def test_the_older_header_is_told_and_not_understood(session):
+def test_the_older_header_is_told_and_not_understood(flight_session):
     data = (12).to_bytes(2, "big") + bytes([MsgType.APP]) + (1).to_bytes(4, "big") + bytes(12)
-    assert session.receive_datagram(data, now=1) == (-1, [])
-    assert session.refused == {"SBN header of 7 bytes": 1}
-    assert "header of 7 bytes instead of 11" in session.notes[0]
+    assert flight_session.receive_datagram(data, now=1) == (-1, [])
+    assert flight_session.refused == {"SBN header of 7 bytes": 1}
+    assert "header of 7 bytes instead of 11" in flight_session.notes[0]
 
 
-def test_strangers_are_refused_and_told_once(session):
+def test_strangers_are_refused_and_told_once(flight_session):
     for _ in range(3):
-        session.receive_datagram(sbn.emit(MsgType.HEARTBEAT, Peer(0x42, 9)), now=1)
-    session.receive_datagram(b"\xff\xff" + HEARTBEAT[2:], now=1)
-    session.receive_datagram(b"short", now=1)
-    session.receive_datagram(b"", now=1)
-    assert session.refused == {"peer 66:9": 3, "SBN size below 0": 1, "shorter than an SBN header": 2}
-    assert session.notes == ["peer 66:9 sends here, but the file expects 66:1: refused"]
-    assert not session.ready
+        flight_session.receive_datagram(sbn.emit(MsgType.HEARTBEAT, Peer(0x42, 9)), now=1)
+    flight_session.receive_datagram(b"\xff\xff" + HEARTBEAT[2:], now=1)
+    flight_session.receive_datagram(b"short", now=1)
+    flight_session.receive_datagram(b"", now=1)
+    assert flight_session.refused == {"peer 66:9": 3, "SBN size below 0": 1, "shorter than an SBN header": 2}
+    assert flight_session.notes == ["peer 66:9 sends here, but the file expects 66:1: refused"]
+    assert not flight_session.ready
 
 
 def test_what_is_malformed_is_counted(connected):
@@ -190,13 +269,13 @@ def test_a_msg_id_that_cfs_does_not_want_is_told_once(connected):
     assert note.startswith("cFS has not subscribed to 0x18EE: no application there receives it; ")
 
 
-def test_it_says_goodbye_where_it_is_connected(session, connected):
+def test_it_says_goodbye_where_it_is_connected(flight_session, connected):
     assert said(connected.goodbye()) == ["UNSUB 82a 82b", "DISCONNECT"]
     assert FlightSession(US, CFS, [1], now=0).goodbye() == []
 
 
 class Meeting:
-    """Our session and the emulated SBN, over a wire that can be cut."""
+    """Our flight_session and the emulated SBN, over a wire that can be cut."""
 
     def __init__(self, msg_ids):
         self.profile = SimProfile()
@@ -311,21 +390,23 @@ def datagrams(draw):
     )
 )
 def test_whatever_comes_it_only_says_what_a_peer_says(steps):
-    session = FlightSession(US, CFS, [0x82A], now=0)
+    flight_session = FlightSession(US, CFS, [0x82A], now=0)
     now, connections = 0, 0
     for step, data in steps:
         now += step
-        out = session.service(now=now)
+        out = flight_session.service(now=now)
         if data is not None:
-            at, answers = session.receive_datagram(data, now=now)
+            at, answers = flight_session.receive_datagram(data, now=now)
             out = out + answers
             assert at in {-1, 11}
             assert at == -1 or len(data) >= 11
         words = said(out)
         connections += "SUB 82a" in words
         assert len(words) <= 4
-        assert session.next_ns >= now - 12 * SECOND
-        assert not session.ready or now - session.connection._heard_ns < 11 * SECOND + 12 * SECOND
-    assert session.connections <= connections <= len(steps)
-    assert sum(session.losses.values()) <= session.connections
-    said(session.goodbye())
+        assert flight_session.next_ns >= now - 12 * SECOND
+        assert (
+            not flight_session.ready or now - flight_session.connection._heard_ns < 11 * SECOND + 12 * SECOND
+        )
+    assert flight_session.connections <= connections <= len(steps)
+    assert sum(flight_session.losses.values()) <= flight_session.connections
+    said(flight_session.goodbye())

@@ -1,5 +1,7 @@
 """Addresses as text, and which of them are this machine's own."""
 
+from __future__ import annotations
+
 import contextlib
 import socket
 
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from namespace import Cable, inside, ip
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.io.net.address import arrives_at, is_loopback, own_address, parse_endpoint
+from edoras_tools.io.net.sockets import arrives_at, is_loopback, own_address, parse_endpoint
 from edoras_tools.model import Endpoint
 
 PAIRS = {

@@ -11,8 +11,11 @@ from hypothesis import strategies as st
 
 from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnNode
 from edoras_tools.model import Endpoint, Peer
-from edoras_tools.sessions.sbn.connection import SbnConnection
-from edoras_tools.sessions.sbn.events import (
+from edoras_tools.sessions.sbn import (
+    BRIDGE,
+    CLIENT,
+    PUBLIC_BRIDGE,
+    STOCK,
     TRANSITIONS,
     AppMessage,
     Connected,
@@ -20,9 +23,9 @@ from edoras_tools.sessions.sbn.events import (
     Disconnected,
     NotTaken,
     Refusal,
+    SbnConnection,
     Trigger,
 )
-from edoras_tools.sessions.sbn.habits import BRIDGE, CLIENT, PUBLIC_BRIDGE, STOCK
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
 

@@ -1,5 +1,7 @@
 """Entries of a reset log: told by length and kinds, alike in bulk and one by one; when each was made."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -10,8 +12,7 @@ from edoras_tools.cfs.time_services import START_S
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.io.formats.cfe import reset_times
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.resets import RESETS
-from edoras_tools.links.table import STORED
+from edoras_tools.links.table import RESETS, STORED
 from edoras_tools.wire.cfe import EPOCH_S
 from edoras_tools.wire.cfe_file import EXCEPTION, RESET_COMMAND, RESET_ENTRY
 
