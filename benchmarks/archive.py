@@ -29,7 +29,7 @@ import numpy as np
 from msgspec.structs import replace
 from paths import EDORAS, MISSION, ROVER
 
-from edoras_tools.addons.archive.tables import TABLES
+from edoras_tools.addons.archive.index import TABLES
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import frames_of
 from edoras_tools.io.formats.open import open_file

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from rosbags.typesys import Stores, get_typestore
 
-from edoras_tools.addons.codegen.bounds import BoundRule, Bounds
 from edoras_tools.addons.codegen.generation import LibraryOrder, generate
+from edoras_tools.addons.codegen.plan import BoundRule, Bounds
 from edoras_tools.addons.codegen.writing import write_folder
 from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.ros import TypeStore

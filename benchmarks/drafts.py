@@ -26,8 +26,7 @@ sys.path[:0] = [str(ROOT / "tests/support")]
 
 from rewriting import datagrams, write  # noqa: E402
 
-from edoras_tools.addons.lab.experiment.plan import ExperimentPlan  # noqa: E402
-from edoras_tools.addons.lab.experiment.run import CellBench  # noqa: E402
+from edoras_tools.addons.lab.experiment import CellBench, ExperimentPlan  # noqa: E402
 from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, check  # noqa: E402
 from edoras_tools.addons.runs.check import _bounded as bounded  # noqa: E402
 from edoras_tools.addons.runs.draft import _FIELD as FIELD  # noqa: E402

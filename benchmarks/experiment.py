@@ -15,8 +15,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-from edoras_tools.addons.lab.experiment.plan import ExperimentPlan
-from edoras_tools.addons.lab.experiment.run import AFTER_COMMANDS_NS, BEFORE_COMMANDS_NS, Experiment
+from edoras_tools.addons.lab.experiment import (
+    AFTER_COMMANDS_NS,
+    BEFORE_COMMANDS_NS,
+    Experiment,
+    ExperimentPlan,
+)
 from edoras_tools.units import SECOND
 
 LIMITS, RATES = (2, 3, 4, 5, 6), range(6, 26)

@@ -15,7 +15,7 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edoras_tools.addons.cfdp import wire as cfdp
+from edoras_tools.addons.cfdp import link as cfdp
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.envelope import DEFAULT
 

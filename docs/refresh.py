@@ -306,10 +306,10 @@ def _balance() -> str:
 
 def _index() -> str:
     """Return the tables of an archive's index, a line each."""
-    from edoras_tools.addons.archive import tables
+    from edoras_tools.addons.archive import index
 
     lines = []
-    for table in tables.TABLES.values():
+    for table in index.TABLES.values():
         columns = [f"`{item.name}` ({item.kind}) {item.description}" for item in table.columns[1:]]
         lines.append(f"- **`{table.name}`**, {table.description}: {'; '.join(columns)}")
     return "\n".join([*lines, ""])

@@ -91,16 +91,14 @@ ADDONS: Final = (
     Addon(
         "runs",
         {
-            "check": _EXPLAIN("Check a capture against expectations, or draft them.", "cli.check:check"),
-            "compare": _EXPLAIN(
-                "Compare runs by route: are the later ones worse?", "cli.compare:compare", "check"
-            ),
+            "check": _EXPLAIN("Check a capture against expectations, or draft them.", "cli:check"),
+            "compare": _EXPLAIN("Compare runs by route: are the later ones worse?", "cli:compare", "check"),
         },
         {
             "parts": {
                 "expected_run": "expected:unlike",
-                "against": "cli.against:against",
-                "bags": "cli.against:bags",
+                "against": "doctor_options:against",
+                "bags": "doctor_options:bags",
             }
         },
     ),
@@ -121,9 +119,9 @@ ADDONS: Final = (
         "codegen",
         {
             "codegen": _CONNECT(
-                "Write messages in C for flight software: no ROS or heap.", "cli.codegen:codegen", "structs"
+                "Write messages in C for flight software: no ROS or heap.", "cli:codegen", "structs"
             ),
-            "xtce": _CONNECT("Describe packets for ground systems: XTCE or COSMOS.", "cli.xtce:xtce"),
+            "xtce": _CONNECT("Describe packets for ground systems: XTCE or COSMOS.", "cli:xtce"),
         },
     ),
     Addon(
@@ -155,7 +153,7 @@ ADDONS: Final = (
             "rules": _rules("fprime_packets_lost"),
         },
     ),
-    Addon("databases", adds={"databases": {"eds": "eds.sheets:SHEETS", "xtce": "xtce.systems:SYSTEMS"}}),
+    Addon("databases", adds={"databases": {"eds": "eds:SHEETS", "xtce": "xtce.systems:SYSTEMS"}}),
     Addon("frames", adds={"links": {"frames": "link:FRAMES"}, "rules": _rules("frames_lost")}),
     Addon(
         "ros_args",

@@ -20,7 +20,7 @@ from rtps import PREFIX, announced, data, made, message
 from streams import ACK, CLIENT, SERVER, Segment, sbn_message, sbn_messages, segments_of, write_segments
 from transfer_frames import Maker, space_packet
 
-from edoras_tools.addons.cfdp.wire import Directive
+from edoras_tools.addons.cfdp.link import Directive
 from edoras_tools.addons.lab.emulator import messages
 from edoras_tools.addons.rtps.wire.headers import SubmessageKind
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile

@@ -251,5 +251,5 @@ def test_identifications_show_that_it_is_one_capture_by_two_clocks(tmp_path, one
 
 def test_another_process_that_reads_tells_the_runs_too(tmp_path, one, monkeypatch):
     paths = [one[0], write(tmp_path / "later.pcap", LATER)]
-    monkeypatch.setattr("edoras_tools.pipelines.ahead.jobs_for", lambda *_: 2)
+    monkeypatch.setattr("edoras_tools.pipelines.capture.info.jobs_for", lambda *_: 2)
     assert counted(paths, jobs=2) == counted(paths)

@@ -2,8 +2,8 @@
 
 from binascii import crc_hqx
 
-from edoras_tools.addons.cfdp import wire as cfdp
-from edoras_tools.addons.cfdp.wire import Directive
+from edoras_tools.addons.cfdp import link as cfdp
+from edoras_tools.addons.cfdp.link import Directive
 
 
 def pdu(kind, body=b"", number=7, *, back=False, large=False, acknowledged=True, **values):

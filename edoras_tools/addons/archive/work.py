@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from edoras_tools import __version__
+from edoras_tools.addons.archive.index import TABLES, IndexTable
 from edoras_tools.addons.archive.places import ListedFile, at_hand, cause_of, is_remote, listed_now, reason_of
-from edoras_tools.addons.archive.tables import TABLES, IndexTable
 from edoras_tools.diagnosis.balance import sent
 from edoras_tools.diagnosis.evidence.payloads import EventRecord, events_in
 from edoras_tools.diagnosis.ledger import CAPTURE, Row

@@ -85,7 +85,7 @@ def _lines(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _row(item: Mapping[str, Any]) -> tuple[str, ...]:
-    from edoras_tools.addons.cfdp.wire import Checksum
+    from edoras_tools.addons.cfdp.link import Checksum
 
     name = item["destination_file_name"] or item["source_file_name"]
     end = item["state"] + (", wrong checksum" if item["checksum_right"] is False else "")

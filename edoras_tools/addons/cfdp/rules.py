@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.cfdp.link import CFDP
+from edoras_tools.addons.cfdp.link import CFDP, ConditionCode
 from edoras_tools.addons.cfdp.transactions import FileEvidence, Transaction
-from edoras_tools.addons.cfdp.wire import ConditionCode
 from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict, warning
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 
-from edoras_tools.addons.cfdp import wire as cfdp
-from edoras_tools.addons.cfdp.wire import Directive, Pdus
+from edoras_tools.addons.cfdp import link as cfdp
+from edoras_tools.addons.cfdp.link import Directive, Pdus
 from edoras_tools.links.sending import LinkSending, SendingSession
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16

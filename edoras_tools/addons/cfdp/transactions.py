@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import msgspec
 import numpy as np
 
-from edoras_tools.addons.cfdp import wire as cfdp
+from edoras_tools.addons.cfdp import link as cfdp
 from edoras_tools.addons.cfdp.link import CFDP, holds_pdu
 from edoras_tools.links.doors import LinkEvidence
 from edoras_tools.sessions.ranges import KnownRanges

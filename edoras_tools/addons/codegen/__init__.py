@@ -1,7 +1,6 @@
 """C99 for flight software without ROS, generated from ROS message definitions.
 
-``bounds`` has the maximum lengths of sequences and strings, ``plan`` the C form of types (and the size of
-their longest CDR). ``header`` writes the headers; ``generation`` writes the other files, and adds those of
-``runtime/``, which are plain C. ``summary`` describes the result. ``generator`` is a whole cFS app, for
-``edoras sweep``.
+``plan`` has the C form of types, the maximum lengths of their sequences and strings, and the size of their
+longest CDR. ``generation`` writes the files, and adds those of ``runtime/``, which are plain C; also a whole
+cFS app, for ``edoras sweep``. ``summary`` describes the result.
 """

@@ -1,6 +1,8 @@
 """Generates a library: selects the types and makes the text of each file.
 
-It also generates the files of a mission for cFS: MsgIds, packet structs and the table of Telemetry Output.
+The header of a package has its structs, constants and functions. There are also the files of a mission for
+cFS (MsgIds, packet structs and the table of Telemetry Output), and the generator: a small cFS app that
+publishes on command, so that ``edoras sweep`` can measure any cFS.
 """
 
 from __future__ import annotations
@@ -14,11 +16,27 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from edoras_tools.addons.codegen.bounds import SEQUENCES_DEFAULT, STRINGS_DEFAULT, Bounds
-from edoras_tools.addons.codegen.header import UMBRELLA, c_type, header_name, heads, package_header, umbrella
-from edoras_tools.addons.codegen.layout import LINE_WIDTH, banner, function, guarded, loop, statement
-from edoras_tools.addons.codegen.names import c_type_name, comment, literal
-from edoras_tools.addons.codegen.plan import CLibrary, CMember, Message, plan_messages, utf16
+from edoras_tools.addons.codegen.layout import (
+    LINE_WIDTH,
+    MARK,
+    banner,
+    for_cpp,
+    function,
+    guarded,
+    loop,
+    statement,
+)
+from edoras_tools.addons.codegen.names import c_type_name, comment, constant_name, literal
+from edoras_tools.addons.codegen.plan import (
+    SEQUENCES_DEFAULT,
+    STRINGS_DEFAULT,
+    Bounds,
+    CLibrary,
+    CMember,
+    Message,
+    plan_messages,
+    utf16,
+)
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.mission import Mission, Route
 from edoras_tools.ros.store import USUAL_DISTRO
@@ -30,6 +48,101 @@ if TYPE_CHECKING:
 
     from edoras_tools.ros import TypeStore
     from edoras_tools.wire.msg_id import MsgIds
+
+_ABOUT: Final = """\
+/**
+ * For every message type T, named as rosidl names it:
+ *
+ *     T__init     gives a message the default values of its definition.
+ *     T__encode   writes a message to a buffer of a given size, encapsulation and body, little-endian; gives
+ *                 the length. T__MAX_CDR bytes are always enough.
+ *     T__decode   reads a message of either byte order; where the status is not EDORAS_OK, the message has
+ *                 its default values.
+ *     T__write    and T__read do the same inside a message that nests T; neither takes NULL.
+ *
+ * A sequence is a count, size, and as many elements of data as its bound; a string likewise, and ends in NUL.
+ * A size above the bound is EDORAS_BOUND to encode, from wherever it came.
+ */
+"""
+UMBRELLA: Final = "edoras_core/messages.h"
+"""Header that includes those of all packages."""
+_C_TYPES: Final = {"bool": "bool", "float32": "float", "float64": "double"}
+
+
+def header_name(package: str) -> str:
+    """Return the header of a package; in a folder, so that its name differs from all headers of the app."""
+    return f"edoras_msgs/{package}.h"
+
+
+def package_header(library: CLibrary, package: str, command: str) -> str:
+    """Return the text of a package's header."""
+    messages = library.of(package)
+    includes = ["edoras_core/cdr.h", *(header_name(item) for item in library.uses(package))]
+    body = "".join(f'#include "{item}"\n' for item in includes) + "\n"
+    body += for_cpp("\n".join(_message(message) for message in messages))
+    return banner(command, f"The messages of {package}.", messages) + guarded(header_name(package), body)
+
+
+def umbrella(library: CLibrary, command: str) -> str:
+    """Return the text of the header that includes all others."""
+    body = _ABOUT + "".join(f'#include "{header_name(package)}"\n' for package in library.packages)
+    return banner(command, "Every message.") + guarded(UMBRELLA, body)
+
+
+def heads(name: str) -> dict[str, str]:
+    """Return the declaration of each function of a message."""
+    return {
+        "init": f"void {name}__init({name} *message)",
+        "encode": f"edoras_status_t {name}__encode(const {name} *message, uint8_t *buffer, size_t size, "
+        "size_t *length)",
+        "decode": f"edoras_status_t {name}__decode({name} *message, const uint8_t *cdr, size_t length)",
+        "write": f"void {name}__write(edoras_writer_t *writer, const {name} *message)",
+        "read": f"void {name}__read(edoras_reader_t *reader, {name} *message)",
+    }
+
+
+def _message(message: Message) -> str:
+    """Return the part of a header for one message."""
+    name = message.name
+    members = "".join(f"    {_struct_member(member)}\n" for member in message.members)
+    constants = "".join(
+        f"#define {constant_name(message.ros_name, item.name)} {literal(item.type, item.value)}\n"
+        for item in message.definition.constants
+        if item.type != "wstring"
+    )
+    declared = "".join(statement(f"{head};", 0) for head in heads(name).values())
+    return f"""\
+/** {message.ros_name} */
+typedef struct {{
+{members}}} {name};
+
+{constants}{constants and chr(10)}\
+/** Bytes of the longest CDR of {message.ros_name}, encapsulation included. */
+#define {name}__MAX_CDR {message.most_bytes}U
+
+{declared}"""
+
+
+def c_type(member: CMember) -> str:
+    """Return the C type of a number or a nested message."""
+    if member.message:
+        return member.message.name
+    return _C_TYPES.get(member.kind) or f"{member.kind}_t"
+
+
+def _struct_member(member: CMember) -> str:
+    one = f"{c_type(member)} {{}};"
+    if member.characters:
+        unit = "char" if member.kind == "string" else "uint16_t"
+        one = f"struct {{{{ uint32_t size; {unit} data[{member.characters + 1}]; }}}} {{}};"
+    if member.is_sequence:
+        inner = one.format(f"data[{member.elements}]")
+        declared = f"struct {{ uint32_t size; {inner} }} {member.name};"
+    else:
+        declared = one.format(f"{member.name}[{member.elements}]" if member.elements else member.name)
+    is_plain = not member.elements and not member.characters and member.ros.type == member.kind
+    says_itself = member.message is not None or is_plain
+    return declared if says_itself else f"{declared} /**< {comment(member.ros.type_text)} */"
 
 
 _ONE_BY_ONE: Final = frozenset({"bool", "string", "wstring", "message"})
@@ -441,3 +554,28 @@ def _row(owner: str, member: CMember) -> str:
     head += f"{'true' if member.is_sequence else 'false'}, {length}U, {nested},"
     where = f"{shape}({owner}, {member.name})}},\n"
     return f"{head} {where}" if len(head) + len(where) < LINE_WIDTH else f"{head}\n     {where}"
+
+
+STARTUP: Final = "CFE_APP, edoras_gen, EDORAS_GEN_Main, EDORAS_GEN, 80, 32768, 0x0, 0;"
+"""Line of ``cfe_es_startup.scr`` that starts the app."""
+_SOURCES: Final = Path(__file__).parent / "generator_app"
+_MSGIDS: Final = "fsw/inc/edoras_gen_msgids.h"
+
+
+def generator_app(msg_id: int) -> dict[str, str]:
+    """Return the text of each file of the app by its name.
+
+    Raises:
+        ConfigError: the MsgId is not one of a command.
+    """
+    if not 0x1800 <= msg_id <= 0x1FFF:
+        raise ConfigError(f"--generator 0x{msg_id:04x}: a command's MsgId is from 0x1800 to 0x1fff")
+    command = f"edoras codegen generator --generator 0x{msg_id:04X}"
+    head = banner(command, f"Its line in cfe_es_startup.scr:\n\n    {STARTUP}")
+    cmake = (_SOURCES / "CMakeLists.txt").read_text(encoding="utf-8")
+    defined = f"#define EDORAS_GEN_CMD_MID 0x{msg_id:04X} /**< obeyed: function codes 0 and 2 */\n"
+    return {
+        "CMakeLists.txt": f"# {MARK}: {command}\n{cmake}",
+        "fsw/src/edoras_gen.c": head + (_SOURCES / "edoras_gen.c").read_text(encoding="utf-8"),
+        _MSGIDS: banner(command) + guarded("edoras_gen_msgids.h", defined),
+    }

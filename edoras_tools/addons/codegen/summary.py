@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.addons.codegen.generator import STARTUP
+from edoras_tools.addons.codegen.generation import STARTUP
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

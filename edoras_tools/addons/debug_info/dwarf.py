@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from msgspec.structs import replace
 
-from edoras_tools.addons.debug_info import entries
+from edoras_tools.addons.debug_info import types
 from edoras_tools.addons.debug_info.types import Maker
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.shapes import ByteOrder, Key, StructLayout
@@ -104,10 +104,10 @@ class Listed(NamedTuple):
     members: int
 
 
-def _shape(die: entries.Die) -> tuple[object, ...]:
+def _shape(die: types.Die) -> tuple[object, ...]:
     """Return the properties by which structs of one name differ."""
-    return entries.number_attribute(die, "DW_AT_byte_size"), *(
-        (entries.name_of(item), entries.offset_of(item)) for item in entries.members_of(die)
+    return types.number_attribute(die, "DW_AT_byte_size"), *(
+        (types.name_of(item), types.offset_of(item)) for item in types.members_of(die)
     )
 
 
@@ -121,7 +121,7 @@ def struct_name(name: str, names: Collection[str], origin: object, otherwise: st
     Raises:
         ConfigError: there is none.
     """
-    for spelling in (name, f"{name}_t", name.removesuffix("_t"), entries.spelled(name)):
+    for spelling in (name, f"{name}_t", name.removesuffix("_t"), types.spelled(name)):
         if spelling in names:
             return spelling
     raise ConfigError(f"{origin}: no struct {name!r}; {did_you_mean(name, names) or otherwise}")
@@ -199,10 +199,10 @@ class DebugInfo:
 
     def _index(self, info: Any) -> None:
         """List the names of types; their members are read on demand."""
-        self._found: dict[str, entries.Die] = {}
+        self._found: dict[str, types.Die] = {}
         self._named: dict[int, str] = {}
-        self._others: dict[str, list[entries.Die]] = {}  # other structs of the same name
-        tags: dict[str, entries.Die] = {}
+        self._others: dict[str, list[types.Die]] = {}  # other structs of the same name
+        tags: dict[str, types.Die] = {}
         for unit in info.iter_CUs():
             if unit.header.get("unit_type") == "DW_UT_type" or info.debug_types_sec is not None:
                 raise ConfigError(
@@ -216,21 +216,21 @@ class DebugInfo:
                     f"{self.path}: its debug information is in {name.value.decode(errors='replace')}; "
                     "compile it without -gsplit-dwarf"
                 )
-            for die in entries.types_in(top, 0):
-                name = entries.name_of(die)
+            for die in types.types_in(top, 0):
+                name = types.name_of(die)
                 if die.tag == "DW_TAG_typedef":
-                    die_type = entries.underlying_type(entries.type_of(die))
+                    die_type = types.underlying_type(types.type_of(die))
                     if name and die_type is not None and die_type.tag == "DW_TAG_enumeration_type":
                         self._named.setdefault(die_type.offset, name)
-                    elif name and die_type is not None and die_type.tag in entries.STRUCTS:
+                    elif name and die_type is not None and die_type.tag in types.STRUCTS:
                         self._named.setdefault(die_type.offset, name)
                         self._found_as(name, die_type, self._found)
-                elif die.tag in entries.STRUCTS and name and "DW_AT_declaration" not in die.attributes:
+                elif die.tag in types.STRUCTS and name and "DW_AT_declaration" not in die.attributes:
                     self._found_as(name, die, tags)
         for name, die in tags.items():
             self._found.setdefault(self._named.setdefault(die.offset, name), die)
 
-    def _found_as(self, name: str, die: entries.Die, among: dict[str, entries.Die]) -> None:
+    def _found_as(self, name: str, die: types.Die, among: dict[str, types.Die]) -> None:
         if name not in among:
             among[name] = die
         elif among[name].offset != die.offset:
@@ -246,9 +246,9 @@ class DebugInfo:
             return [
                 Listed(
                     name,
-                    entries.number_attribute(die, "DW_AT_byte_size"),
+                    types.number_attribute(die, "DW_AT_byte_size"),
                     self.header(die),
-                    len(entries.members_of(die)),
+                    len(types.members_of(die)),
                 )
                 for name, die in sorted(self._found.items())
                 if not name.startswith("__")  # those of the C library
@@ -283,17 +283,17 @@ class DebugInfo:
         layout = StructLayout(maker.structs, maker.enums, bound, self.byte_order, origin=str(self.path))
         return replace(layout, package=package or layout.package), called
 
-    def _told_apart(self, die: entries.Die) -> None:
+    def _told_apart(self, die: types.Die) -> None:
         """Warn where a named struct differs between compilation units."""
         name, shape = self.called(die), _shape(die)
         if any(_shape(other) != shape for other in self._others.get(name, ())):
-            size = entries.number_attribute(die, "DW_AT_byte_size")
+            size = types.number_attribute(die, "DW_AT_byte_size")
             self.warnings.append(
                 f"{name} is declared in more than one way; the first is taken, of {size} bytes: check it, or "
                 "give the object file that has the right one"
             )
 
-    def find(self, name: str) -> entries.Die:
+    def find(self, name: str) -> types.Die:
         """Return the entry of a struct.
 
         Raises:
@@ -303,28 +303,28 @@ class DebugInfo:
             struct_name(name, self._found, self.path, f"'edoras structs {self.path}' lists all")
         ]
 
-    def called(self, die: entries.Die) -> str:
+    def called(self, die: types.Die) -> str:
         """Return the name of a struct or an enumeration; empty if it has none."""
-        return self._named.get(die.offset) or entries.name_of(die)
+        return self._named.get(die.offset) or types.name_of(die)
 
-    def header(self, die: entries.Die) -> int:
+    def header(self, die: types.Die) -> int:
         """Return the size in bytes of the cFE header at the beginning of a struct; 0 without one."""
-        members = entries.members_of(die)
+        members = types.members_of(die)
         if (
             not members
-            or die.tag not in entries.STRUCTS
-            or entries.STRUCTS[die.tag]
-            or entries.offset_of(members[0])
+            or die.tag not in types.STRUCTS
+            or types.STRUCTS[die.tag]
+            or types.offset_of(members[0])
         ):
             return 0
         first = members[0]
-        kind = entries.type_of(first)
-        words = [entries.name_of(first)]
-        for _ in range(entries.DEEPEST):
-            if kind is None or kind.tag not in {*entries.PLAIN, *entries.STRUCTS, "DW_TAG_array_type"}:
+        kind = types.type_of(first)
+        words = [types.name_of(first)]
+        for _ in range(types.DEEPEST):
+            if kind is None or kind.tag not in {*types.PLAIN, *types.STRUCTS, "DW_TAG_array_type"}:
                 break
-            words.append(entries.name_of(kind))
-            kind = entries.type_of(kind) if kind.tag in entries.PLAIN else None
+            words.append(types.name_of(kind))
+            kind = types.type_of(kind) if kind.tag in types.PLAIN else None
         if not any(word.replace("_", "").lower().removesuffix("t").endswith(_HEADERS) for word in words):
             return 0
         return Maker(self).extent(first)

@@ -2,7 +2,7 @@
 
 Every command, channel, event and packet of channels becomes a struct, big-endian and without padding. A text
 becomes an array of characters with its maximum length; on the wire it is a length and that number of
-characters (:mod:`edoras_tools.addons.fprime.entry`).
+characters (:mod:`edoras_tools.addons.fprime.table`).
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.addons.fprime import wire as fprime
-from edoras_tools.addons.fprime.entry import BoundEntry, Entry, EventSeverity
-from edoras_tools.addons.fprime.table import EntryTable
-from edoras_tools.addons.fprime.wire import PacketType
+from edoras_tools.addons.fprime import link as fprime
+from edoras_tools.addons.fprime.link import PacketType
+from edoras_tools.addons.fprime.table import BoundEntry, Entry, EntryTable, EventSeverity
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.files import Database, plain_values
 from edoras_tools.structs.shapes import (

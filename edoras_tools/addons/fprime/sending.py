@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.addons.fprime import wire as fprime
+from edoras_tools.addons.fprime import link as fprime
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.sending import LinkSending
 from edoras_tools.structs.shapes import BasicKind, Enumeration, Member, Struct, StructLayout

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.addons.frames.link import TransferFraming
-from edoras_tools.addons.frames.reading import read_frames
+from edoras_tools.addons.frames.unframer import read_frames
 from edoras_tools.links.sending import LinkSending
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND

@@ -83,7 +83,7 @@ class PublishSubscribeLink(LinkProtocol):
 
     def fields(self) -> Iterable[Any]:
         """Return the filter fields for the subjects of submessages."""
-        return self.part("fields:sample_fields")()
+        return self.part("samples:sample_fields")()
 
     def send(self, site: Site, *, up: bool) -> LinkSending | None:
         """Return the way in which samples go to subscribers; there is no up direction."""

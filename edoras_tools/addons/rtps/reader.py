@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.addons.rtps.wire import headers as rtps
+from edoras_tools.addons.rtps.wire.headers import read_announcement, read_status
 from edoras_tools.addons.rtps.wire.messages import (
     LEAST_BYTES,
     RtpsMessages,
@@ -17,7 +18,6 @@ from edoras_tools.addons.rtps.wire.messages import (
     read_samples,
     sequence_set,
 )
-from edoras_tools.addons.rtps.wire.parameters import read_announcement, read_status
 from edoras_tools.links.protocol import BatchRows, Located
 from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, numbered

@@ -1,4 +1,7 @@
-"""The panes of the view, their keys and the list of keys; the viewer connects them."""
+"""The panes of the view, their keys and the list of keys; the viewer connects them.
+
+There are a dark and a light theme, and the terminal's sixteen colours in each.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +11,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import msgspec
+from rich.terminal_theme import TerminalTheme
 from rich.text import Text
 from textual.app import App, ComposeResult
 from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
+from textual.theme import Theme
 from textual.widgets import ContentSwitcher, Footer, Static
 
-from edoras_tools.addons.tui import theme as themes
 from edoras_tools.addons.tui.data.store import Store
 from edoras_tools.addons.tui.lists.drawings import Drawing, RateGraph
 from edoras_tools.addons.tui.lists.hex_pane import WIDE, HexPane
 from edoras_tools.addons.tui.lists.layers import Layers
-from edoras_tools.addons.tui.lists.lines import HeaderLine, Lines
-from edoras_tools.addons.tui.lists.packets import Packets
+from edoras_tools.addons.tui.lists.lines import HeaderLine, Lines, Packets
 from edoras_tools.addons.tui.lists.routes import Routes
 from edoras_tools.addons.tui.lists.sequence_view import SequenceView
 from edoras_tools.addons.tui.prompts import FilterLine, Prompt, Sheet
@@ -38,7 +41,6 @@ if TYPE_CHECKING:
     from edoras_tools.model import Decoded
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings, Workbench
-
 
 KEYS: Final = (
     (
@@ -225,14 +227,14 @@ class Panes(App[None]):
 
     def on_mount(self) -> None:
         """Register both themes and choose that of the terminal, if it is known; else the dark one."""
-        for theme in (themes.DARK, themes.LIGHT):
+        for theme in (DARK, LIGHT):
             self.register_theme(theme)
         palette.SHADES.clear()  # the themes have sixteen colours of their own
         palette.escapes.cache_clear()
         # Without an event: the theme, which is set next, reloads the style sheet for all three.
-        self.set_reactive(App.ansi_theme_dark, themes.DARK_SIXTEEN)
-        self.set_reactive(App.ansi_theme_light, themes.LIGHT_SIXTEEN)
-        self.theme = themes.of_terminal(os.environ.get("COLORFGBG", "")).name
+        self.set_reactive(App.ansi_theme_dark, DARK_SIXTEEN)
+        self.set_reactive(App.ansi_theme_light, LIGHT_SIXTEEN)
+        self.theme = of_terminal(os.environ.get("COLORFGBG", "")).name
         self.packets.focus()
         self.set_interval(_EVERY_S, self._refresh_figures)
 
@@ -278,7 +280,7 @@ class Panes(App[None]):
 
     def action_theme(self) -> None:
         """Switch between the dark and the light theme."""
-        self.theme = themes.LIGHT.name if self.theme == themes.DARK.name else themes.DARK.name
+        self.theme = LIGHT.name if self.theme == DARK.name else DARK.name
         self.packets.forget()
 
     def action_share(self, by: int) -> None:
@@ -365,3 +367,65 @@ def _packet_title(decoded: Decoded) -> Text:
     msg_id = f"0x{line.msg_id:04x}" if line.msg_id >= 0 else ""
     words = " ".join(filter(None, (decoded.link_name, line.kind, msg_id, clean(line.name))))
     return Text.assemble(f"Packet {decoded.datagram.number}  ", (words, decoded.link.colour))
+
+
+def _rgb(text: str) -> tuple[int, int, int]:
+    return int(text[:2], 16), int(text[2:4], 16), int(text[4:], 16)
+
+
+def _sixteen(background: str, foreground: str, *colours: str) -> TerminalTheme:
+    table = [_rgb(item) for item in colours]
+    return TerminalTheme(_rgb(background), _rgb(foreground), table[:8], table[8:])
+
+
+DARK: Final = Theme(
+    name="edoras-dark",
+    primary="#4c9fd4",
+    secondary="#7a8fa6",
+    warning="#d7a846",
+    error="#e0616b",
+    success="#6cb272",
+    accent="#e0a95c",
+    foreground="#d5dbe3",
+    background="#10141a",
+    surface="#141920",
+    panel="#1d242e",
+    dark=True,
+)
+LIGHT: Final = Theme(
+    name="edoras-light",
+    primary="#1f6fa8",
+    secondary="#5b6b7c",
+    warning="#a86f00",
+    error="#c0323e",
+    success="#2f7d3a",
+    accent="#b06a00",
+    foreground="#22272e",
+    background="#fbfbf9",
+    surface="#f5f5f2",
+    panel="#e6e8ea",
+    dark=False,
+)
+
+
+def of_terminal(colours: str) -> Theme:
+    """Return the theme that matches a terminal.
+
+    Args:
+        colours: numbers of its text and background colours among the sixteen, as in ``COLORFGBG``, which
+            rxvt, Konsole and others set: ``0;15``, ``15;default;0``.
+    """
+    return LIGHT if colours.rpartition(";")[2] in _LIGHT_GROUNDS else DARK
+
+
+_LIGHT_GROUNDS: Final = ("7", *map(str, range(9, 16)))
+DARK_SIXTEEN: Final = _sixteen(
+    *("10141a", "d5dbe3"),
+    *("1d242e", "e0616b", "7fc38a", "d9b25f", "6aa5e8", "c792d9", "5fc3cf", "c3cbd5"),
+    *("6b7787", "f07f88", "98d6a2", "ecc97e", "8bbdf5", "dcaeea", "84dbe5", "ffffff"),
+)
+LIGHT_SIXTEEN: Final = _sixteen(
+    *("fbfbf9", "22272e"),
+    *("22272e", "b8262f", "2b7a37", "93670a", "1d5fae", "8b3fa3", "0c7480", "6b7480"),
+    *("8a939e", "d0404a", "3a8f47", "a9790f", "2f74c8", "a054b8", "138a98", "3a424c"),
+)

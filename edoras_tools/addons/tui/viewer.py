@@ -16,10 +16,8 @@ from textual.widgets import Input
 from textual.worker import get_current_worker
 
 from edoras_tools import doors
-from edoras_tools.addons.tui.data.feed import WatchThread
 from edoras_tools.addons.tui.data.figures import field_figure, rate_figure
-from edoras_tools.addons.tui.data.sort import sort_order
-from edoras_tools.addons.tui.data.store import PacketBlock
+from edoras_tools.addons.tui.data.store import PacketBlock, WatchThread, sort_order
 from edoras_tools.addons.tui.lists.control_room import room_rows
 from edoras_tools.addons.tui.lists.drawings import Drawing, finding_rows, sum_rows
 from edoras_tools.addons.tui.lists.hex_pane import HexPane

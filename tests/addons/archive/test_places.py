@@ -15,9 +15,8 @@ import pytest
 from effort import LONG
 from places import CAPTURES
 
-from edoras_tools.addons.archive.index import open_index
+from edoras_tools.addons.archive.index import TABLES, open_index
 from edoras_tools.addons.archive.places import find_captures, listed_now
-from edoras_tools.addons.archive.tables import TABLES
 from edoras_tools.addons.archive.update import Update, bring_up_to_date
 from edoras_tools.addons.archive.work import Task, examine_group, fingerprint
 from edoras_tools.errors import CaptureError

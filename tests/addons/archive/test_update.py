@@ -23,10 +23,9 @@ from effort import LONG
 from places import CAPTURES, MISSIONS
 
 from edoras_tools.addons.archive import update, work
-from edoras_tools.addons.archive.index import open_index
+from edoras_tools.addons.archive.index import TABLES, open_index
 from edoras_tools.addons.archive.places import find_captures
 from edoras_tools.addons.archive.questions import ArchiveSpan, list_captures, list_losses
-from edoras_tools.addons.archive.tables import TABLES
 from edoras_tools.addons.archive.update import Update, UpdateReport, _Run, bring_up_to_date
 from edoras_tools.addons.archive.work import Task, examine_group, fingerprint
 from edoras_tools.errors import CaptureError, ConfigError
@@ -390,7 +389,7 @@ import resource, signal, sys
 from pathlib import Path
 from edoras_tools.errors import CaptureError
 from edoras_tools.addons.archive.index import open_index
-from edoras_tools.addons.archive.tables import TABLES
+from edoras_tools.addons.archive.index import TABLES
 
 path = Path(sys.argv[1])
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

@@ -17,8 +17,8 @@ from places import ROOT
 from rewriting import Udp, write
 from waiting import HOST, Program, free_ports, until
 
+from edoras_tools.addons.cfdp.link import Directive
 from edoras_tools.addons.cfdp.taking import safe_path, take_out
-from edoras_tools.addons.cfdp.wire import Directive
 from edoras_tools.io.outputs import lock_older
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.wire import cfe

@@ -43,7 +43,7 @@ from spacepackets.cfdp.pdu.prompt import ResponseRequired
 from spacepackets.util import ByteFieldGenerator
 from transfer_frames import batch_of
 
-from edoras_tools.addons.cfdp import wire as cfdp
+from edoras_tools.addons.cfdp import link as cfdp
 from edoras_tools.addons.cfdp.link import CFDP
 from edoras_tools.addons.cfdp.transactions import FileEvidence
 from edoras_tools.addons.wireshark.lua import dissector

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from pdus import eof, finished, metadata, nak, pdu, piece
 
+from edoras_tools.addons.cfdp import link as cfdp
 from edoras_tools.addons.cfdp import transactions as follower
-from edoras_tools.addons.cfdp import wire as cfdp
+from edoras_tools.addons.cfdp.link import Checksum, Directive
 from edoras_tools.addons.cfdp.transactions import FileEvidence
-from edoras_tools.addons.cfdp.wire import Checksum, Directive
 from edoras_tools.model import PacketBatch
 from edoras_tools.sessions import ranges as known_ranges
 from edoras_tools.sessions.ranges import KnownRanges

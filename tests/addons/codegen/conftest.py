@@ -16,8 +16,8 @@ from effort import LONG
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from edoras_tools.addons.codegen.bounds import BoundRule, Bounds
 from edoras_tools.addons.codegen.generation import LibraryOrder, generate
+from edoras_tools.addons.codegen.plan import BoundRule, Bounds
 from edoras_tools.addons.codegen.writing import write_folder
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.types.schema import PRIMITIVES, Shape

@@ -10,7 +10,7 @@ from fprime_session import DICTIONARY
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edoras_tools.addons.fprime.entry import EventSeverity
+from edoras_tools.addons.fprime.table import EventSeverity
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs import Structs
 from edoras_tools.structs.files import load_layout, parse_layout

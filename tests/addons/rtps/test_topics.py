@@ -10,7 +10,7 @@ from rtps import CAPTURES, PREFIX, TRUTH, TWIST, WRITER, data, message
 from rtps_batches import batch_of
 
 from edoras_tools.addons.rtps.topics import SampleMessages
-from edoras_tools.addons.rtps.wire.parameters import Announcement
+from edoras_tools.addons.rtps.wire.headers import Announcement
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.links.site import Endpoints
 from edoras_tools.pipelines.capture.record import Target, record

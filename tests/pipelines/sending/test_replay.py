@@ -10,7 +10,7 @@ from places import SAMPLES
 
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
-from edoras_tools.io.net.address import own_address
+from edoras_tools.io.net.sockets import own_address
 from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import Mission
 from edoras_tools.model import Endpoint, Peer

@@ -18,8 +18,16 @@ from msgspec.structs import replace
 
 from edoras_tools.addons.databases.documents import NESTING, Node, Notes, SheetError, has_root, parse_document
 from edoras_tools.addons.databases.placement import DataType, Placement, c_name
-from edoras_tools.addons.databases.xtce.names import SYSTEM, Declarations, Declared
-from edoras_tools.addons.databases.xtce.types import TYPE_KINDS, ValueTypes, bits_of, fixed_value, number
+from edoras_tools.addons.databases.xtce.types import (
+    SYSTEM,
+    TYPE_KINDS,
+    Declarations,
+    Declared,
+    ValueTypes,
+    bits_of,
+    fixed_value,
+    number,
+)
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.files import Database
 from edoras_tools.structs.shapes import BASIC, COMMANDED, PACKETS, ByteOrder, Key, StructLayout

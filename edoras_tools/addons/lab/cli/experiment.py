@@ -29,8 +29,7 @@ def experiment(
 
     For example, PLAN.yaml: {scenario: rover, settings: {rate: [5, 10]}, runs: 5..40, width: 1%}
     """
-    from edoras_tools.addons.lab.experiment.plan import load_plan
-    from edoras_tools.addons.lab.experiment.run import Experiment
+    from edoras_tools.addons.lab.experiment import Experiment, load_plan
     from edoras_tools.addons.lab.views.sweep import cells_table, step_status
     from edoras_tools.io.net.sockets import parse_endpoint
 

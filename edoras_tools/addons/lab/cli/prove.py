@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from typer import Exit
 
-from edoras_tools.addons.lab.proof.run import prove_capture
+from edoras_tools.addons.lab.proof import prove_capture
 from edoras_tools.addons.lab.views.proof import proof_picture, proof_view
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import LOST, file_progress, print_json, print_view

@@ -18,12 +18,13 @@ from edoras_tools.addons.lab.demo.nodes import (
     AppRobot,
     CallScheduler,
     GroundStation,
+    Leg,
     RobotNode,
+    Trace,
     commands,
     make_robot,
 )
 from edoras_tools.addons.lab.demo.scene import LAYOUTS, free_ports, lanes_of, profile, write_missions
-from edoras_tools.addons.lab.demo.trace import Leg, Trace
 from edoras_tools.addons.lab.emulator import BOOT_NS, Scenario, Served, Simulation
 from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp
 from edoras_tools.cfs.edoras_app import PIPE

@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Group
 from rich.text import Text
 
-from edoras_tools.addons.lab.proof.model import HOSTS, CaptureProof, ModelRun
+from edoras_tools.addons.lab.proof import HOSTS, CaptureProof, ModelRun
 from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.plot.terminal import plot_lines

@@ -1,12 +1,17 @@
 """Blocks are found by row and number, filtered in order, put together and let go; no packet changes."""
 
+from __future__ import annotations
+
 import numpy as np
-from hypothesis import given
+import pytest
+from effort import examples
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import ROOT
 
-from edoras_tools.addons.tui.data.store import PacketBlock, Store, join_blocks
+from edoras_tools.addons.tui.data.store import PacketBlock, Store, join_blocks, sort_order
 from edoras_tools.decode.filters.filter import Where
+from edoras_tools.decode.lines import line_of
 from edoras_tools.model import Columns
 from edoras_tools.pipelines.capture.record import compact
 from edoras_tools.pipelines.workbench import Settings, open_files
@@ -122,3 +127,50 @@ def test_a_payload_that_lies_behind_its_frame_is_kept():
     assert len(small.data) < 1000
     assert small[0].payload == payload
     assert small[0].payload_offset == -1
+
+
+SORT_COLUMNS, SORT_COUNT = BENCH.columns.decode(WHOLE), 200
+PACKETS = [BENCH.dissector.dissect(WHOLE[row]) for row in range(SORT_COUNT)]
+KEYS = {
+    "time": lambda item: item.datagram.time_ns,
+    "ports": lambda item: (item.datagram.source.port, item.datagram.destination.port),
+    "msg_id": lambda item: line_of(item).msg_id,
+    "bytes": lambda item: len(item.datagram.payload),
+    "topic": lambda item: line_of(item).name,
+}
+
+
+def store_of(sizes):
+    """A store of the first packets, in blocks of these sizes."""
+    store, first = Store(), 0
+    for size in sizes:
+        rows = slice(first, first + size)
+        store.append(PacketBlock(WHOLE.take(rows), SORT_COLUMNS.take(rows)))
+        first += size
+    return store
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize("column", KEYS)
+@settings(max_examples=examples(5, part=2, least=2))
+@given(
+    sizes=st.lists(st.integers(1, 60), min_size=1, max_size=4).filter(lambda parts: sum(parts) <= SORT_COUNT)
+)
+def test_rows_are_in_the_order_of_their_values(column, reverse, sizes):
+    store = store_of(sizes)
+    order = sort_order(store.parts(), column, BENCH.columns.context, reverse=reverse)
+    keys = [KEYS[column](item) for item in PACKETS[: sum(sizes)]]
+    has = [row for row, key in enumerate(keys) if key not in ("", -1)]
+    wanted = sorted(has, key=keys.__getitem__, reverse=reverse)
+    assert order.tolist() == wanted + [row for row in range(len(keys)) if row not in set(has)]
+    store.order = order
+    for row in range(len(store)):
+        assert store.find_number(int(WHOLE.number[store.place(row)])) == row
+    assert (np.sort(order) == np.arange(len(store))).all()
+
+
+def test_who_gives_up_gets_nothing():
+    store = store_of([10])
+    context = BENCH.columns.context
+    assert sort_order(store.parts(), "time", context, reverse=False, given_up=lambda: True) is None
+    assert len(sort_order([], "time", context, reverse=False)) == 0

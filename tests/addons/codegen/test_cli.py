@@ -1,9 +1,12 @@
 """``edoras codegen`` as a shell sees it."""
 
+from __future__ import annotations
+
 import shutil
 import subprocess
 
 import pytest
+from places import MISSIONS
 
 from edoras_tools.cli import options
 from edoras_tools.ros.store import USUAL_DISTRO
@@ -103,3 +106,24 @@ def test_the_distribution_is_that_of_the_environment_or_the_usual_one(call, monk
         assert f"is not known to ROS 2 {distro}; did you mean" in said
     (said,) = call("codegen", "geometry_msgs/Twst", "--distro", "iron").err
     assert "is not known to ROS 2 iron" in said
+
+
+def test_it_writes_a_new_file(call, tmp_path):
+    path = tmp_path / "new/rover.xml"
+    done = call("xtce", "-c", MISSIONS / "rover_ground.yaml", "-o", path)
+    assert (done.code, done.out) == (0, "")
+    assert done.err == [f"edoras: {path}: 12 telemetry packets, 108 commands"]
+    assert path.read_text().startswith('<?xml version="1.0" encoding="UTF-8"?>')
+    assert call("xtce", "-c", MISSIONS / "rover_ground.yaml", "-o", path).code == 2
+
+
+def test_telemetry_and_commands_for_cosmos(call):
+    text = call("xtce", "-c", MISSIONS / "rover_ground.yaml", "--format", "cosmos", "--system", "rover").out
+    assert "TELEMETRY ROVER TELEMETRY_POSE_6 LITTLE_ENDIAN" in text
+    assert "COMMAND ROVER CMD_VEL LITTLE_ENDIAN" in text
+
+
+def test_what_varies_is_told(call, tmp_path):
+    done = call("xtce", "-c", MISSIONS / "single_arm_ground.yaml", "-o", tmp_path / "arm.xml")
+    assert done.code == 0
+    assert any("described up to a field whose place varies too much" in line for line in done.err)

@@ -1,4 +1,4 @@
-"""``edoras codegen``: messages in C for flight software."""
+"""``edoras codegen``: messages in C for flight software; ``edoras xtce``: packets for ground systems."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from typing import Annotated, Any, NamedTuple
 
 from typer import Argument, Option
 
-from edoras_tools.cli import options
+from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
+from edoras_tools.cli.output import tell
+from edoras_tools.older import StrEnum
 
 
 class FolderOptions(NamedTuple):
@@ -63,9 +65,8 @@ def codegen(
 
     For example: edoras codegen std_msgs/Header --bound std_msgs/Header.frame_id=16 -o edoras_msgs
     """
-    from edoras_tools.addons.codegen.bounds import BoundRule, Bounds
-    from edoras_tools.addons.codegen.generation import LibraryOrder, generate
-    from edoras_tools.addons.codegen.generator import generator_app
+    from edoras_tools.addons.codegen.generation import LibraryOrder, generate, generator_app
+    from edoras_tools.addons.codegen.plan import BoundRule, Bounds
     from edoras_tools.addons.codegen.summary import app_summary, summary
     from edoras_tools.addons.codegen.writing import write_folder
     from edoras_tools.cfs.profile import GENERATOR_MSG_ID
@@ -106,3 +107,38 @@ def codegen(
     removed = write_folder(output, result.files, force=folder.force)
     if not quiet:
         sys.stdout.write("".join(f"{line}\n" for line in summary(result, output, removed)))
+
+
+class GroundForm(StrEnum):
+    """Languages that describe packets."""
+
+    XTCE = "xtce"
+    COSMOS = "cosmos"
+
+
+@grouped
+def xtce(
+    *,
+    output: Annotated[Path | None, Option("--output", "-o", help="Default: standard output.")] = None,
+    form: Annotated[GroundForm, Option("--format", help="cosmos: a file for cmd_tlm/.")] = GroundForm.XTCE,
+    system: Annotated[str, Option(help="Name of the space system, or the target.")] = "edoras",
+    force: recordings.Force = False,
+    quiet: options.Quiet = False,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Describe packets for ground systems: XTCE or COSMOS.
+
+    Of the missions that -c names and the C structs of --set: telemetry of Telemetry Output and of cFE
+    itself, field by field; commands to Command Ingest of fixed size.
+    """
+    from edoras_tools.addons.codegen.writing import describe_packets
+    from edoras_tools.words import plural
+
+    output = recordings.text_output(output, force=force)
+    result = describe_packets(decoding.settings().workbench(), system, for_cosmos=form is GroundForm.COSMOS)
+    recordings.put_text(result.text.decode(), output)
+    if not quiet:
+        tell(*result.notes)
+        if output is not None:
+            counts = f"{plural(result.telemetry, 'telemetry packet')}, {plural(result.commands, 'command')}"
+            tell(f"{output}: {counts}")

@@ -1,5 +1,7 @@
 """Captures held against the emulated cFS: which it explains, and where it departs."""
 
+from __future__ import annotations
+
 import json
 from collections import Counter
 from xml.etree import ElementTree as ET
@@ -11,7 +13,7 @@ from places import CAPTURES, ROOT
 from rewriting import Udp, write
 
 from edoras_tools.addons.lab.emulator import Simulation
-from edoras_tools.addons.lab.proof.model import AdviceProof, ModelRun
+from edoras_tools.addons.lab.proof import AdviceProof, ModelRun
 from edoras_tools.units import SECOND
 
 TESTS = ROOT / "tests/captures"

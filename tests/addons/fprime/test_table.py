@@ -1,9 +1,11 @@
 """The texts of F Prime's events: the forms that FPP allows, filled as the ground system fills them."""
 
+from __future__ import annotations
+
 import pytest
 
-from edoras_tools.addons.fprime.entry import Entry, EventSeverity
-from edoras_tools.addons.fprime.wire import PacketType
+from edoras_tools.addons.fprime.link import PacketType
+from edoras_tools.addons.fprime.table import Entry, EventSeverity
 
 TEXTS = {
     "none": ("Stuck", [], "Stuck"),

@@ -1,5 +1,7 @@
 """Gaps in the counts of F Prime's space packets: bare, in frames, and as its own ground system counts."""
 
+from __future__ import annotations
+
 import struct
 
 import pytest
@@ -8,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from transfer_frames import batch_of
 
-from edoras_tools.addons.fprime.counts import GroundCounts
+from edoras_tools.addons.fprime.rules import GroundCounts
 from edoras_tools.decode import ColumnDecoder, Context
 
 EVENT = struct.pack(">HIHBII", 2, 0x2000001, 2, 0, 7, 8)

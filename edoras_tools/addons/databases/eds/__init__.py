@@ -1,1 +1,0 @@
-"""Electronic data sheets: CCSDS 876.0 as cFE's sheets use it."""
