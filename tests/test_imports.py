@@ -73,7 +73,10 @@ PUT_OFF = {
         "edoras_tools.decode.filters.filter",
         "the filter language: only where there is a filter",
     ),
-    "pipelines/workbench.py": ("edoras_tools", "only for several files, missions, layouts or single packets"),
+    "pipelines/workbench.py": (
+        "edoras_tools",
+        "decoders and files, which not every command needs; missions, layouts and single packets",
+    ),
     "render/capture/watch.py": ("edoras_tools.render", "rich, and only where something is drawn"),
     "ros/store.py": ("edoras_tools.ros.cdr", "10 ms, and only where messages are checked or become columns"),
     "ros/types/library.py": (

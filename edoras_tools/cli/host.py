@@ -25,7 +25,7 @@ def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> No
     from edoras_tools.io.host import advice, read_host, steal
     from edoras_tools.render.capture.host import host_lines
 
-    context = decoding.settings().workbench().columns.context
+    context = decoding.settings().context()
     links = {
         port: "/".join(link.label for link in context.claimants[context.claim[port]])
         for port in context.capture_ports()

@@ -16,8 +16,7 @@ from edoras_tools.decode.columns import link_of
 from edoras_tools.decode.recorded import dissect_recorded
 from edoras_tools.decode.summary import summarise
 from edoras_tools.errors import EdorasError, TruncatedError, WireError
-from edoras_tools.links.reading import Reading
-from edoras_tools.links.site import Endpoints, Peers
+from edoras_tools.links.doors import Endpoints, Peers, Reading
 from edoras_tools.links.table import protocol
 from edoras_tools.model import (
     NO_ROUTE,

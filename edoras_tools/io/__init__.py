@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from edoras_tools.links.framing import Framing
-    from edoras_tools.links.site import Endpoints
+    from edoras_tools.links.doors import Endpoints, Framing
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.sessions.sequence import SequenceCounts

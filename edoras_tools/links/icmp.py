@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.reading import Reading
-    from edoras_tools.links.site import Site
+    from edoras_tools.links.doors import Reading, Site
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 

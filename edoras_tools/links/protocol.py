@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.doors import (
         Follower,
+        Framing,
         LinkEvidence,
         OwnRows,
         OwnTopics,
+        Reading,
         SampleReader,
+        Site,
         TopicSpace,
         Unwrapper,
     )
-    from edoras_tools.links.framing import Framing
-    from edoras_tools.links.reading import Reading
     from edoras_tools.links.sending import LinkSending
-    from edoras_tools.links.site import Site
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 BY_PORT: Final = 1

@@ -12,8 +12,8 @@ from edoras_tools.model import Transport
 from edoras_tools.wire.robot import CFS_PORT, ROBOT_PORT, SENT_TO
 
 if TYPE_CHECKING:
+    from edoras_tools.links.doors import Site
     from edoras_tools.links.sending import LinkSending
-    from edoras_tools.links.site import Site
 
 
 class RobotLink(LinkProtocol):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs.limits import BRIDGE_LENGTH_MODULUS
-from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, prefixed
+from edoras_tools.links.doors import NOT_A_MESSAGE, NOT_YET, Framing, prefixed
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds, sbn
@@ -24,8 +24,7 @@ from edoras_tools.wire.arrays.window import gather
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.links.reading import Reading
-    from edoras_tools.links.site import Site
+    from edoras_tools.links.doors import Reading, Site
     from edoras_tools.wire.layout import Layout
 
 BRIDGE_PORT: Final = 2236

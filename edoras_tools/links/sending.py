@@ -16,7 +16,7 @@ from edoras_tools.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from edoras_tools.links.framing import Framing
+    from edoras_tools.links.doors import Framing
     from edoras_tools.model import Columns, Endpoint, Link, PacketBatch
     from edoras_tools.wire.arrays.order import Integers, Mask
     from edoras_tools.wire.layout import Layout

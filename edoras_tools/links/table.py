@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.framing import Framing
+    from edoras_tools.links.doors import Framing
     from edoras_tools.wire.arrays.order import Mask
 
 State = TypeVar("State")

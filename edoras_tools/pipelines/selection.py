@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.filter import Where
     from edoras_tools.io import Choice
-    from edoras_tools.links.site import Endpoints
+    from edoras_tools.links.doors import Endpoints
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.wire.arrays.order import Integers, Mask

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.decode import ColumnDecoder, Context, Options
-from edoras_tools.decode.spacecraft import Survey
+from edoras_tools.decode import Context, Options
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.open import open_file
 from edoras_tools.mission import Mission
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.store import USUAL_DISTRO
@@ -22,10 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from edoras_tools.decode import Dissector
+    from edoras_tools.decode import ColumnDecoder, Dissector
     from edoras_tools.io import Source
-    from edoras_tools.links.doors import Unwrapper
-    from edoras_tools.links.site import Endpoints
+    from edoras_tools.links.doors import Endpoints, Unwrapper
     from edoras_tools.model import Link, SourceInfo
     from edoras_tools.wire.cfe import Headers
 
@@ -60,7 +57,7 @@ class Workbench(msgspec.Struct, frozen=True, eq=False, dict=True):
         old = self.columns.context
         mission, options = self.mission.numbered(headers.msg_ids), old.options.with_headers(headers)
         structs = old.structs if headers.msg_ids is old.msg_ids else None
-        return _bench(mission, self.types, Context(mission, self.types, options, structs))
+        return _bench(Context(mission, self.types, options, structs))
 
     def fresh(self, paths: Sequence[Path] = ()) -> Workbench:
         """Return an equal workbench for another source: no file is read again, and no decoder state is kept.
@@ -73,7 +70,7 @@ class Workbench(msgspec.Struct, frozen=True, eq=False, dict=True):
     def with_mission(self, mission: Mission) -> Workbench:
         """Return a workbench with another mission, for another source."""
         old = self.columns.context
-        return _bench(mission, self.types, Context(mission, self.types, old.options, old.structs))
+        return _bench(Context(mission, self.types, old.options, old.structs))
 
 
 class Settings(msgspec.Struct, frozen=True):
@@ -98,13 +95,24 @@ class Settings(msgspec.Struct, frozen=True):
     ros_args: Sequence[str] = ()
 
     def workbench(self, info: SourceInfo | None = None, paths: Sequence[Path] = ()) -> Workbench:
+        """Load the mission, the types and the layouts, and make the decoders.
+
+        Args:
+            info: info of the source; see ``context``.
+            paths: files of the source; announced topics are looked up in these first.
+
+        Raises:
+            ConfigError: a mission, a type folder or an option has errors.
+        """
+        return _enable_look_ahead(_bench(self.context(info)), paths)
+
+    def context(self, info: SourceInfo | None = None) -> Context:
         """Load the mission, the types and the layouts.
 
         Args:
             info: info of the source. A recording's mission files and struct layouts are used if none are
                 named, its decoding options if none are given, its message definitions before the
                 distribution's.
-            paths: files of the source; announced topics are looked up in these first.
 
         Raises:
             ConfigError: a mission, a type folder or an option has errors.
@@ -141,15 +149,18 @@ class Settings(msgspec.Struct, frozen=True):
             names = [f"{_LAYOUTS}{place}_{file.name}" for place, (file, _) in enumerate(layout_files, 1)]
             files = dict(zip(names or carried, (data for _, data in contents), strict=True))
             mission = replace(mission, files={**mission.files, **files})
-        return _enable_look_ahead(_bench(mission, types, Context(mission, types, options, structs)), paths)
+        return Context(mission, types, options, structs)
 
 
-def _bench(mission: Mission, types: TypeStore, context: Context) -> Workbench:
+def _bench(context: Context) -> Workbench:
+    from edoras_tools.decode import ColumnDecoder
+
     pairs: Iterable[tuple[Link, Unwrapper | None]] = (
         (link, link.unwrapper(context)) for link in context.links
     )
     unwrappers = {link: item for link, item in pairs if item is not None}
-    return Workbench(mission, types, ColumnDecoder(context), unwrappers)
+    assert context.types is not None, "settings always have types"
+    return Workbench(context.mission, context.types, ColumnDecoder(context), unwrappers)
 
 
 def _enable_look_ahead(bench: Workbench, paths: Sequence[Path]) -> Workbench:
@@ -163,6 +174,8 @@ def _enable_look_ahead(bench: Workbench, paths: Sequence[Path]) -> Workbench:
 
 def _spacecraft_in(paths: Sequence[Path], bench: Workbench) -> dict[int, int]:
     """Return the number of the spacecraft of each address of cFS in captures, as far as they can be read."""
+    from edoras_tools.decode.spacecraft import Survey
+
     survey, own = Survey(bench.columns.context.spacecraft), bench.fresh()
     own.columns.settle()
     own.columns.context.spacecraft.settled = True
@@ -181,6 +194,8 @@ def _spacecraft_in(paths: Sequence[Path], bench: Workbench) -> dict[int, int]:
 
 def _announced_in(paths: Sequence[Path]) -> Endpoints:
     """Return the announcements of DDS participants in captures, as far as they can be read."""
+    from edoras_tools.decode import ColumnDecoder
+
     decoder = ColumnDecoder(Context())
     with suppress(CaptureError), closing(open_files(paths)) as source:
         for batch in source.batches():
@@ -194,6 +209,8 @@ def open_files(paths: Sequence[Path]) -> Source:
     Raises:
         CaptureError: one cannot be opened.
     """
+    from edoras_tools.io.formats.open import open_file
+
     if len(paths) == 1:
         return open_file(paths[0])
     from edoras_tools.io.formats.merge import merge_sources

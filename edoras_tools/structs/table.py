@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.reading import Reading
+    from edoras_tools.links.doors import Reading
     from edoras_tools.ros import TypeStore
     from edoras_tools.ros.types.schema import Definition
     from edoras_tools.structs.bindings import Bindings, Bound, Held

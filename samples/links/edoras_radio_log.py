@@ -14,9 +14,8 @@ import numpy as np
 import typer
 from edoras_radio_state import RadioFrames
 
-from edoras_tools.io.formats.capture_file import CaptureFileSink
+from edoras_tools.io.formats.capture_file import CaptureFileSink, RecordSource
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.formats.table import Format
 from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import ENDS, FramePage

@@ -25,10 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.doors import LinkEvidence, OwnTopics, TopicSpace
-    from edoras_tools.links.reading import Reading
+    from edoras_tools.links.doors import LinkEvidence, OwnTopics, Reading, Site, TopicSpace
     from edoras_tools.links.sending import LinkSending
-    from edoras_tools.links.site import Site
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 

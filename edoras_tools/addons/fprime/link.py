@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.links.framing import Framing, prefixed
+from edoras_tools.links.doors import Framing, prefixed
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen
 from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch, Transport
 from edoras_tools.wire import ccsds
@@ -32,10 +32,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.doors import LinkEvidence
-    from edoras_tools.links.reading import Reading
+    from edoras_tools.links.doors import LinkEvidence, Reading, Site
     from edoras_tools.links.sending import LinkSending
-    from edoras_tools.links.site import Site
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from edoras_tools.addons.fprime.table import EntryTable
-    from edoras_tools.links.framing import Framing
+    from edoras_tools.links.doors import Framing
     from edoras_tools.model import Columns, Link, PacketBatch
     from edoras_tools.wire.arrays.order import Mask
 

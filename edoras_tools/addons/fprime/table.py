@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.reading import Reading
+    from edoras_tools.links.doors import Reading
     from edoras_tools.structs import Structs
     from edoras_tools.structs.shapes import Key, Member
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.links.framing import Framing, prefixed
+from edoras_tools.links.doors import Framing, prefixed
 from edoras_tools.links.protocol import BatchRows, LinkProtocol, Seen
 from edoras_tools.model import Datagram, Decoded, Finding, LayerField, Link, PacketBatch
 from edoras_tools.wire import transfer_frames as headers
@@ -26,10 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.doors import Unwrapper
-    from edoras_tools.links.reading import Reading
+    from edoras_tools.links.doors import Reading, Site, Unwrapper
     from edoras_tools.links.sending import LinkSending
-    from edoras_tools.links.site import Site
     from edoras_tools.wire.layout import Layout
 
 _TM_FLAGS: Final = headers.TM.by_name["secondary_header_flag"].start

@@ -29,7 +29,7 @@ import msgspec
 from edoras_tools.addons.proxy.faults import StreamFaults
 from edoras_tools.errors import os_errors
 from edoras_tools.io.net.sockets import local_endpoint
-from edoras_tools.links.framing import NOT_A_MESSAGE
+from edoras_tools.links.doors import NOT_A_MESSAGE
 from edoras_tools.links.table import protocol
 from edoras_tools.wire.arrays.window import PADDING
 

@@ -24,7 +24,7 @@ from edoras_tools.wire.arrays.window import gather
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from edoras_tools.links.framing import Framing
+    from edoras_tools.links.doors import Framing
     from edoras_tools.model import Columns, Endpoint, Link, PacketBatch
     from edoras_tools.wire.arrays.order import Integers, Mask
 

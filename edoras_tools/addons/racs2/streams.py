@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.addons.racs2 import wire as racs2
-from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, MessageContents
+from edoras_tools.links.doors import NOT_A_MESSAGE, NOT_YET, Framing, MessageContents
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.window import copy_rows, gather
 
@@ -177,7 +177,7 @@ class WebSocketState:
         self._takeover = True
 
     def contents(self, data: Octets, offset: Integers, length: Integers, forward: Mask) -> MessageContents:
-        """Return the payloads of frames, unmasked; see :class:`~edoras_tools.links.framing.StreamState`."""
+        """Return the payloads of frames, unmasked; see :class:`~edoras_tools.links.doors.StreamState`."""
         headers = read_headers(data, offset, offset + length)
         http = ~headers.valid
         size = np.where(http, 0, headers.size)

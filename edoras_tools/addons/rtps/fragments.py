@@ -29,7 +29,7 @@ from edoras_tools.addons.rtps.wire import RTPS_MAGIC
 from edoras_tools.addons.rtps.wire import headers as rtps
 from edoras_tools.addons.rtps.wire.messages import SubmessageFields, read_samples
 from edoras_tools.io.frames.frame_batch import order_behind, packets_behind
-from edoras_tools.links.site import MOST_ENDPOINTS, Site
+from edoras_tools.links.doors import MOST_ENDPOINTS, Site
 from edoras_tools.model import Columns, PacketBatch
 from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.units import SECOND

@@ -11,10 +11,17 @@ from edoras_tools.model import Decoded, PacketBatch, Transport
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from edoras_tools.links.doors import Follower, LinkEvidence, OwnRows, OwnTopics, SampleReader, TopicSpace
-    from edoras_tools.links.reading import Reading
+    from edoras_tools.links.doors import (
+        Follower,
+        LinkEvidence,
+        OwnRows,
+        OwnTopics,
+        Reading,
+        SampleReader,
+        Site,
+        TopicSpace,
+    )
     from edoras_tools.links.sending import LinkSending
-    from edoras_tools.links.site import Site
     from edoras_tools.wire.arrays.order import Integers, Places
     from edoras_tools.wire.layout import Layout
 

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.addons.rtps.wire.messages import SampleData
-    from edoras_tools.links.reading import Reading
-    from edoras_tools.links.site import Endpoints, Site
+    from edoras_tools.links.doors import Endpoints, Reading, Site
     from edoras_tools.wire.layout import Layout
 
 _TOLD_SETS: Final = {rtps.SubmessageKind.ACKNACK: "missing", rtps.SubmessageKind.GAP: "irrelevant"}

@@ -21,8 +21,7 @@ from edoras_tools.decode.filters.rows import (
     Series,
     ValueKind,
 )
-from edoras_tools.links.doors import KnownSamples
-from edoras_tools.links.site import MOST_ENDPOINTS, Endpoints
+from edoras_tools.links.doors import MOST_ENDPOINTS, Endpoints, KnownSamples
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
 from edoras_tools.words import listed, plural

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.addons.rtps.wire.headers import Announcement
-    from edoras_tools.links.site import Site
+    from edoras_tools.links.doors import Site
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 
 _FIRST_PORT: Final = 7400

@@ -9,7 +9,7 @@ import numpy as np
 from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.samples import known_samples
 from edoras_tools.io.topics.rows import APART, RECORD, Messages, whole_messages
-from edoras_tools.links.site import MOST_ENDPOINTS, Endpoints
+from edoras_tools.links.doors import MOST_ENDPOINTS, Endpoints
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
 from edoras_tools.wire.arrays.order import Integers, Mask, by_value
 from edoras_tools.wire.arrays.window import PADDING, copy_rows

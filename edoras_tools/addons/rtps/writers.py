@@ -34,8 +34,7 @@ from edoras_tools.addons.rtps.reader import UserSubmessages, user_submessages
 from edoras_tools.addons.rtps.samples import READER
 from edoras_tools.addons.rtps.wire.headers import Announcement, SubmessageKind
 from edoras_tools.addons.rtps.wire.messages import guid_text
-from edoras_tools.links.doors import LinkEvidence, SampleStream
-from edoras_tools.links.site import MOST_ENDPOINTS, Endpoints
+from edoras_tools.links.doors import MOST_ENDPOINTS, Endpoints, LinkEvidence, SampleStream
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
 
 if TYPE_CHECKING:

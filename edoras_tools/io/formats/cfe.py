@@ -23,7 +23,7 @@ from edoras_tools.cfs.executive_services import MARKERS
 from edoras_tools.cfs.profile import SbnPeerConfig
 from edoras_tools.cfs.time_services import START_S
 from edoras_tools.errors import CaptureError, os_errors
-from edoras_tools.io.formats.records import RecordSource
+from edoras_tools.io.formats.capture_file import RecordSource
 from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import FramePage, ends_of
 from edoras_tools.links.table import STORED

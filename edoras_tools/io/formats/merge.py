@@ -18,7 +18,7 @@ from edoras_tools.wire.arrays.window import PADDING
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from edoras_tools.links.framing import Framing
+    from edoras_tools.links.doors import Framing
     from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.wire.arrays.order import Integers
 

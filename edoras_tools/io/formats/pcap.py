@@ -12,8 +12,13 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.capture_file import CaptureFileSink
-from edoras_tools.io.formats.records import FROM_THERE, LARGEST_FRAME, SEARCHED, RecordSource
+from edoras_tools.io.formats.capture_file import (
+    FROM_THERE,
+    LARGEST_FRAME,
+    SEARCHED,
+    CaptureFileSink,
+    RecordSource,
+)
 from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import SourceInfo

@@ -15,8 +15,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.capture_file import LISTENED, CaptureFileSink
-from edoras_tools.io.formats.records import LARGEST_FRAME, SEARCHED, RecordSource
+from edoras_tools.io.formats.capture_file import (
+    LARGEST_FRAME,
+    LISTENED,
+    SEARCHED,
+    CaptureFileSink,
+    RecordSource,
+)
 from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import SourceInfo

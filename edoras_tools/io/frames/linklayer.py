@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io.frames.tcp import StreamReassembler
-    from edoras_tools.links.framing import Framing
+    from edoras_tools.links.doors import Framing
     from edoras_tools.model import SourceStatistics
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 

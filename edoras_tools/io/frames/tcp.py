@@ -33,7 +33,7 @@ import numpy as np
 
 from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.tcp_segments import SegmentBytes, Segments, rebuilt
-from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, StreamState
+from edoras_tools.links.doors import NOT_A_MESSAGE, NOT_YET, Framing, StreamState
 from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_key, numbered
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather

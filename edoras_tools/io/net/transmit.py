@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-    from edoras_tools.links.framing import Framing
+    from edoras_tools.links.doors import Framing
     from edoras_tools.model import Endpoint
     from edoras_tools.wire.arrays.order import Integers, Octets
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.site import Endpoints
+    from edoras_tools.links.doors import Endpoints
     from edoras_tools.mission import Mission, RecordedTopic
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore

@@ -24,7 +24,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from edoras_tools.links.site import Site
+    from edoras_tools.links.doors import Site
     from edoras_tools.mission import Mission, Route
     from edoras_tools.ros import TypeStore
     from edoras_tools.structs import Structs

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from edoras_tools.links.site import Site
+    from edoras_tools.links.doors import Site
     from edoras_tools.mission import Mission
 
 

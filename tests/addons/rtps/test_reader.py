@@ -18,7 +18,7 @@ from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.names import Names
 from edoras_tools.decode.filters.rows import ColumnRows
-from edoras_tools.links.site import MOST_ENDPOINTS, Endpoints
+from edoras_tools.links.doors import MOST_ENDPOINTS, Endpoints
 from edoras_tools.links.table import protocol
 from edoras_tools.mission import load
 from edoras_tools.model import Finding

@@ -12,7 +12,7 @@ from rtps_batches import batch_of
 from edoras_tools.addons.rtps.topics import SampleMessages
 from edoras_tools.addons.rtps.wire.headers import Announcement
 from edoras_tools.decode import ColumnDecoder, Context
-from edoras_tools.links.site import Endpoints
+from edoras_tools.links.doors import Endpoints
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.ros import TypeStore

@@ -13,7 +13,7 @@ from schema import check, published
 from edoras_tools.addons.rtps.wire.headers import SubmessageKind
 from edoras_tools.addons.rtps.writers import MOST_ASKED, SampleFollower
 from edoras_tools.decode import ColumnDecoder, Context
-from edoras_tools.links.site import Endpoints
+from edoras_tools.links.doors import Endpoints
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.reading import reading
