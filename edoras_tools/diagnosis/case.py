@@ -273,7 +273,7 @@ class Case:
     @cached_property
     def tracks(self) -> dict[int, Track]:
         """Instance to the history of its software bus counters (0x803)."""
-        return tracks(self.rows, self.payloads, self.instances)
+        return tracks(self.rows, self.payloads, self.instances, self.resets)
 
     @cached_property
     def reported_losses(self) -> dict[ReportedLoss, LossEvents]:

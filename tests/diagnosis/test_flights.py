@@ -131,6 +131,7 @@ FLIGHTS = {
     "floods_of_poses": (979, {"limit": 926, "disabled": 29, "sbn_peer_restart": 24}),
     "bursts_to_a_peer": (252, {"limit": 105, "disabled": 147}),
     "losing_network_one_side": (39, {"network": 9, "limit": 15, "after": 15}),
+    "flood_on_a_losing_network": (122, {"network": 48, "limit": 74}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -152,6 +153,9 @@ RANGES = {
     "two_cfs_of_one_name": 71,
     "bridge_for_each_robot": 221,
     "bursts_to_a_peer": 254,
+    "processor_restarted_in_a_flood": 126,
+    "restarted_in_a_row": 123,
+    "killed_in_a_flood": 225,
 }
 
 

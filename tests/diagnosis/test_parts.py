@@ -86,8 +86,9 @@ def test_what_is_missing_lies_between_a_row_and_its_next(link, between):
     assert (stream.gaps, stream.duplicates, stream.reordered, stream.restarts) == (24, 10, 10, 9)
 
 
-def track(*values, name="msg_limits"):
-    return Track.of(np.arange(len(values)) * SECOND, {name: np.array(values)})
+def track(*values, name="msg_limits", restarted=()):
+    steps = np.isin(np.arange(len(values) - 1), restarted)
+    return Track.of(np.arange(len(values)) * SECOND, {name: np.array(values)}, steps)
 
 
 @pytest.mark.parametrize(
@@ -103,6 +104,11 @@ def test_counters_wrap_and_are_set_back(values, growth, set_back):
     told = track(*values)
     assert (told.growth("msg_limits"), told.set_back) == (growth, set_back)
     assert told.older["msg_limits"] == values[0]
+
+
+def test_behind_a_restart_a_counter_has_grown_from_0_also_where_it_did_not_fall():
+    told = track(0, 10, 15, 16, restarted=[1])
+    assert (told.growth("msg_limits"), told.set_back) == (10 + 15 + 1, [1])
 
 
 @pytest.mark.parametrize(

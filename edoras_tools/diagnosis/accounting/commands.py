@@ -152,6 +152,7 @@ class Commands:
         claims.settle_perhaps_missed(counts, every)
         leftover.make_uncertain(telemetry.claims)
         telemetry.make_losses()
+        before_ci.concede(telemetry.losses)
         self._name([item for item in case.refused if item.by_type])
         # Step 8, and what concerns few messages: refusals, streams that can only be compared by number.
         make_uncertain(case, telemetry, fates, self.losses)

@@ -10,9 +10,8 @@ Rules:
 4. If the count falls, CI or its cFS started again. The datagrams that it read last were never counted: it
    read on until it was commanded to restart, or until its cFS fell silent. After a command to reset its
    counters it runs on.
-5. A loss is in the full socket if more datagrams wait than two wake-ups read, or CI mostly reads as many as
-   it can; else it is on the network. Datagrams that the first count lacks were lost on the network if the
-   socket cannot have been full by then.
+5. A loss is in the full socket if as many datagrams can have waited as a socket usually holds; else it is on
+   the network.
 6. CI reads datagrams in their order. What it read before the first datagram of the capture came out of cFS
    was sent before the capture began.
 7. Within these bounds the smallest number is lost; the rest waits.
@@ -71,8 +70,6 @@ DRAINS_NS: Final = 15 * SECOND
 _MODULUS: Final = 1 << 32
 _BUSY: Final = 0.9
 """A CI that reads this share of the most it can read may have left datagrams in its socket."""
-_MOSTLY: Final = 0.5
-"""A larger share of the samples than this is most of them."""
 
 
 class Before(msgspec.Struct, frozen=True):
@@ -116,6 +113,8 @@ class Ingest(msgspec.Struct):
         not_captured: datagrams that it counted and the capture does not show.
         unsure: datagrams that may be lost besides: where the capture begins amid traffic, nothing shows which
             of the datagrams just sent are in the first count.
+        lacking: datagrams that its last counts before restarts lack: read later, or lost on a network that
+            loses some.
         before: datagrams that arrived before its first count was made and are not in it.
         older_until_ns: until this time it may have read datagrams from before the capture, because it read as
             fast as it can when the capture began; 0 if it did not.
@@ -135,6 +134,7 @@ class Ingest(msgspec.Struct):
     unread: int = 0
     not_captured: int = 0
     unsure: int = 0
+    lacking: int = 0
     before: int = 0
     older_until_ns: int = 0
     ended: list[tuple[int, int]] = msgspec.field(default_factory=list)
@@ -369,7 +369,7 @@ class _Counted:
         account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
         unsteady_ns = self._case.unsteady_ns
         sent = np.searchsorted(self._sent_ns, self._seen + unsteady_ns - least_ns, "right")
-        lost = before = last = idle_ns = room = 0
+        lost = before = last = idle_ns = room = lag_ns = 0
         crowded = False
         for first, end in pairwise([0, *self._starts, len(own)]):
             part = slice(first, end)
@@ -385,7 +385,7 @@ class _Counted:
                 least, before = before + own[first - 1].count, min(_fewer(low, high) - lost, most_read)
                 room += max(0, before - least)
             elif first:
-                begin, lost, before = self._restarted(account, last, first, lost, before)
+                begin, lost, before = self._restarted(account, last, first, lost, before, lag_ns)
             else:
                 begin = self._first_count()
                 if busy[1:2].any() or ((sent[part][1:2] == 0) & (np.diff(count[part][:2]) > 0)).any():
@@ -400,13 +400,18 @@ class _Counted:
                 account.before = before
                 low[0] = min(low[0], max(before, high.min()))  # a datagram counted later was not lost
             drained = np.diff(count[part], prepend=count[first]) < most
-            unread = 0 if first else self._unseen()
-            full = 0 if first else self._most_waited(before) - self._profile.socket_queue
+            blind = not first and self._arrived is None
             # Datagrams from before the capture may wait too; they are no losses of this capture.
             high = high - before if first else np.minimum(high - before, sent[part])
-            run = _Run(self._seen[part], low - before, high, drained, busy, 2 * most, full, unread)
+            # Those from before the capture that it reads until then.
+            until = int(np.searchsorted(self._seen[part], account.older_until_ns, "right"))
+            older = np.maximum(0, count[part][max(0, until - 1)] - count[part])
+            beyond = high + older + 2 * most - self._profile.socket_queue
+            run = _Run(self._seen[part], low - before, high, drained, beyond, blind)
+            last_read = np.clip(lost + before + count[part], 1, len(self._sent_ns)) - 1
+            lag_ns = int((self._seen[part] - self._sent_ns[last_read]).min())
             lost = _follow(account, run, lost, begin, room)
-            if not first and before and unread is None and account.losses and not busy[1:2].any():
+            if blind and before and account.losses and not busy[1:2].any():
                 account.unsure += max(0, before - self._surely_sent(int(emptied_ns[0])) + own[0].count)
             account.waiting = max(0, int(run.high[-1]) - lost)
             last, crowded = first, bool(busy[-1])
@@ -418,7 +423,7 @@ class _Counted:
         return account
 
     def _restarted(
-        self, account: Ingest, last: int, first: int, lost: int, before: int
+        self, account: Ingest, last: int, first: int, lost: int, before: int, lag_ns: int
     ) -> tuple[tuple[Cause, int], int, int]:
         """Return cause and begin of the losses by a restart, the number lost by then, and the number read.
 
@@ -428,6 +433,7 @@ class _Counted:
             first: index of the first sample after it.
             lost: number of datagrams lost until the restart.
             before: number of datagrams read before the previous run.
+            lag_ns: shortest time from sending a datagram to the first count that has it, in that run.
         """
         sooner, later = self._own[first - 1], self._own[first]
         ended_ns = self._ended_ns(sooner, later)
@@ -443,9 +449,8 @@ class _Counted:
             read = self._most_read(self._own[last:first], later.made_ns)
             account.unsure += max(0, min(int(self._sent_until(ended_ns)) - lost, before + read) - surely)
         most_read, total = before + read, before + sooner.count
-        if cause == "down" and self._arrived is None and account.lost_on_network:
-            # The network may have lost the datagrams that its last count lacks.
-            account.unsure += max(0, int(self._sent_until(sooner.seen_ns)) - lost - total)
+        if self._arrived is None:
+            account.lacking += max(0, int(self._sent_until(sooner.seen_ns - lag_ns)) - lost - total)
         before = int(self._sent_until(ended_ns)) - lost
         if before > most_read:
             # The datagrams that waited in its socket are lost with it.
@@ -453,7 +458,7 @@ class _Counted:
             account.losses.append(Before(cause, before - most_read, *span, more=read - sooner.count))
             lost, before = lost + before - most_read, most_read
         if commands and (self._arrived is None or not self._all_out):  # it may have ended at once
-            account.unsure += max(0, before - max(total, int(self._sent_until(max(commands)[1])) - lost))
+            account.unsure += max(0, before - max(total, int(self._sent_until(min(commands)[1])) - lost))
         if cause == "down" and self._arrived is None:
             until_ns = min(self._next_sign_ns(sooner.instance, ended_ns), later.made_ns)
             if restarts := self._restarts_ns(ended_ns - self._profile.ci_wake_ns, until_ns):
@@ -559,25 +564,13 @@ class _Counted:
         capture came out, or until its socket was empty, CI read only datagrams from before the capture,
         because it reads in order.
         """
-        most = self._most_uncounted()
+        first = self._own[0]
+        since_ns = int(self._sent_ns[0]) if len(self._sent_ns) else first.seen_ns
+        most = self._most * max(0, 2 + (first.seen_ns - since_ns) // self._profile.ci_wake_ns) - first.count
         out_ns, went_ns = self._first_out
         idle = np.append(np.flatnonzero(np.diff(self._count[:end]) < self._most), end)
         until = [item for item in self._own[:end][: idle[0] + 1] if item.seen_ns <= out_ns]
         return min(most, int(self._sent_until(went_ns)) - until[-1].count) if until else most
-
-    def _most_uncounted(self) -> int:
-        """Return the most datagrams that CI can have read of those sent, besides its first count."""
-        first = self._own[0]
-        since_ns = int(self._sent_ns[0]) if len(self._sent_ns) else first.seen_ns
-        return self._most * max(0, 2 + (first.seen_ns - since_ns) // self._profile.ci_wake_ns) - first.count
-
-    def _most_waited(self, before: int) -> int:
-        """Return the most datagrams waiting or lost at a time before the first count, for a busy CI."""
-        first = self._own[0]
-        sent_ns = self._sent_ns[self._sent_ns < first.made_ns]
-        later = 2 + (first.made_ns - sent_ns) // self._profile.ci_wake_ns
-        read = np.maximum(first.count + before - self._most * later, 0)
-        return int((np.arange(1, len(read) + 1) - read).max(initial=0))
 
     def _first_count(self) -> tuple[Cause, int]:
         """Return why datagrams sent before the first count are not in it, and since when.
@@ -588,17 +581,6 @@ class _Counted:
         since_ns = int(self._sent_ns[0]) - 1 if len(self._sent_ns) else sample.seen_ns
         boot_ns = self._case.instances.items[sample.instance].boot_ns(self._profile)
         return ("down" if since_ns < boot_ns < sample.seen_ns else "network"), since_ns
-
-    def _unseen(self) -> int | None:
-        """Return how many datagrams sent before the first count did not come out and may have been read.
-
-        None if the way out is not captured.
-        """
-        if self._arrived is None:
-            return None
-        seen_ns = self._own[0].seen_ns
-        absent = int(self._sent_until(seen_ns) - np.searchsorted(self._arrived, seen_ns, "right"))
-        return min(absent, max(0, self._most_uncounted()))
 
     def _ended_ns(self, last: _Sample, first: _Sample) -> int:
         """Return until when CI read before it started again."""
@@ -667,21 +649,18 @@ class _Run(NamedTuple):
         low: i64 (n,), least number of datagrams lost until each sample.
         high: i64 (n,), greatest such number.
         drained: (n,), CI read fewer than it can at a wake-up.
-        busy: (n,), CI read nearly as many as it can.
-        many: if more than this wait, the socket gets full.
-        overflow: at most this many had no room in the socket before the first count.
-        unread: datagrams sent before the first count that did not come out: lost, or read by a CI that
-            restarted since; None if the way out is not captured.
+        beyond: i64 (n,), by how many more than a socket usually holds can have waited, if none were lost; two
+            wake-ups are allowed for.
+        blind: it is the first run, and the way out is not captured: CI may have read what its first count
+            lacks, and have restarted since.
     """
 
     seen: Integers
     low: Integers
     high: Integers
     drained: Mask
-    busy: Mask
-    many: int
-    overflow: int
-    unread: int | None
+    beyond: Integers
+    blind: bool
 
 
 class _Level(msgspec.Struct):
@@ -738,20 +717,12 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
             if level.first:
                 empty = np.flatnonzero(run.drained[: level.first])
                 last = int(empty[-1]) if len(empty) else 0
-                # Rule 5: before a full socket loses datagrams, many wait in it.
-                since = slice(last, level.first + 1)
-                full = int(run.high[since].max()) - number > run.many
+                full = int(run.beyond[last : level.first + 1].max()) > number
                 missing_first = int(run.high[: level.first].min())
-                early = not account.losses and run.unread is None and missing_first >= number
-                full |= run.busy[since].mean() > _MOSTLY
-                cause = "socket" if full and not (early and number > run.overflow) else "network"
+                early = not account.losses and run.blind and missing_first >= number
+                cause = "socket" if full else "network"
                 since_ns = int(run.seen[last])
-                if not account.losses and run.unread is not None and not account.older_until_ns:
-                    # The counts allow that these were missing at the first sample already: lost, or read by
-                    # a CI that has restarted since.
-                    early_lost = max(0, min(run.unread, number - lost, missing_first))
-                    account.unsure, lost = account.unsure + early_lost, lost + early_lost
-                elif early and {cause, begin[0]} == {"network"}:
+                if early and {cause, begin[0]} == {"network"}:
                     account.unsure += number - lost  # or CI read them, and has restarted since
                     lost = number
             until_ns = int(run.seen[level.first])
@@ -770,6 +741,8 @@ def _spread_evenly(rows: Places, number: int) -> Places:
 
 _LONG: Final = 3
 """If no ICMP error comes for this many times the usual interval, somebody listens."""
+_SCARCE_NS: Final = 2500 * MILLISECOND
+"""But for longer than this: a host may send one error a second, and the network lose it."""
 _OUTAGES: Final = frozenset({"down", "restart", "ci_stopped"})
 
 
@@ -799,6 +772,13 @@ class BeforeCi:
         if any(item.start_ns < account.first_ns for item in outages) and not any(item.seen for item in fates):
             account.unsure += max(0, account.before)  # sent while it was restarted, or just before
         self._make_uncertain([(fate, fate.open) for fate in fates], account.unsure)
+
+    def concede(self, telemetry: Sequence[Loss]) -> None:
+        """Make datagrams uncertain that counts lack, if the network loses some, either way."""
+        accounts = self._case.ingests
+        if any(item.lost_on_network for item in accounts) or any(item.kind == "after" for item in telemetry):
+            for account in accounts:
+                self._make_uncertain([(fate, fate.open) for fate in self._to(account)], account.lacking)
 
     @staticmethod
     def _make_uncertain(may: Sequence[_May], number: int) -> None:
@@ -879,7 +859,7 @@ class BeforeCi:
         closed, number = self._case.unreachable.closed, 0
         quoted = [fate.stream.time_ns[closed[fate.stream.rows]] for fate, _ in may]
         errors_ns = np.sort(np.concatenate([np.zeros(0, np.int64), *quoted]))
-        long_ns = _LONG * int(np.median(np.diff(errors_ns))) if len(errors_ns) > 1 else 0
+        long_ns = max(_LONG * int(np.median(np.diff(errors_ns))), _SCARCE_NS) if len(errors_ns) > 1 else 0
         both = (item for item in pairwise(errors_ns.tolist()) if item[1] - item[0] > 2 * long_ns)
         spans = [(start + long_ns, end - long_ns) for start, end in both]
         for fate, own in (item for item in may if not item[0].seen):  # of others CI read what came out

@@ -400,7 +400,8 @@ class _Candidate(msgspec.Struct, frozen=True):
     def beyond(self, sent_ns: Integers, start_ns: int, end_ns: int) -> int:
         """Return how many messages sent between two times the pipe has no room for; may be negative."""
         number, queue = int(((sent_ns > start_ns) & (sent_ns <= end_ns)).sum()), self.queue
-        return number - (end_ns - start_ns) // queue.round_ns * queue.limit(self.msg_id) if queue else number
+        rounds = round((end_ns - start_ns) / queue.round_ns) if queue else 0
+        return number - rounds * queue.limit(self.msg_id) if queue else number
 
     @property
     def labels(self) -> tuple[str, int, str]:

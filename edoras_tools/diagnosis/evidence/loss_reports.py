@@ -12,7 +12,7 @@ import numpy as np
 from edoras_tools.cfs import sbn, software_bus, telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.sessions.sequence import MODULUS
-from edoras_tools.wire.arrays.order import Integers, Places, numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -82,19 +82,20 @@ class Track(msgspec.Struct):
         return bool(self.times) and self.times[0] <= time_ns <= self.times[-1]
 
     @classmethod
-    def of(cls, made_ns: Integers, counters: Mapping[str, Integers]) -> Self:
+    def of(cls, made_ns: Integers, counters: Mapping[str, Integers], restarted: Mask) -> Self:
         """Return the history of some samples.
 
         Args:
             made_ns: i64 (n,), times at which the samples were made, strictly increasing.
             counters: name of a counter to its values, i64 (n,).
+            restarted: bool (n - 1,), cFS was started again since the sample before.
         """
-        track, set_back = cls(made_ns.tolist()), np.zeros(max(len(made_ns) - 1, 0), bool)
+        track, set_back = cls(made_ns.tolist()), restarted.copy()
         for name, values in counters.items():
             modulus = 1 << _WIDTHS[name]
             steps = np.diff(values) % modulus
             # A step down by little is a reset, and no wrap. Counters of 8 bits wrap too often to decide.
-            reset = (np.diff(values) < 0) & (steps > modulus // 2)
+            reset = (np.diff(values) < 0) & (steps > modulus // 2) | restarted
             set_back |= reset & (modulus > _BYTE)
             grown = np.cumsum(np.where(reset, values[1:], steps))
             track.older[name] = int(values[0])
@@ -103,10 +104,18 @@ class Track(msgspec.Struct):
         return track
 
 
-def tracks(rows: Rows, payloads: Payloads, instances: Instances) -> dict[int, Track]:
+def tracks(
+    rows: Rows, payloads: Payloads, instances: Instances, resets: Iterable[tuple[int, int, int]]
+) -> dict[int, Track]:
     """Return instance to the history of its bus counters, for each instance with a 0x803 in the capture.
 
     Housekeeping may arrive over several links; the link with most samples is used.
+
+    Args:
+        rows: all datagrams.
+        payloads: contents of packets of cFS itself.
+        instances: senders of packets.
+        resets: restarts of a cFS whose clock went on: instance, earliest and latest time in ns.
     """
     samples = payloads.housekeeping
     instance = instances.of_row[samples["row"]]
@@ -120,15 +129,19 @@ def tracks(rows: Rows, payloads: Payloads, instances: Instances) -> dict[int, Tr
         first, which = numbered(way[own])
         sizes = np.bincount(which, minlength=len(first))
         for number in np.argsort(-sizes, kind="stable").tolist():
-            made_ns, values = _in_order(samples, own[which == number], instances, rows)
+            at, values = _in_order(samples, own[which == number], instances, rows)
             if not _returns(values):
-                by_instance[index] = Track.of(made_ns, dict(zip(_WIDTHS, values, strict=True)))
+                seen_ns, restarted = rows.time_ns[at], np.zeros(max(len(at) - 1, 0), bool)
+                for start_ns, end_ns in (item[1:] for item in resets if item[0] == index):
+                    restarted |= (seen_ns[:-1] <= start_ns) & (end_ns <= seen_ns[1:])
+                counters = dict(zip(_WIDTHS, values, strict=True))
+                by_instance[index] = Track.of(instances.made_ns[at], counters, restarted)
                 break
     return by_instance
 
 
-def _in_order(samples: Samples, some: Places, instances: Instances, rows: Rows) -> tuple[Integers, Integers]:
-    """Return the times at which samples were made, i64 (n,), and their counters, i64 (counters, n)."""
+def _in_order(samples: Samples, some: Places, instances: Instances, rows: Rows) -> tuple[Places, Integers]:
+    """Return the rows of samples in the order in which they were made, and their counters: (counters, n)."""
     made_ns = instances.made_ns[samples["row"][some]]
     order = np.argsort(made_ns, kind="stable")
     # Samples of equal times are copies: one is kept.
@@ -141,7 +154,7 @@ def _in_order(samples: Samples, some: Places, instances: Instances, rows: Rows) 
     before, own, behind = values[:2, :-2], values[:2, 1:-1], values[:2, 2:]
     astray = (next_ < MODULUS // 2) & (mine > next_) | ((before <= behind) & (behind < own)).any(axis=0)
     fits = ~np.concatenate(([False], astray, [False]))[: len(order)]
-    return made_ns[order[fits]], values[:, fits]
+    return samples["row"][some[order[fits]]], values[:, fits]
 
 
 def _returns(values: Integers) -> bool:
