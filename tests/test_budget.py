@@ -39,8 +39,8 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(57_329, 150, 58_000),
-    "lines with code, all": Limit(91_544, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(57_386, 150, 58_000),
+    "lines with code, all": Limit(91_601, 150, 84_000),  # with what is still to come
     "files": Limit(590, 10, 450),
     "files below 170 lines, of 1,000": Limit(407, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),

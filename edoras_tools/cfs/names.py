@@ -86,6 +86,13 @@ MSG_ID_NAMES: Final[dict[int, str]] = {
     0x18FA: "SBN_CMD",
 }
 
+
+def housekeeping_of(app: str) -> list[int]:
+    """Return the MsgIds of an application's own housekeeping: 0x0884 (CI_HK) of CI_LAB_APP."""
+    own = ((msg_id, name[:-2]) for msg_id, name in MSG_ID_NAMES.items() if name[-3:] == "_HK")
+    return [msg_id for msg_id, name in own if f"{app}_".startswith(name)]
+
+
 COMMANDS: Final[dict[int, dict[int, Command]]] = {
     0x1806: _commands(
         *("NOOP", "RESET_COUNTERS", "RESTART", None, "START_APP", "STOP_APP", "RESTART_APP", "RELOAD_APP"),

@@ -153,6 +153,8 @@ RANGES = {
     "two_cfs_of_one_name": 71,
     "bridge_for_each_robot": 221,
     "bursts_to_a_peer": 254,
+    "restarted_in_vain": 245,
+    "stopped_without_event_types": 147,
     "processor_restarted_in_a_flood": 126,
     "restarted_in_a_row": 123,
     "killed_in_a_flood": 225,

@@ -33,6 +33,7 @@ Applications and links that did not run:
 
 from __future__ import annotations
 
+from collections import Counter
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -41,9 +42,20 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs import command_ingest, executive_services, queues, sbn, telemetry_output
-from edoras_tools.diagnosis.accounting.losses import BUS, READY_NS, TAIL_NS, WAITS_NS, Fate, Loss, LossKind
+from edoras_tools.cfs.names import housekeeping_of
+from edoras_tools.diagnosis.accounting.losses import (
+    BUS,
+    COUNTERS,
+    READY_NS,
+    TAIL_NS,
+    WAITS_NS,
+    Fate,
+    Loss,
+    LossKind,
+)
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, StateSpan, Way, reasons_for
+from edoras_tools.diagnosis.matching.streams import Stream
 from edoras_tools.diagnosis.quality import CONFIDENCE
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import SECOND
@@ -57,7 +69,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
-    from edoras_tools.diagnosis.matching.streams import Stream
 
 
 _SILENT_WAKES: Final = 5
@@ -381,6 +392,8 @@ _LEAST_ROUNDS: Final = 5
 _LEAST_UNANSWERED: Final = 5
 """If this many messages are sent and none comes out, a command to stop the application was effective."""
 _USUAL_STEPS: Final = 20
+_ENDS_NS: Final = 15 * SECOND
+"""An application ends at most this long after the command: CI may read that from a full socket."""
 _SILENT_STEPS: Final = 3
 """An application that sends nothing on for this many of its longest steps did not run."""
 _FASTER: Final = 1.25
@@ -461,6 +474,8 @@ def _falls_silent(case: Case, app: str, span: StateSpan) -> bool:
     """Return whether an application sends nothing on after a command to stop it, though messages come."""
     if (app in _LINKS and app not in command_ingest.NAMES) or app in executive_services.SCHEDULERS:
         return False
+    if unanswered(case, app, span.change.system, span.start_lo)[0] < span.end_hi:
+        return True
     start_ns, end_ns = span.start_lo + WAITS_NS, span.end_lo
     for hop in case.hops:
         left_ns = hop.out.time_ns
@@ -473,6 +488,36 @@ def _falls_silent(case: Case, app: str, span: StateSpan) -> bool:
         if sent >= _LEAST_UNANSWERED and recent and back_ns - before_ns[-1] > _SILENT_STEPS * longest_ns:
             return True
     return False
+
+
+def unanswered(case: Case, app: str, system: int, since_ns: int) -> tuple[int, int]:
+    """Return from when to when an application surely did not run: it sent no housekeeping, though others did.
+
+    Args:
+        case: the capture.
+        app: name of the application; not one of cFS itself.
+        system: number of its cFS.
+        since_ns: when it was commanded to stop, or when it ended.
+
+    Returns:
+        Capture times in ns; ``NEVER`` twice if its housekeeping does not show that.
+    """
+    sent = [item for item in case.streams if item.link.only_from_cfs and item.is_housekeeping]
+    sent = [item for item in sent if case.instances.system(case.owner(item)) == system]
+    msg_ids = () if app in _LINKS else housekeeping_of(app)
+    for stream in (item for item in sent if item.known_id in msg_ids and len(item) >= _LEAST_ROUNDS):
+        last_ns = max((int(item.time_ns[-1]) for item in sent if item is not stream), default=0)
+        times, missing = np.append(stream.time_ns, last_ns), np.append(stream.missing[:-1], 0)
+        steps, usual = np.diff(times), int(np.median(np.diff(stream.time_ns)))
+        # The network may have lost the last ones.
+        late = _SILENT_STEPS if any(item.missing[:-1].any() for item in sent) else 1
+        near = (times[:-1] > since_ns - 2 * usual) & (times[:-1] < since_ns + _ENDS_NS) & (missing == 0)
+        for at in np.flatnonzero(near & (steps > 2 * _SILENT_STEPS * usual)).tolist():
+            begin, end = int(times[at]) + late * usual, int(times[at + 1]) - 2 * usual
+            way = Way(stream.msg_id, stream.link, system)
+            if not (lacks_control(case, stream) or reasons_for(case.timeline, way, begin, end, case.at)):
+                return begin, end
+    return NEVER, NEVER
 
 
 class Stops:
@@ -688,7 +733,7 @@ class Stops:
     def make_losses(self) -> None:
         """Turn the marked messages into losses, but not those that may be lost behind the application."""
         causes = list(self._causes)
-        for fate in self._fates:
+        for fate in (item for item in self._fates if item.undecidable is None):
             open_ = fate.open & ~fate.passed
             for place in np.unique(fate.stop[open_ & (fate.stop >= 0)]).tolist():
                 rows = np.flatnonzero(open_ & (fate.stop == place))
@@ -706,24 +751,58 @@ class Stops:
                     evidence.append(f"0x803 counted {number:,} of them: nobody read the pipe")
                 self.losses.append(fate.loss(kind, inner, evidence, hop=hop))
 
+    def make_uncounted(self, losses: list[Loss], telemetry: Sequence[Loss]) -> None:
+        """Turn marked messages whose way out is not captured into losses, less those that a counter has.
+
+        Args:
+            losses: losses of messages into cFS; extended here.
+            telemetry: losses of telemetry.
+        """
+        causes = list(self._causes)
+        for fate in (item for item in self._fates if item.undecidable is not None):
+            stream, marked = fate.stream, np.flatnonzero(fate.open & (fate.stop >= 0))
+            since_ns = int(stream.time_ns[marked].min(initial=NEVER))
+            of = Counter[Stream | None]()
+            for item in (*losses, *telemetry):
+                of[item.stream] += item.lost * (item.instance != NOBODY and item.end_ns > since_ns)
+            # A count soon after that may be of a message sent before; a later one is of one of these.
+            tracks = [track for at, track in self._case.tracks.items() if self._case.goes_to(stream, at)]
+            soon, late = (
+                sum(track.growth(name, when) for track in tracks for name in COUNTERS.values())
+                for when in (since_ns, since_ns + TAIL_NS)
+            )
+            surely = max(0, min(of[stream], late - of.total() + of[stream]))
+            fate.followed -= min(fate.followed, fate.claim(marked[:surely]))
+            marked = marked[min(of[stream] + of[None] + fate.ends["shared"], soon) :]
+            for place in distinct(fate.stop[marked]).tolist():
+                rows = marked[fate.stop[marked] == place]
+                kind, hop, text = causes[place]
+                losses.append(fate.loss(kind, rows, [text], hop=hop))
+                fate.claim(rows)
+
     def _unfollowed(self, fate: Fate, own: Sequence[Outage]) -> None:
         """Apply rules 9 and 10."""
         case, times = self._case, fate.stream.time_ns
-        reported = [item for item in case.reported_losses if item.msg_id == fate.stream.msg_id]
-        pipes = {item.pipe for item in reported if item.at_pipe and not item.at_output}
+        reported = (item for item in case.reported_losses if item.at_pipe and not item.at_output)
+        pipes = {item.pipe for item in reported if item.msg_id == fate.stream.msg_id}
         surely = [item for item in own if any(map(item.reads, pipes))]
         # If an application has messages of its own in rule 8, this MsgId need not be for it.
         own = surely or [item for item in own if item.app not in {hop for _, hop, _ in self._causes}]
         if not own:
             return
         alike = [item for item in self._fates if not item.seen and item.stream.link is fate.stream.link]
-        if not surely and len(alike) == 1 and len({item.app for item in own}) == 1:
+        several = sum(item is fate or len(item.stream) >= _FEW for item in alike) > 1  # no single commands
+        if not (surely or several or len({item.app for item in own}) > 1):
             surely = list(own)
         for item in surely:
             lacking = np.flatnonzero(fate.open & (times > item.ended_ns) & (times < item.asked_ns))
             if fate.claim(lacking):
                 self.losses.append(fate.loss("stopped", lacking, [item.witness], hop=item.app))
-        first = min(surely or own, key=lambda item: item.start_ns)
+            begin, end = unanswered(case, item.app, item.system, item.start_ns)
+            marked = fate.open & (times > begin) & (times < end) & (not case.quality.lacks_answered)
+            text = f"{item.witness}; no housekeeping of it came from {case.at(begin)} on"
+            self.mark(fate, marked, "stopped" if item.end_ns is None else "restart_failed", item.app, text)
+        first = min(own, key=lambda item: item.start_ns)
         fate.undecidable = times > first.start_ns
         fate.undecidable_since = first.witness
 

@@ -159,6 +159,7 @@ class Commands:
         leftover.make_losses()
         self.uncaptured = leftover.uncaptured
         self._take_back_refused()
+        stops.make_uncounted(self.losses, telemetry.losses)
         self._mark_undecidable(fates)
         self._number(fates)
         self._relayed(fates)

@@ -27,7 +27,7 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs import executive_services, sbn, software_bus, telemetry_output, time_services
 from edoras_tools.cfs.arguments import SB_MSG_ID, TIME_MSG_ID
-from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.cfs.names import housekeeping_of
 from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE, Connection, Network, SbnParty
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
 from edoras_tools.units import SECOND
@@ -157,9 +157,8 @@ class SoftwareChanges(msgspec.Struct, dict=True):
 
         That is 10 s before, or directly behind its last earlier command or housekeeping packet.
         """
-        names, systems = MSG_ID_NAMES.items(), self._instances.system_of_row
-        own = [number for number, name in names if name[-3:] == "_HK" and f"{app}_".startswith(name[:-2])]
-        made_ns = self._instances.made_ns[np.isin(self._rows.known_id, own) & (systems == system)]
+        own = np.isin(self._rows.known_id, housekeeping_of(app)) & (self._instances.system_of_row == system)
+        made_ns = self._instances.made_ns[own]
         times = [item.time_ns for item in self._payloads.about_apps() if item.app == app]
         times += made_ns[made_ns < ended_ns - _ROUND_NS].tolist()
         return max([ended_ns - _ENDS_NS, *(when + 1 for when in times if when < ended_ns)])
