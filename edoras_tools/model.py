@@ -220,7 +220,7 @@ OTHER: Final = Link()
 """No link: the datagram is kept, and not dissected."""
 
 
-class Endpoint(msgspec.Struct, frozen=True):
+class Endpoint(msgspec.Struct, frozen=True, order=True):
     """An IP address in text form and a UDP or TCP port."""
 
     address: str

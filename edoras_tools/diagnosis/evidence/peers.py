@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 
 ObservedState = Literal["connected", "silent", "timed_out", "disconnected"]
 _LEAST_ROWS: Final = 3
-_ALREADY_NS: Final = SECOND
-_BEGINS: Final = frozenset({sbn.MsgType.SUB, sbn.MsgType.PROTO, sbn.MsgType.ANNOUNCE})
-"""First messages of a new connection; with any other one first, the connection is older than the capture."""
-_BEGAN: Final = frozenset(f"its {kind.name} arrived" for kind in _BEGINS)
+_BEGAN: Final = frozenset(f"its {kind} arrived" for kind in ("SUB", "PROTO", "ANNOUNCE"))
+"""Reasons of a new connection; with any other message first, the peer did not begin it anew."""
+_TO_CONNECTED: Final = sbn.MsgType.PROTO, sbn.MsgType.APP, sbn.MsgType.HEARTBEAT
+"""What a cFS sends only to a peer that is connected; its lists go to all peers of its table."""
 _NEVER: Final = np.iinfo(np.int64).max // 2
 _STILL_NS: Final = 3 * SECOND
 """Longest time for which an observer still sends after a time-out."""
@@ -220,8 +220,8 @@ class Network:
                 heard = network[np.isin(way, ways[peer, observer])]
                 sent = network[np.isin(way, ways.get((observer, peer), []))]
                 app = sent[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
-                alive_ns = int(rows.time_ns[sent[0] if len(sent) else heard[0]])
-                changes = self._changes(rows, heard, alive_ns, end_ns, _disconnect_spans(rows, sent))
+                start = int(np.append(sent[np.isin(rows.sbn_msg_type[sent], _TO_CONNECTED)], heard)[0])
+                changes = self._changes(rows, heard, start, end_ns, _disconnect_spans(rows, sent))
                 app_ns = rows.time_ns[app]
                 changes = _believed(changes, app_ns)
                 changes = _with_unseen(changes, rows, sent, app)
@@ -233,14 +233,14 @@ class Network:
                 self.connections[peer, observer] = Connection(*ends, changes, app_ns, restarts, late)
 
     def _changes(
-        self, rows: Rows, heard: Places, alive_ns: int, end_ns: int, farewells: list[tuple[int, int]]
+        self, rows: Rows, heard: Places, first: int, end_ns: int, farewells: list[tuple[int, int]]
     ) -> list[PeerChange]:
         """Return the states of one peer, from its datagrams to one observer.
 
         Args:
             rows: table of datagrams.
             heard: rows that the peer sent to the observer.
-            alive_ns: time of the observer's first datagram.
+            first: row of the observer's first datagram in a connection, which begins with PROTO.
             end_ns: time of the last datagram of the capture.
             farewells: result of ``_disconnect_spans``.
         """
@@ -248,12 +248,15 @@ class Network:
         silent = (self._profile.sbn_heartbeat_s + 1) * SECOND
         if rows.streamed[heard].any():
             timeout = silent = _NEVER
-        begin_ns = int(rows.time_ns[0])
+        begin_ns, alive_ns = rows.time_ns[[0, first]].tolist()
+        begins = rows.sbn_msg_type[first] == sbn.MsgType.PROTO
         changes: list[PeerChange] = []
         up, away = False, [*farewells, (np.iinfo(np.int64).max, 0)]
+        # Nobody heard datagrams before the observer was running.
+        heard = heard[rows.time_ns[heard] >= alive_ns - 500 * MILLISECOND]
         times, kinds = rows.time_ns[heard], rows.sbn_msg_type[heard]
         # Only these can change the state: a DISCONNECT, the datagram behind it, and one after a silence.
-        ends = (times < alive_ns - 500 * MILLISECOND) | (kinds == sbn.MsgType.DISCONNECT)
+        ends = kinds == sbn.MsgType.DISCONNECT
         changing = ends | np.append(True, ends)[: len(ends)] | (np.diff(times, prepend=0) >= timeout)
         for at in np.flatnonzero(changing | bool(farewells)).tolist():
             now, kind, last = int(times[at]), int(kinds[at]), int(times[at - 1])
@@ -264,10 +267,8 @@ class Network:
                 if now < away[0][1]:
                     continue  # the observer does not accept this datagram
                 away.pop(0)
-            # Nobody heard datagrams before the observer was running.
-            if now < alive_ns - 500 * MILLISECOND:
-                continue
-            if up and now - last >= timeout and now - last >= timeout + self._away(last, now):
+            # Nothing at all may come from the last message before a time-out on.
+            if up and now - last >= timeout and now - last > timeout + self._away(last, now) - SECOND:
                 changes += self._silence(last, timeout)
                 up = False
             if kind == sbn.MsgType.DISCONNECT:
@@ -275,9 +276,8 @@ class Network:
                     changes.append(PeerChange(now, "disconnected", "it sent DISCONNECT"))
                 up = False
             elif not up:
-                began = kind in _BEGINS
-                first = not changes and now - begin_ns < (_ALREADY_NS if began else timeout)
-                why = ALREADY if first else f"its {sbn.MSG_TYPE_NAMES.get(kind, f'type {kind:#04x}')} arrived"
+                older = not (changes or begins) and now - begin_ns < timeout
+                why = ALREADY if older else f"its {sbn.MSG_TYPE_NAMES.get(kind, f'type {kind:#04x}')} arrived"
                 changes.append(PeerChange(now, "connected", why))
                 up = True
         last = int(times[-1]) if up else 0
@@ -333,7 +333,7 @@ def _believed(changes: list[PeerChange], sent_ns: Integers) -> list[PeerChange]:
     out: list[PeerChange] = []
     for at, change in enumerate(changes):
         until = changes[at + 1].time_ns if at + 1 < len(changes) else np.iinfo(np.int64).max
-        late = (sent_ns > change.time_ns + _STILL_NS) & (sent_ns < until)
+        late = (sent_ns > change.time_ns + _STILL_NS) & (sent_ns < until - SECOND)
         if change.state == "timed_out" and late.any():
             out[-1] = out[-1]._replace(why=UNSEEN)
             continue
@@ -356,7 +356,7 @@ def _with_unseen(changes: list[PeerChange], rows: Rows, sent: Places, app: Place
         if place and out[place - 1].state == "connected":
             last_ns = int(app_ns[later - 1])
             if out[place - 1].time_ns < last_ns < when - _STILL_NS:
-                lost = PeerChange(last_ns + 1, "timed_out", "the observer sent it nothing any more")
+                lost = PeerChange(last_ns + 1, "timed_out", "the observer heard nothing of it any more")
                 out[place:place] = [lost, PeerChange(when, "connected", "the observer subscribed anew")]
     return out
 

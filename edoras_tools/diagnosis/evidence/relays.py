@@ -194,14 +194,11 @@ def one_name(rows: Rows, endpoints: Sequence[Endpoint]) -> NDArray[np.int32]:
         return names
     outer = {other for _, other in same}
 
-    def preferred(index: int) -> tuple[bool, str, int]:
-        return index in outer, endpoints[index].address, endpoints[index].port
-
     changed = True
     while changed:
         changed = False
         for pair in same:
-            best = min((int(names[index]) for index in pair), key=preferred)
+            best = min((int(names[at]) for at in pair), key=lambda at: (at in outer, endpoints[at]))
             for index in pair:
                 changed |= bool(names[index] != best)
                 names[index] = best

@@ -205,7 +205,7 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
     Say what is not accounted for, and what had nowhere to go.
     """
     remedies = {
-        "away": "restart the peer; it is connected again with its first SUB or PROTO",
+        "away": "see that the peer runs, and that what it sends comes to cFS: its next SUB connects it",
         "unsubscribed": "let the peer subscribe to that MsgId again: compare what it is told to receive",
         "disabled": f"enable Telemetry Output as soon as it runs: {case.inject(ENABLE_OUTPUT)}",
         "beside": "end one of the two cFS: an application of the second one may find its port in use",

@@ -534,11 +534,13 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             same &= bool(craft) | ~np.isin(rows.source[near], peers)
             if craft or not foreign[near[same]].any():
                 foreign[near[same]] = True
+    came_out = np.concatenate([np.zeros(0, np.intp), *(hop.into.rows[hop.in_rows] for hop in case.hops)])
     for who, members in groups(rows.sbn_sender(), np.flatnonzero(foreign)):
         peer, start_ns = peer_of(who), case.span(members)[0]
-        carried = np.unique(rows.msg_id[members]).tolist()
         lines = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
-        if not lines and case.network.identity_of.get(int(rows.source[members[0]])) == str(peer):
+        messages = members[rows.msg_id[members] != NO_MSG_ID]
+        taken = 2 * np.isin(messages, came_out).sum() > len(messages)
+        if not lines and (taken or case.network.identity_of.get(int(rows.source[members[0]])) == str(peer)):
             continue  # most there are its own: one that spoke before it is the other
         refused = _refused(
             case,
@@ -550,11 +552,10 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             + (_CRASH if rows.streamed[members].any() else ""),
             lines,
         )
-        if NO_MSG_ID in carried[1:] or len(carried) > 1:  # subscriptions are no messages
-            messages = int((rows.msg_id[members] != NO_MSG_ID).sum())
-            refused = replace(refused, lost=messages, of=messages)
-        one = len(carried) == 1 and carried[0] != NO_MSG_ID
-        yield replace(refused, msg_id=carried[0]) if one else refused
+        if len(messages):  # subscriptions are no messages
+            refused = replace(refused, lost=len(messages), of=len(messages))
+        carried = np.unique(rows.msg_id[members]).tolist()
+        yield replace(refused, msg_id=carried[0]) if len(carried) == 1 and len(messages) else refused
 
 
 _LEAST: Final = 6

@@ -11,8 +11,8 @@ Rules:
 4. A Telemetry Output that is restarted has lost its destination and all changes of its table.
 5. A peer is connected, silent, timed out or disconnected as in :class:`Network`. It is also silent from its
    last datagram to its restart, if nobody timed it out.
-6. A peer is subscribed to the MsgIds in its SUB messages of the present connection. The end of a connection
-   ends all its subscriptions.
+6. A peer is subscribed to the MsgIds in its SUB messages of the present connection, and to what it is sent.
+   A connection begins without subscriptions.
 """
 
 from __future__ import annotations
@@ -245,14 +245,11 @@ def network_changes(
     rows: Rows, payloads: Payloads, instances: Instances, network: Network
 ) -> Iterator[Change]:
     """Yield the changes of every SBN peer and its subscriptions, as each cFS sees them."""
-    listed = payloads.subscriptions
-    at, contents = listed["row"], listed["said"]
     for (peer, observer), connection in network.connections.items():
         system = _system(instances, observer)
         yield from _peer(connection, system, int(rows.time_ns[0]))
         yield from _goodbyes(rows, network, connection, observer, system)
-        own = _between(rows, network, at, peer, observer)
-        yield from _subscriptions(rows, at[own], contents[own], payloads, connection, system)
+        yield from _subscriptions(rows, payloads, network, (peer, observer), system)
 
 
 def capture_changes(away: Sequence[tuple[int, int]]) -> Iterator[Change]:
@@ -284,7 +281,7 @@ def _peer(connection: Connection, system: int, begin_ns: int) -> Iterator[Change
     """Yield the changes of a peer."""
     subject = StateOwner("peer", connection.peer)
     if connection.changes and connection.changes[0].why != ALREADY:
-        yield Change(system, subject, "disconnected", begin_ns, begin_ns, "nothing came from it before")
+        yield Change(system, subject, "disconnected", begin_ns, begin_ns, "cFS heard nothing of it before")
     for item in connection.changes:
         yield Change(system, subject, item.state, item.time_ns, item.time_ns + _WAKE_NS, item.why)
     for last_ns, dead_ns, back_ns, (last, first), _ in connection.restarts:
@@ -313,35 +310,43 @@ def _goodbyes(
 
 
 def _subscriptions(
-    rows: Rows, at: Integers, contents: Integers, payloads: Payloads, connection: Connection, system: int
+    rows: Rows, payloads: Payloads, network: Network, ends: tuple[SbnParty, SbnParty], system: int
 ) -> Iterator[Change]:
-    peer = connection.peer
-    ends = [item for item in connection.changes if item.state in {"timed_out", "disconnected"}]
-    begins = [item for item in connection.changes if item.state == "connected" and item.why != ALREADY]
-    session = np.searchsorted(np.array([item.time_ns for item in ends], np.int64), rows.time_ns[at])
+    """Yield the changes of a peer's subscriptions: by its messages, and by what the observer sends to it.
+
+    Args:
+        rows: table of datagrams.
+        payloads: contents of SUB and UNSUB messages.
+        network: connections of all peers.
+        ends: the peer and the observer.
+        system: number of the observer.
+    """
+    (peer, _), changes, listed = ends[0], network.connections[ends].changes, payloads.subscriptions
+    app = np.flatnonzero(rows.sbn_msg_type == MsgType.APP)
+    sent, own = app[_between(rows, network, app, *ends[::-1])], _between(rows, network, listed["row"], *ends)
+    at, contents = listed["row"][own], listed["said"][own]
+    # A message that does not connect its peer was not heard.
+    place = np.searchsorted([item.time_ns for item in changes], rows.time_ns[at] + _WAKE_NS, "right")
+    heard = np.array([False, *(item.state in {"connected", "silent"} for item in changes)])[place]
+    at, contents = at[heard], contents[heard]
+    begins = [item.time_ns for item in changes if item.state == "connected" and item.why != ALREADY]
     unsubscribed = rows.sbn_msg_type[at] == MsgType.UNSUB
     # A bridge repeats its messages twice a second. So only the first of each content counts: in each
     # connection, and again behind each UNSUB.
+    session = np.searchsorted(begins, rows.time_ns[at] + _WAKE_NS, "right")
     first, _ = numbered(session, contents, np.cumsum(unsubscribed), unsubscribed)
-    lists: dict[int, set[int]] = {}
+    passed, _ = numbered(np.searchsorted(begins, rows.time_ns[sent], "right"), rows.msg_id[sent])
+    news = [(row, int(rows.msg_id[row]), "message to") for row in sent[passed].tolist()]
     for place in first.tolist():
-        row, ended = int(at[place]), bool(unsubscribed[place])
-        now = int(rows.time_ns[row])
-        verb, state = ("UNSUB", "unsubscribed") if ended else ("SUB", "subscribed")
-        for msg_id in payloads.contents[int(contents[place])].wanted:
-            members = lists.setdefault(int(session[place]), set())
-            if ended or msg_id not in members:
-                (members.discard if ended else members.add)(msg_id)
-                subject = StateOwner("subscription", peer, msg_id)
-                starts = [item for item in begins if item.time_ns <= now]
-                if starts and not ended and now > starts[-1].time_ns + _WAKE_NS:
-                    since = starts[-1].time_ns
-                    text = f"{peer} was connected and had not subscribed to it"
-                    yield Change(system, subject, "unsubscribed", since, since + _WAKE_NS, text)
-                text = f"{verb} of {peer} for 0x{msg_id:04x}"
-                yield Change(system, subject, state, now, now + _WAKE_NS, text, (row,))
-    for number, item in enumerate(ends):
-        for msg_id in lists.get(number, ()):
+        verb = "UNSUB of" if unsubscribed[place] else "SUB of"
+        news += [(int(at[place]), msg_id, verb) for msg_id in payloads.contents[contents[place]].wanted]
+    for row, msg_id, verb in news:
+        now, state = int(rows.time_ns[row]), "unsubscribed" if verb == "UNSUB of" else "subscribed"
+        subject, text = StateOwner("subscription", peer, msg_id), f"{verb} {peer} for 0x{msg_id:04x}"
+        yield Change(system, subject, state, now, now + _WAKE_NS, text, (row,))
+    text = f"{peer} was connected and had not subscribed to it"
+    for since in begins:
+        soon = {msg_id for row, msg_id, _ in news if abs(int(rows.time_ns[row]) - since) <= _WAKE_NS}
+        for msg_id in {msg_id for _, msg_id, _ in news} - soon:
             subject = StateOwner("subscription", peer, msg_id)
-            text = f"its connection ended: {item.why}"
-            yield Change(system, subject, "unsubscribed", item.time_ns, item.time_ns + _WAKE_NS, text)
+            yield Change(system, subject, "unsubscribed", since, since + _WAKE_NS, text)

@@ -190,7 +190,7 @@ def test_why_messages_do_not_get_through():
     name = "q04b_bridge_restarts_subscribes_one"
     assert reasons(name, Way(0x82A, SBN, peer="66:3"), 64, 80) == []
     (text,) = reasons(name, Way(0x82B, SBN, peer="66:3"), 64, 80)
-    assert text.startswith("0x082b for SBN peer 66:3 was not subscribed from 56.8 s on")
+    assert text.startswith("0x082b for SBN peer 66:3 was not subscribed from 62.1 s on")
     name = "n1_to_remove_all"
     (text,) = reasons(name, Way(0x880, TO), 35, 45)
     assert text.endswith("on: REMOVE_ALL")
