@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from ipaddress import ip_address
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -214,12 +213,6 @@ def _key(loss: Loss) -> tuple[object, ...]:
     return loss.kind, loss.hop, loss.msg_id, loss.instance, loss.stream
 
 
-def _is_far(case: Case, endpoint: int) -> bool:
-    """Tell whether a network may lie between the capture and an endpoint, of which it does not tell."""
-    by_kernel = any(item.by_kernel for item in case.ingests_at(endpoint))
-    return not (by_kernel or case.capture.shared or ip_address(case.endpoints[endpoint].address).is_loopback)
-
-
 def advise(case: Case, loss: Loss) -> Advice:
     """Return the remedy for all losses of a MsgId at a queue; computed once, for the worst of them."""
     if (key := _key(loss)) not in case.advice:
@@ -231,7 +224,7 @@ def advise(case: Case, loss: Loss) -> Advice:
         advice = (_at_pipe if at_output else _at_application)(case, worst)
         still = stood_still(case, worst)
         because = [_other_limits(case, alike, worst) if at_output else crowding_of(case, worst), still]
-        if loss.kind == "socket" and loss.stream and _is_far(case, loss.stream.receiver):
+        if loss.kind == "socket" and loss.stream and case.is_far(loss.stream.receiver):
             because.append("what the network lost before it at that time looks alike")
         advice = replace(advice, why="; ".join([advice.why, *(item for item in because if item)]))
         case.advice[key] = replace(advice, remedy=LET_RUN, left=None) if still else advice

@@ -14,6 +14,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
 from functools import cached_property
+from ipaddress import ip_address
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
@@ -598,6 +599,11 @@ class Case:
         """The fates of all messages that went into cFS."""
         return Commands(self, Telemetry(self))
 
+    def is_far(self, endpoint: int) -> bool:
+        """Tell whether a network may lie between the capture and an endpoint, of which it does not tell."""
+        at_host = any(item.by_kernel for item in self.ingests_at(endpoint)) or self.capture.shared
+        return not (at_host or ip_address(self.endpoints[endpoint].address).is_loopback)
+
     @cached_property
     def loss_counts(self) -> dict[int, Counts]:
         """Instance to the growth of its loss counters; each loss takes its share out of it."""
@@ -623,9 +629,12 @@ class Case:
         return [*self.telemetry.losses, *self.commands.losses]
 
     def missed_by_peer(self, stream: Stream) -> list[int]:
-        """Return the messages of a stream that a silent SBN peer certainly missed, as indices of its rows."""
+        """Return the messages of a stream that a silent SBN peer certainly missed, as indices of its rows.
+
+        No other rule counts them.
+        """
         silent = self.unheard.get(stream)
-        return silent.unheard if silent else []
+        return [*silent.lost, *silent.restarted] if silent else []
 
     def losses_of(self, stream: Stream) -> list[Loss]:
         """Return the losses of a stream."""

@@ -132,6 +132,10 @@ FLIGHTS = {
     "bursts_to_a_peer": (252, {"limit": 105, "disabled": 147}),
     "losing_network_one_side": (39, {"network": 9, "limit": 15, "after": 15}),
     "flood_on_a_losing_network": (122, {"network": 48, "limit": 74}),
+    "lossy_link_to_a_peer": (86, {"network": 30, "after": 56}),
+    "peer_not_heard": (83, {"network": 63, "away": 20}),
+    "bridge_of_another_id": (146, {"port_closed": 130, "sbn_peer_restart": 10, "limit": 6}),
+    "sbn_alone": (206, {"limit": 146, "sbn_timeout": 44, "sbn_peer_restart": 16}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -158,6 +162,10 @@ RANGES = {
     "processor_restarted_in_a_flood": 126,
     "restarted_in_a_row": 123,
     "killed_in_a_flood": 225,
+    "list_lost_on_the_way": 92,
+    "housekeeping_to_a_peer": 160,
+    "overload_of_a_dead_bridge": 570,
+    "restarted_at_once": 241,
 }
 
 
@@ -533,6 +541,9 @@ MOST = {
     "all_restarted": {0x1806: {}, 0x1827: {"limit": 3, "stopped": 36}},
     "restarted_with_backlog_of_two": {0x1827: {"restart": 130, "limit": 10}, 0x1828: {"restart": 60}},
     "stopped_out_of_sight": {0x1827: {"stopped": 134}},
+    "overload_of_a_dead_bridge": {0x82A: {"limit": 139, "sbn_peer_restart": 160, "port_closed": 16}},
+    "peer_back_with_one_list": {0x1827: {"away": 48}, 0x1828: {"away": 34, "unsubscribed": 60}},
+    "housekeeping_to_a_peer": {0x808: {}, 0x1828: {"restart": 16}},
 }
 
 
@@ -544,6 +555,19 @@ def test_nothing_is_proven_of_a_msg_id_beyond_what_was_lost_of_it(name):
         lost = sum((Counter(row.lost) for row in found.balance if row.msg_id == msg_id), Counter())
         assert lost == Counter(lost) & Counter(most), (hex(msg_id), lost)
     assert not wrong_rows(found.balance)
+
+
+def test_what_a_peer_got_before_the_capture_it_no_longer_gets_if_its_new_list_lacks_it():
+    found = examined("peer_back_with_one_list")
+    proven = found.lost + found.unaccounted
+    assert by_cause(found)["unsubscribed"] >= 40
+    assert proven <= 146 <= proven + found.uncertain <= proven * 1.1
+
+
+def test_a_stream_that_goes_on_from_another_port_of_its_peer_is_not_silent():
+    found = examined("bridge_at_another_port")
+    assert by_cause(found) == {"port_closed": 74, "sbn_peer_restart": 8}
+    assert not [item for item in found.verdicts if item.rule == "topic_silent"]
 
 
 def test_a_peer_that_did_not_subscribe_when_a_capture_began_lost_no_more_than_it_was_sent(tmp_path):

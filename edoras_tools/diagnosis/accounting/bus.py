@@ -453,9 +453,9 @@ class Telemetry:
             # A full pipe proves nothing if its counter did not grow.
             if is_named or (grown[kind] and pressed(case, stream, span, kind, gaps, full=grown["overflow"])):
                 kinds.append((not is_named, kind))
-        if not kinds and part.owner not in self._counts and stream.link.only_from_cfs and not via:
-            period_ns = queues.telemetry_pipe(case.profile).round_ns
-            if least := full_rounds(stream.time_ns[span.rows], gaps[span.rows], period_ns):
+        if not kinds and part.owner not in self._counts and not via:
+            queue = (queues.peer_pipe if stream.link.peers else queues.telemetry_pipe)(case.profile)
+            if least := full_rounds(stream.time_ns[span.rows], gaps[span.rows], queue.round_ns):
                 part.evidence.append(f"they are missing behind full rounds alone, of {least} or more")
                 kinds.append((True, "limit"))
         return tuple(kind for _, kind in sorted(kinds, key=lambda item: item[0]))

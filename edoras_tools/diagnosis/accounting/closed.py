@@ -60,6 +60,7 @@ from edoras_tools.diagnosis.quality import CONFIDENCE
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, distinct
+from edoras_tools.wire.cfe import EVENT_MSG_ID
 from edoras_tools.wire.sbn import MsgType
 
 if TYPE_CHECKING:
@@ -114,14 +115,18 @@ def closed_at(case: Case, stream: Stream, at: Places) -> Mask:
             back = np.flatnonzero(inside & (ends > again_ns))[:1]
             out |= np.isin(np.arange(len(at)), back) if len(back) else inside
         return out
+    # The pipe of a peer takes nothing that SBN itself publishes: its own events are no loss.
+    out |= stream.known_id == EVENT_MSG_ID
     peer = case.network.identity_of.get(stream.receiver, "")
     way = Way(stream.msg_id, stream.link, case.instances.system(case.owner(stream)), peer=peer)
     for span, _ in reasons_for(case.timeline, way, 0, NEVER, case.at):
         subject, state = span.change.subject.kind, span.change.state
-        # A peer that did not say so may have subscribed before; SBN that restarts keeps its pipes.
-        unsubscribed = subject == "subscription" and span.change.rows
-        if unsubscribed or subject == "peer" or (subject, state) == ("app", "stopped"):
-            out |= (span.start_lo < (starts if state == "silent" else ends)) & (starts < span.end_lo)
+        # A peer that did not say so may have subscribed before; SBN that restarts keeps its pipes. To a peer
+        # that is only silent SBN sends on.
+        closing = {"subscription": span.change.rows, "peer": True, "app": state == "stopped"}
+        if closing.get(subject):
+            late = (state != "silent") | (ends >= span.end_lo)
+            out |= (span.start_lo < ends) & (starts < span.end_lo) & late
     return out
 
 
@@ -164,11 +169,11 @@ def may_lack_control(case: Case, stream: Stream) -> bool:
 
 
 def sent_elsewhere(case: Case, outage: Outage) -> bool:
-    """Return whether Telemetry Output was enabled to a new address since an outage began."""
+    """Return whether Telemetry Output was enabled to an address without telemetry since an outage began."""
     changes = case.timeline.of(StateOwner("output"), outage.system)
-    enabled = [item for item in changes if item.state == "enabled"]
-    former = {item.value for item in enabled if item.not_before_ns <= outage.start_ns}
-    return any(item.value not in former for item in enabled)
+    heard = {case.endpoints[item.receiver].address for item in case.streams if item.link.only_from_cfs}
+    later = [item for item in changes if item.state == "enabled" and item.not_before_ns > outage.start_ns]
+    return any(item.value not in heard for item in later)
 
 
 def unexplained_silences(case: Case, stream: Stream) -> tuple[list[tuple[int, int]], ...]:
@@ -271,11 +276,6 @@ class Unheard(msgspec.Struct):
     lost: list[int] = msgspec.field(default_factory=list)
     restarted: list[int] = msgspec.field(default_factory=list)
 
-    @property
-    def unheard(self) -> list[int]:
-        """Indices of all messages that surely were not received; no other rule counts them (rule 6)."""
-        return [*self.lost, *self.restarted]
-
 
 def unheard(case: Case) -> dict[Stream, Unheard]:
     """Return the messages to silent peers, by each stream whose peer was ever silent."""
@@ -289,7 +289,8 @@ def unheard(case: Case) -> dict[Stream, Unheard]:
             item = by_stream.setdefault(stream, Unheard(connection.peer))
             times = stream.time_ns
             for silence in silences:
-                inside = np.flatnonzero((times > silence.start_ns) & (times < silence.until_ns)).tolist()
+                since_ns, until_ns = silence.start_ns + case.unsteady_ns, silence.until_ns - case.unsteady_ns
+                inside = np.flatnonzero((times > since_ns) & (times < until_ns)).tolist()
                 if silence.given_up:
                     # It may have received messages until an ICMP error says that its port was closed. A peer
                     # that stood still reads later what its socket holds, and did so where it answers all.
@@ -574,8 +575,10 @@ class Stops:
         inside &= (times > max(item.start_ns - WAITS_NS, last_ns)) & (times < until_ns)
         if fate.keeps_newest:
             inside = self._surely_missed(fate, item, inside, until_ns)
-            if item.end_ns is not None and last_ns > item.end_ns:  # it was back within a round
-                self._hold(fate, fate.open & (times > item.start_ns) & (times < item.end_ns))
+            if item.end_ns is not None and last_ns > item.end_ns:
+                # It was back within a round, and lost what CI had handed over together with the command.
+                since_ns = item.start_ns - self._case.profile.ci_wake_ns
+                self._hold(fate, fate.open & (times > since_ns) & (times < item.end_ns))
         if item.app in executive_services.SCHEDULERS:
             inside &= ~fate.newer  # nobody woke the application: it kept the newest
             if NEVER in {until_ns, last_ns or NEVER}:  # the capture does not show which was the newest
@@ -650,7 +653,8 @@ class Stops:
             for (_, kind, hop), (span, text), newest in sorted(closed, key=itemgetter(0)):
                 inside = fate.open & ~fate.newer & (fate.stop < 0)
                 inside &= (times > span.start_lo - early_ns) & (times < getattr(span, until))
-                inside &= ~self._hold_one(fate, inside, newest)
+                self._hold_one(fate, inside, newest)
+                inside &= fate.open
                 fate.newer |= inside & ~newest
                 inside &= newest
                 fate.unread |= inside
@@ -666,29 +670,24 @@ class Stops:
             hop: its way out.
             newest: mask of the messages that it would send on by its rounds; changed here.
         """
-        case, out = self._case, hop.out
-        track, first_ns = case.tracks.get(case.owner(out)), int(out.time_ns[0])
-        before = np.flatnonzero(newest & (fate.stream.time_ns < first_ns))
-        if not (track and out.counted and case.rows.sequence_count[out.rows[0]] == 1 and len(before)):
-            return newest
-        number = track.growth("no_subscribers", int(fate.stream.time_ns[0]), first_ns)
-        if 0 < number < len(before) and not track.growth("no_subscribers", first_ns + _STOPS_NS):
-            newest[before] = False
-            newest[before[np.linspace(0, len(before) - 1, number).round().astype(int)]] = True
+        out, times, first_ns = hop.out, fate.stream.time_ns, int(hop.out.time_ns[0])
+        track = self._case.tracks.get(self._case.owner(out))
+        before = np.flatnonzero(newest & (times < first_ns))
+        if track and self._case.rows.sequence_count[out.rows[0]] == 1:
+            number = track.growth("no_subscribers", int(times[0]), first_ns)
+            if 0 < number < len(before) and not track.growth("no_subscribers", first_ns + _STOPS_NS):
+                newest[np.delete(before, np.linspace(0, len(before) - 1, number).round().astype(int))] = False
         return newest
 
-    def _hold_one(self, fate: Fate, inside: Mask, newest: Mask) -> Mask:
+    def _hold_one(self, fate: Fate, inside: Mask, newest: Mask) -> None:
         """Give the fate "held" to one message of each kind, where no sequence count shows the exact number.
 
         Rounds give the number of messages only to within one.
         """
-        unsure = np.zeros(len(inside), bool)
         rows, arrived = np.flatnonzero(inside), np.flatnonzero(fate.arrived)
         if fate.keeps_newest and len(rows) and len(arrived) and not arrived[0] < rows[0] < arrived[-1]:
-            for alike in (rows[newest[rows]], rows[~newest[rows]]):
-                unsure[alike[-1:]] = True
-            self._hold(fate, unsure)
-        return unsure
+            last = [alike[-1:] for alike in (rows[newest[rows]], rows[~newest[rows]])]
+            self._hold(fate, np.isin(np.arange(len(inside)), np.concatenate(last)))
 
     def _mark_unread(self, fate: Fate) -> None:
         """Mark messages that came over SBN while it surely did not run; their way out is not captured."""

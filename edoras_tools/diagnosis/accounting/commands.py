@@ -164,6 +164,7 @@ class Commands:
         self._number(fates)
         self._relayed(fates)
         for fate in fates:
+            self._before_sbn(fate)
             if fate.stream.known_id == telemetry_output.COMMAND_MSG_ID and fate.stream.link.only_to_cfs:
                 self._commanded(fate)
 
@@ -276,6 +277,21 @@ class Commands:
                 text = f"{plural(len(rows), 'message')} over SBN while it was not running"
                 self._lose(fate, "down", rows, text)
 
+    def _before_sbn(self, fate: Fate) -> None:
+        """Make losses of messages over SBN from another host that nothing in cFS explains.
+
+        The application sends on what it gets, and the bus and the way out count what they lose: so they were
+        lost on the network.
+        """
+        case, stream, number = self._case, fate.stream, fate.ends["unaccounted"] * fate.seen
+        rows = np.flatnonzero(fate.open & ~fate.edge)
+        counted = all(hop.out.counted and case.owner(hop.out) in case.loss_counts for hop in fate.hops)
+        if number and stream.link.peers and counted and case.is_far(stream.receiver) and fate.claim(rows):
+            text = f"{int(fate.arrived.sum()):,} others came out, and 0x803 counts no loss of these"
+            loss = fate.loss("network", rows, [text], hop=SBN_SOCKET)
+            loss.lost, loss.confidence, fate.ends["unaccounted"] = number, "medium", 0
+            self.losses.append(loss)
+
     def _not_taken(self, fate: Fate, stops: Stops) -> None:
         """Make losses of messages to a cFS or CI that did not run, or to a closed port."""
         case, stream = self._case, fate.stream
@@ -310,8 +326,10 @@ class Commands:
             bounds = np.concatenate(([item.start_ns], read, [end_ns]))
             hole = int(np.diff(bounds).argmax())
             inside = fate.open & ~fate.newer & (times > bounds[hole]) & (times < bounds[hole + 1])
-            late = inside & (times > item.asked_ns) & (not item.restarted)  # it may have read these
-            fate.ends["crowded"] += fate.claim(np.flatnonzero(late))
+            # It may have read these; also in its first round, of which the application kept the newest.
+            late = (times > item.asked_ns) & (not item.restarted)
+            late |= (times > bounds[hole + 1] - case.profile.ci_wake_ns) & fate.keeps_newest
+            fate.ends["crowded"] += fate.claim(np.flatnonzero(inside & late))
             kind: LossKind = "restart" if item.restarted else "ci_stopped"
             stops.mark(fate, inside, kind, LOST_AT[kind], item.witness)
 
