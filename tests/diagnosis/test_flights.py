@@ -511,7 +511,7 @@ def test_a_bridge_that_answers_late_had_stood_still_and_lost_nothing():
     """It repeats its subscriptions: only its answers show that it was not started again."""
     found = examined("bridge_stood_still")
     (connection,) = found.case.network.connections.values()
-    silences = [item for item in connection.silences(found.case.end_ns) if item.given_up]
+    silences = [item for item in connection.silences(found.case.end_ns) if item.given_up_ns]
     assert [item.stood_still for item in silences] == [True, False]
     assert by_cause(found)["sbn_timeout"] == 44
     assert found.lost + found.unaccounted <= 213

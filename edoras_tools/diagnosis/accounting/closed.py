@@ -291,7 +291,9 @@ def unheard(case: Case) -> dict[Stream, Unheard]:
             for silence in silences:
                 since_ns, until_ns = silence.start_ns + case.unsteady_ns, silence.until_ns - case.unsteady_ns
                 inside = np.flatnonzero((times > since_ns) & (times < until_ns)).tolist()
-                if silence.given_up:
+                if silence.given_up_ns:
+                    # What is sent long after that goes to a peer that is back, seen or not.
+                    inside = inside[: np.searchsorted(times[inside], silence.given_up_ns + _STOPS_NS)]
                     # It may have received messages until an ICMP error says that its port was closed. A peer
                     # that stood still reads later what its socket holds, and did so where it answers all.
                     shut = (row for row in inside if closed[stream.rows[row]])

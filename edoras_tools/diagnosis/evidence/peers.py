@@ -75,8 +75,7 @@ class PeerSilence(NamedTuple):
     Attributes:
         start_ns: time of its last datagram before the silence.
         until_ns: time of its next one, or the end of the capture.
-        given_up: whether the observer timed the peer out.
-        change: index of the silence in the connection's changes.
+        given_up_ns: when the observer timed the peer out; 0 if it did not.
         stood_still: whether the peer went on without a new subscription, or answered what it had been sent
             meanwhile, so that it had not restarted.
         answers: number of its answers then to what it had been sent meanwhile.
@@ -84,8 +83,7 @@ class PeerSilence(NamedTuple):
 
     start_ns: int
     until_ns: int
-    given_up: bool
-    change: int
+    given_up_ns: int
     stood_still: bool
     answers: int
 
@@ -129,16 +127,16 @@ class Connection(msgspec.Struct):
 
     def silences(self, end_ns: int) -> Iterator[PeerSilence]:
         """Yield every silence with a time-out, and one that lasts to the end of the capture."""
-        for at, change in enumerate(self.changes):
+        for at, change in enumerate(self.changes, 1):
             if change.state != "silent" or change.why == UNSEEN:
                 continue
-            later = self.changes[at + 1 :]
+            later = self.changes[at:]
             backs = (item for item in later if item.state == "connected")
             back = next(backs, PeerChange(end_ns, "silent", ""))
-            given_up = bool(later) and later[0].state == "timed_out"
+            given_up_ns = later[0].time_ns if later and later[0].state == "timed_out" else 0
             answers = self.late.get(back.time_ns, 0)
             still = back.why.startswith("its ") and back.why not in _BEGAN
-            silence = PeerSilence(change.time_ns, back.time_ns, given_up, at, still, answers)
+            silence = PeerSilence(change.time_ns, back.time_ns, given_up_ns, still, answers)
             still |= answers > max(_LEAST_ROWS, len(self.sent_in(silence)) // 2)
             yield silence._replace(stood_still=still)
 

@@ -54,7 +54,7 @@ def sbn_timeout(case: Case) -> Iterator[Verdict]:
     """
     for connection in case.network.connections.values():
         for silence in connection.silences(case.end_ns):
-            if silence.given_up:
+            if silence.given_up_ns:
                 yield _timed_out(case, connection, silence)
             elif len(connection.sent_ns):  # else it never was a peer
                 yield _still(case, connection, silence)
@@ -94,7 +94,7 @@ def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
 
 def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdict:
     until, sent = silent.until_ns, connection.sent_in(silent)
-    out_ns = connection.changes[silent.change + 1].time_ns
+    out_ns = silent.given_up_ns
     last_ns = int(sent[-1]) if len(sent) else 0
     speaks_ns = silent.start_ns + (case.profile.sbn_heartbeat_s + 1) * SECOND
     early = int((sent <= speaks_ns).sum())
