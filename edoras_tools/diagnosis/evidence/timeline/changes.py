@@ -326,8 +326,9 @@ def _subscriptions(
     sent, own = app[_between(rows, network, app, *ends[::-1])], _between(rows, network, listed["row"], *ends)
     at, contents = listed["row"][own], listed["said"][own]
     # A message that does not connect its peer was not heard.
-    place = np.searchsorted([item.time_ns for item in changes], rows.time_ns[at] + _WAKE_NS, "right")
-    heard = np.array([False, *(item.state in {"connected", "silent"} for item in changes)])[place]
+    near_ns = np.add.outer((0, _WAKE_NS), rows.time_ns[at])
+    place = np.searchsorted([item.time_ns for item in changes], near_ns, "right")
+    heard = np.array([False, *(item.state in {"connected", "silent"} for item in changes)])[place].any(axis=0)
     at, contents = at[heard], contents[heard]
     begins = [item.time_ns for item in changes if item.state == "connected" and item.why != ALREADY]
     unsubscribed = rows.sbn_msg_type[at] == MsgType.UNSUB
