@@ -135,7 +135,8 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
     """Return the pipe of a loss, the limit of its MsgId there, and whether the limit was measured."""
     output = loss.hop == telemetry_output.PIPE
     queue = queues.telemetry_pipe(case.profile) if output else queues.peer_pipe(case.profile)
-    commanded = _limit_of(limit_command(case, loss))
+    command = limit_command(case, loss)
+    commanded = command.limit if command else None
     if loss.stream and loss.span:
         own, rounds = loss.span.rows, case.rounds(loss.stream, loss.span)
         near = abs(rounds.period_ns - queue.round_ns) < queue.round_ns // (10 if output else 5)
@@ -156,11 +157,11 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
     times = loss.among.times_ns if loss.among and len(loss.among.rows) else (loss.start_ns, loss.end_ns)
     changes = case.timeline.entry(loss.msg_id, case.instances.system(loss.instance))
     last = next((item for item in reversed(changes) if item.not_before_ns <= times[0] + SECOND), None)
-    low = _limit_of(last) or queues.telemetry_pipe(case.profile).limit(loss.msg_id)
+    low = (last.limit if last else 0) or queues.telemetry_pipe(case.profile).limit(loss.msg_id)
     again = [item for old, item in pairwise(changes) if old.state == "unsubscribed"]  # else its limit stays
     within = [item for item in again if times[0] + SECOND < item.not_before_ns < times[1]]
-    lower = [item for item in reversed(within) if (_limit_of(item) or low) < low]  # others set none
-    return min(lower, key=lambda item: _limit_of(item) or low, default=last)
+    lower = [item for item in reversed(within) if (item.limit or low) < low]  # others set none
+    return min(lower, key=lambda item: item.limit or low, default=last)
 
 
 def set_by(case: Case, loss: Loss, limit: int) -> str:
@@ -180,12 +181,8 @@ def _other_limits(case: Case, losses: Iterable[Loss], worst: Loss) -> str:
     return ", ".join(
         f"{number:,} of these when it kept {item.value}, set at {case.at(item.not_before_ns)}"
         for item, number in lost.items()
-        if item and _limit_of(item)
+        if item and item.limit
     )
-
-
-def _limit_of(command: Change | None) -> int | None:
-    return command.value if command and isinstance(command.value, int) else None
 
 
 def crowding_of(case: Case, loss: Loss) -> str:
@@ -219,7 +216,8 @@ def advise(case: Case, loss: Loss) -> Advice:
         alike = [item for item in case.losses if _key(item) == key]
         at_output = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
         # A remedy for the lowest commanded limit also helps at the other limits.
-        lowest = ((_limit_of(limit_command(case, item)) or _MOST, item) for item in alike)
+        commands = ((limit_command(case, item), item) for item in alike)
+        lowest = (((command.limit if command else 0) or _MOST, item) for command, item in commands)
         worst = max(lowest, key=lambda pair: (not pair[1].closed, -pair[0], pair[1].lost))[1]
         advice = (_at_pipe if at_output else _at_application)(case, worst)
         still = stood_still(case, worst)

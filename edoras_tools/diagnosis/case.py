@@ -31,6 +31,7 @@ from edoras_tools.diagnosis.accounting.bus import Telemetry
 from edoras_tools.diagnosis.accounting.claims import Counts
 from edoras_tools.diagnosis.accounting.commands import Commands
 from edoras_tools.diagnosis.accounting.content import judge_contents
+from edoras_tools.diagnosis.accounting.losses import TAIL_NS
 from edoras_tools.diagnosis.constants import Constants, learn_constants
 from edoras_tools.diagnosis.evidence.clocks.steady import without_steps
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
@@ -558,7 +559,7 @@ class Case:
         """Return the limit of a stream at Telemetry Output, if the last command on its entry set one."""
         system = self.instances.system(self.owner(stream))
         changes = self.timeline.entry(stream.msg_id, system) if stream.link.only_from_cfs else []
-        return next((item.value for item in changes[-1:] if isinstance(item.value, int)), None)
+        return changes[-1].limit if changes else None
 
     def pipe_of(self, stream: Stream) -> str:
         """Return the name of the pipe that a telemetry stream comes out of."""
@@ -737,10 +738,24 @@ class Case:
         start, end = self.at(item.start_ns), self.at(item.ended_ns)
         return f"between {start} and {end}" if item.witness.startswith("event") else f"at {start}"
 
-    def suppressed(self, span: tuple[int, int]) -> EventRecord | None:
-        """Return the event near a span by which Telemetry Output reports a failed socket; None without."""
+    def socket_failure(self, span: tuple[int, int]) -> str:
+        """Return what shows that Telemetry Output's socket failed in a silence; empty if nothing does.
+
+        That is its event, or its own count of commands: where it counted only those that ended the silence,
+        no command had sent it elsewhere.
+        """
         events = self.events_between(span[0] - SECOND, span[1] + SECOND, *telemetry_output.NAMES)
-        return next((item for item in events if telemetry_output.SUPPRESSED.phrase in item.message), None)
+        own = (f"event {item}" for item in events if telemetry_output.SUPPRESSED.phrase in item.message)
+        samples, rows, text = self.payloads.commanded, self.rows, next(own, "")
+        at = np.searchsorted(samples["time_ns"], (span[0], span[1] + TAIL_NS), "right") - 1
+        if text or at[0] < 0 or len(self.instances.items) > 1:
+            return text
+        since_ns, until_ns = samples["time_ns"][at].tolist()
+        sent = rows.on(lambda link: link.only_to_cfs) & (rows.known_id == telemetry_output.COMMAND_MSG_ID)
+        sent_ns = rows.time_ns[sent & (rows.time_ns > since_ns) & (rows.time_ns <= until_ns)]
+        grown = sum(int(np.diff(samples[name][at])[0]) % 256 for name in ("taken", "refused"))
+        alone = grown == len(sent_ns) and sent_ns.min(initial=NEVER) > span[1] - TAIL_NS
+        return f"0x880: it took no command from {self.at(since_ns)} until it was enabled" if alone else ""
 
     def silences_of(self, sender: int) -> list[tuple[int, int]]:
         """Return the spans, ns, in which the Telemetry Output of an endpoint was silent until enabled."""

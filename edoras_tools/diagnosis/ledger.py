@@ -641,29 +641,32 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     lost = "0x803" if owner in case.tracks else "not counted: no 0x803 is here"
     way.hop(case.pipe_of(stream), {"in": by, "lost": lost})
     way.add_losses(losses, _AT_PIPE)
-    way.end("shared", telemetry.ended(stream, "shared"))
-    way.end("not_captured", max(0, telemetry.ended(stream, "closed") - _lost_upstream(case, stream)))
+    way.end("shared", telemetry.ends[stream]["shared"])
+    way.end("not_captured", max(0, telemetry.ends[stream]["closed"] - _lost_upstream(case, stream)))
     if silenced := [(number, among) for of, number, among in telemetry.silenced if of is stream and number]:
         way.hop(telemetry_output.SOCKET, {"in": f"{_COUNT}, less what 0x803 counts", "out": SEEN})
-        failed = any(map(case.suppressed, case.silences_of(stream.sender)))
+        spans = case.silences_of(stream.sender)
         for number, among in silenced:
+            before, behind = among.times_ns
+            within = [span for span in spans if span[0] < behind and before < span[1]]
+            failed = all(map(case.socket_failure, within))
             about = _span_of(case, among) | {"text": f"{telemetry_output.SOCKET} failed"}
             way.end("lost" if failed else "not_captured", number, TO_SOCKET if failed else "", **about)
-    faults, dropped = case.faults_on(stream), telemetry.ended(stream, "proxied")
+    faults, dropped = case.faults_on(stream), telemetry.ends[stream]["proxied"]
     doubled = min(faults.doubled, stream.duplicates if stream.counted else len(stream))
     if dropped or doubled:
         _by_proxy(way, faults.dropped, dropped, doubled)
     sources = {"in": by, "out": SEEN}
     way.hop(BEHIND, sources, duplicated=stream.duplicates - doubled if stream.counted else 0)
     way.add_losses(losses, _BEHIND_PIPE)
-    _lose_damaged(way, case.damaged_of(stream).take(slice(telemetry.ended(stream, "damaged"))))
-    way.end("not_captured", telemetry.ended(stream, "away"))
+    _lose_damaged(way, case.damaged_of(stream).take(slice(telemetry.ends[stream]["damaged"])))
+    way.end("not_captured", telemetry.ends[stream]["away"])
     way.end("uncertain", sum(telemetry.ends[stream][how] for how in ("uncertain", "undecided", "astray")))
     # Losses of captured messages: they were lost on the way to the next capture.
     undelivered = (case.rows.undelivered | case.prepared.perhaps_undelivered)[stream.rows]
     own = ((item.lost, item.among) for item in losses if item.among and item.among.stream is stream)
     astray = (lost for lost, of in own if of.missing is None and undelivered[of.rows].all())
-    way.close(len(stream) - sum(astray) - telemetry.ended(stream, "astray"))
+    way.close(len(stream) - sum(astray) - telemetry.ends[stream]["astray"])
     return way
 
 

@@ -183,10 +183,6 @@ class Telemetry:
                 self.ends[stream]["damaged"] += int(outside.sum())
         self._dropped_unseen()
 
-    def ended(self, stream: Stream, how: GapEnd) -> int:
-        """Return how many missing messages of a stream have a fate."""
-        return self.ends[stream][how]
-
     def passed(self, stream: Stream) -> Integers:
         """Return how many messages were sent to the receiver between each row and the next, i64 (rows,).
 
@@ -325,13 +321,10 @@ class Telemetry:
 
     def _dropped_unseen(self) -> None:
         """Count messages that a proxy dropped before a stream's first message or after its last."""
-        rest: dict[int, int] = {}
-        for stream in self._case.streams:
-            faults = self._case.faults_on(stream)
-            rest[id(faults)] = rest.get(id(faults), len(faults.dropped)) - self.ended(stream, "proxied")
-        for stream in self._case.streams:
-            if more := rest.pop(id(self._case.faults_on(stream)), 0):
-                self.ends[stream]["proxied"] += more
+        for faults in self._case.proxied.values():
+            if own := [stream for stream in self._case.streams if self._case.faults_on(stream) is faults]:
+                in_gaps = sum(self.ends[stream]["proxied"] for stream in own)
+                self.ends[own[0]]["proxied"] += len(faults.dropped) - in_gaps
 
     def _dropped(self, stream: Stream) -> Integers:
         """Return how many missing messages after each row a proxy or damage explains, i64 (rows,)."""

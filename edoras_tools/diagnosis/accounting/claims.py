@@ -367,9 +367,7 @@ def settle_possible(
                     number = table.give(second, takers, reserve=bool(flows))
                     if flows and number:
                         key = table.instance, table.kind, flows
-                        item = shared.setdefault(key, Shared(*key, 0, *span))
-                        item.number += number
-                        item.end_ns = span[1]
+                        shared.setdefault(key, Shared(*key, 0, *span)).add(number, flows, span)
     if not rivals:
         others = [claim for claim in claims if claim.rank != Rank.MISSING]
         _improve(_tables(counts, others), others, alone=True)
@@ -439,10 +437,8 @@ def _others(
         at: replace(item, left={kind: number.copy() for kind, number in item.left.items()})
         for at, item in counts.items()
     }
-    others, places = [item for item in claims if item.flow != flow], Counter[Place]()
-    for item in claims:
-        if item.flow == flow:
-            places.update({place: number for place, number in item.assigned.items() if place[2] != BEFORE})
+    others = [item for item in claims if item.flow != flow]
+    places = sum((Counter(item.assigned) for item in claims if item.flow == flow), Counter[Place]())
     for (at, kind, second), number in places.items():
         rest[at].left[kind][second] += number
         places[at, kind, second] = int(rest[at].left[kind][second])

@@ -371,9 +371,9 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
 
     Say how many, of which topics, and how good the capture surely is.
     """
-    ends, fates = case.telemetry.ended, case.commands.fates.values()
+    ends, fates = case.telemetry.ends, case.commands.fates.values()
     both = [(item.stream, item.ends["missed"]) for item in fates]
-    both += [(item, ends(item, "uncertain") + ends(item, "astray")) for item in case.streams]
+    both += [(item, ends[item]["uncertain"] + ends[item]["astray"]) for item in case.streams]
     unsure = [(item, number) for item, number in both if number]
     if not unsure:
         return
@@ -420,7 +420,7 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
         item = loss_verdict(case, loss, reason, remedy, likely if offered > clean else "")
         yield replace(item, hop=pipe if offered > clean else None, confidence="low")
     for stream in case.streams:
-        if undecided := case.telemetry.ended(stream, "undecided"):
+        if undecided := case.telemetry.ends[stream]["undecided"]:
             why, remedy = _why_undecided(case, stream)
             reason = f"{undecided:,} of {case.name(stream.msg_id)} may be lost: {why}"
             about = stream_subject(case, stream) | {"of": len(stream) + undecided, "confidence": "low"}

@@ -250,7 +250,7 @@ def _silent(case: Case) -> Iterator[Verdict]:
             number = sum(lost for lost, before, behind in own if back_ns <= before <= start_ns < behind)
             if not number:
                 continue
-            failed = case.suppressed((start_ns, end_ns))
+            failed = case.socket_failure((start_ns, end_ns))
             order = None if failed else _diversion(case, sender, start_ns, end_ns)
             why = "its socket failed" if failed else "its socket failed, or it sent to another address"
             if order:
@@ -260,7 +260,7 @@ def _silent(case: Case) -> Iterator[Verdict]:
                 f"Telemetry Output sent nothing from {case.at(start_ns)} to {case.at(end_ns)}, until it was "
                 f"enabled: {why}",
                 f"sequence counts: {plural(number, 'message')} that the software bus did not lose",
-                f"event {failed}" if failed else "",
+                failed,
                 order.witness if order else "",
                 place=("to", telemetry_output.SOCKET),
                 lost=number if failed and len(spans) == 1 else None,

@@ -53,6 +53,30 @@ def test_what_it_took_and_did_not_send_has_a_hop(lab, failed):
     assert "lost_after_cfs" not in {item.rule for item in found.verdicts}
 
 
+def test_of_two_silences_one_is_its_sockets(lab):
+    sent, _ = lab.simulate("rover", seconds=ALL_S)
+    spans = [
+        [lab.start_ns + int(at * 1e9) for at in span] for span in ((8.0, 15.0), (FROM_S + 7, UNTIL_S + 7))
+    ]
+    away = [
+        [item for item in sent if item.destination.port == TO_PORT and start < item.time_ns < end]
+        for start, end in spans
+    ]
+    kept = [item for item in sent if not any(item in own for own in away)]
+    packet = cfe.emit_command(
+        telemetry_output.COMMAND_MSG_ID,
+        telemetry_output.ENABLE,
+        b"127.0.0.1".ljust(16, b"\0"),
+        sequence_flags=0,
+    )
+    enables = [lab.at(at, lab.ground, lab.ci, packet) for at in (14.5, 31.5)]
+    words = "L305 TO sendto error -1. Tlm output suppressed"
+    event = lab.event(32.1, telemetry_output.NAME, 7, words)
+    found = lab.examine(lab.merged(kept, *enables, event), lab.mission("rover_ground"))
+    assert sum(row.lost.get("to_socket", 0) for row in at_socket(found)) == len(away[1])
+    assert sum(row.not_captured for row in at_socket(found)) == len(away[0])
+
+
 def test_a_ground_station_that_enables_it_all_the_time_tells_nothing(lab):
     kept, away = silenced(lab, np.arange(2.0, ALL_S, 1.0))
     found = lab.examine(kept, lab.mission("rover_ground"))

@@ -79,6 +79,11 @@ class Change(msgspec.Struct, frozen=True):
         """State and value, which a repeated change has in common."""
         return self.state, self.value
 
+    @property
+    def limit(self) -> int | None:
+        """Limit that it sets for an entry of Telemetry Output's table; None if it sets none."""
+        return self.value if isinstance(self.value, int) else None
+
 
 class StateSpan(NamedTuple):
     """A time in one state.
