@@ -428,7 +428,7 @@ class Outage(NamedTuple):
 
     def reads(self, pipe: str) -> bool:
         """Return whether a pipe is the application's, by its name, as EDORAS_APP_PIPE."""
-        return pipe.startswith(self.app)
+        return pipe.startswith(f"{self.app}_")
 
 
 _OVERLAP_NS: Final = 3 * SECOND

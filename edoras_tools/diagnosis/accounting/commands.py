@@ -251,7 +251,7 @@ class Commands:
         last_ns = rows.time_ns[alone & up].max(initial=0)
         ends = [loss.end_ns for own in self._case.ingests for loss in own.losses if loss.end_ns >= last_ns]
         down = alone[rows.on(lambda link: link.only_from_cfs)]
-        lost = sum(account.lost_on_network for account in self._case.ingests)
+        lost = sum(account.lost_by("network") for account in self._case.ingests)
         is_so = bool(ends) and int(alone[up].sum()) == lost == int(alone.sum() - down.sum())
         return is_so and (1 - down.sum() / max(1, len(down))) ** int((up & ~alone).sum()) < 1 - CONFIDENCE
 

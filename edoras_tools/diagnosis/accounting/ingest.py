@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 QUOTED: Final = "ICMP errors about "
 """Start of the evidence that counts messages which a router or a firewall rejected."""
 Cause = Literal["socket", "network", "down", "restart", "ci_stopped"]
+_OUTAGES: Final[tuple[Cause, ...]] = "down", "restart", "ci_stopped"
 _SLACK_NS: Final = 100 * MILLISECOND
 """How late tasks wake up on a busy host."""
 _UNDER_WAY_NS: Final = 2 * SECOND
@@ -175,10 +176,9 @@ class Ingest(msgspec.Struct):
         self.losses = [loss for loss in self.losses if loss.lost]
         return spared
 
-    @property
-    def lost_on_network(self) -> int:
-        """Number of datagrams lost on the network."""
-        return sum(item.lost for item in self.losses if item.cause == "network")
+    def lost_by(self, *causes: Cause) -> int:
+        """Return the number of datagrams lost by some causes."""
+        return sum(item.lost for item in self.losses if item.cause in causes)
 
     @property
     def lost(self) -> int:
@@ -202,17 +202,19 @@ def ingests(case: Case) -> list[Ingest]:
         if endpoint is not None and uses[endpoint] == 1 and len(own) > 1:
             counter = _Counted(case, endpoint, system, to_ci[rows.destination[to_ci] == endpoint], own)
             account = counter.account()
-            if account.lost_on_network or (account.lost and account.not_captured):
+            lost = account.lost_by("network")
+            if lost or (account.lost and account.not_captured):
                 late = counter.account(_UNDER_WAY_NS)
+                more = lost - late.lost_by("network")
                 # Rule 8: what a slow network explains is neither a loss nor a copy.
-                came_late = min(account.not_captured, account.lost_on_network)
-                is_less = late.lost_on_network - late.not_captured <= account.lost_on_network - came_late
-                explains = late.lost_on_network == 0 < account.lost_on_network
-                if is_less and (explains or late.not_captured < account.not_captured):
+                is_less = more >= min(account.not_captured, lost) - late.not_captured
+                if is_less and (more == lost > 0 or late.not_captured < account.not_captured):
                     even = late if counter.stood or counter.has_output else counter.of_steady_delay(account)
-                    is_so = even.lost_on_network and not even.not_captured
-                    account = even if is_so else replace(late, unsure=account.unsure)
-                elif counter.stood and (more := account.lost_on_network - late.lost_on_network) > 0:
+                    is_so = even.lost_by("network") and not even.not_captured
+                    # How many waited when CI ended depends on the delay.
+                    waited = max(0, account.lost_by(*_OUTAGES) - late.lost_by(*_OUTAGES))
+                    account = even if is_so else replace(late, unsure=account.unsure + waited)
+                elif counter.stood and more > 0:
                     account = replace(late, unsure=account.unsure + more)
             account.concede_copies(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
             accounts.append(account)
@@ -355,7 +357,7 @@ class _Counted:
             account: the account for a network without delay.
         """
         every = [self.account(ns + _APART_NS, ns) for ns in range(0, _UNDER_WAY_NS, _APART_NS)]
-        least = min(every, key=lambda item: (item.before > 0, item.not_captured, item.lost_on_network))
+        least = min(every, key=lambda item: (item.before > 0, item.not_captured, item.lost_by("network")))
         return replace(least, unsure=least.unsure + max(0, account.lost - least.lost))
 
     def account(self, under_way_ns: int = 0, least_ns: int = 0) -> Ingest:
@@ -743,7 +745,6 @@ _LONG: Final = 3
 """If no ICMP error comes for this many times the usual interval, somebody listens."""
 _SCARCE_NS: Final = 2500 * MILLISECOND
 """But for longer than this: a host may send one error a second, and the network lose it."""
-_OUTAGES: Final = frozenset({"down", "restart", "ci_stopped"})
 
 
 class BeforeCi:
@@ -776,7 +777,7 @@ class BeforeCi:
     def concede(self, telemetry: Sequence[Loss]) -> None:
         """Make datagrams uncertain that counts lack, if the network loses some, either way."""
         accounts = self._case.ingests
-        if any(item.lost_on_network for item in accounts) or any(item.kind == "after" for item in telemetry):
+        if any(item.lost_by("network") for item in accounts) or any(item.kind == "after" for item in telemetry):
             for account in accounts:
                 self._make_uncertain([(fate, fate.open) for fate in self._to(account)], account.lacking)
 

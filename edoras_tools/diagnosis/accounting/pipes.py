@@ -16,7 +16,6 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Mapping  # noqa: TC003  TICKS is annotated with it
-from itertools import chain
 from math import ceil
 from typing import TYPE_CHECKING, Any, Final
 
@@ -55,6 +54,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner
 from edoras_tools.diagnosis.matching.streams import Span, Stream, bursts
+from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.links.table import carrying
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, distinct
@@ -310,7 +310,7 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
     limits = np.full(len(times), limit)  # and those that commands set, from then on
     system = case.instances.system(case.owner(stream))
     for change in case.timeline.entry(stream.msg_id, system) if output else ():
-        limits[times > change.not_before_ns] = change.value if isinstance(change.value, int) else limit
+        limits[times > change.not_before_ns] = limit if change.limit is None else change.limit
     # Other senders may use the MsgId: their messages fill the pipe too.
     if _beside(_full(times, period, limits), own[at], own[at + 1], missing[at]):
         return True
@@ -455,12 +455,19 @@ class Leftover:
                 rest[old] = 0
 
     def exclude_outages(self) -> None:
-        """Leave the counts that may be of messages sent while the capturing interface was away to these."""
+        """Leave the counts that may be of messages sent while the capturing interface was away to these.
+
+        Captured messages whose way out is not captured may have caused them, too.
+        """
         for instance, counts in self._counts.items():
             away = self._away(counts)
-            for rest in counts.left.values():
-                self.uncaptured[instance] += int(rest[away].sum())
+            spans = [counts.span([second]) for second in np.flatnonzero(away).tolist()]
+            for kind, rest in counts.left.items():
+                self.uncaptured[instance] += (number := int(rest[away].sum()))
                 rest[away] = 0
+                for item, fate, sent_ns in self._unseen(instance, kind) if number else ():
+                    inside = overlapping(sent_ns, sent_ns + item.counted_ns, spans)
+                    fate.ends["earlier"] += min(number, int(inside.sum()))
 
     def _away(self, counts: Counts) -> Mask:
         """Return which seconds may count messages that were sent while the capturing interface was away.
@@ -529,10 +536,7 @@ class Leftover:
         # Messages after the last one of a stream leave no gap; a count then may be of other traffic.
         ends_ns = np.sort([item.time_ns[-1] for item in self._case.streams if item.counted])
         for at in self._counts:
-            for each in self._candidates(at, "limit"):
-                fate = self._fates.get(each.stream)
-                if fate is None or fate.seen:
-                    continue
+            for each, fate, _ in self._unseen(at, "limit"):
                 for place, span in enumerate(each.spans):
                     times = span.start_ns - LEAD_NS, span.end_ns + each.counted_ns
                     most = min(each.most(range(place, place + 1)), int(fate.open[span.rows].sum()))
@@ -574,20 +578,18 @@ class Leftover:
         for at, kind in {place[:2] for place in places if place[0] in behind}:
             both = [(place[2], most) for place, most in places.items() if place[:2] == (at, kind)]
             spans = [(self._counts[at].span([second]), most) for second, most in both if second != BEFORE]
-            for item in self._candidates(at, kind):
-                if (fate := self._fates.get(item.stream)) is not None and not fate.seen:
-                    sent = fate.stream.time_ns[fate.open]
-                    more = sum(max(0, min(most, item.beyond(sent, *span))) for span, most in spans)
-                    fate.ends["earlier"] = min(len(sent), fate.ends["earlier"] + more)
+            for item, fate, sent in self._unseen(at, kind):
+                more = sum(max(0, min(most, item.beyond(sent, *span))) for span, most in spans)
+                fate.ends["earlier"] = min(len(sent), fate.ends["earlier"] + more)
 
     def make_losses(self) -> None:
         """Make losses of an unknown MsgId of the counts that nothing explains."""
         for instance, counts in self._counts.items():
             away = self._away(counts).tolist()
-            places = (own.assigned.items() for own in self._pipes.claims)
             assigned: Counter[PipeKind] = Counter()
-            for place, part in chain.from_iterable(places):
-                assigned[place[1]] += part * (place[0] == instance and place[2] != BEFORE and away[place[2]])
+            for own in self._pipes.claims:
+                for (at, kind, second), part in own.assigned.items():
+                    assigned[kind] += part * (at == instance and second != BEFORE and away[second])
             for kind, rest in counts.left.items():
                 # A captured message may have got the count of one that was not captured.
                 spared = min(assigned[kind], int(rest.sum()))
@@ -605,7 +607,7 @@ class Leftover:
 
     def _leftover(self, instance: int, counts: Counts, kind: PipeKind) -> None:
         candidates, rest, old = self._candidates(instance, kind), counts.left[kind], self._old(instance)
-        self._leave_earlier(candidates, counts, kind, old)
+        self._leave_earlier(instance, kind, old)
         groups: dict[tuple[Outage | None, tuple[tuple[int, range], ...]], list[int]] = {}
         for second in np.flatnonzero(rest).tolist():
             times = counts.span([second])
@@ -634,24 +636,26 @@ class Leftover:
                 self._together(Shared(instance, kind, flows, share, *times), {item.labels for item in rivals})
             rest[seconds] = np.diff(np.minimum(np.cumsum(rest[seconds]), number - share), prepend=0)
 
-    def _leave_earlier(
-        self, candidates: Sequence[_Candidate], counts: Counts, kind: PipeKind, old: Mask
-    ) -> None:
+    def _leave_earlier(self, instance: int, kind: PipeKind, old: Mask) -> None:
         """Count messages as uncertain that a first sample, or one before a reset, may have counted.
 
         Args:
             old: mask of the seconds whose counts may be of messages from before the capture.
         """
-        rest = counts.left[kind]
+        counts, rest = self._counts[instance], self._counts[instance].left[kind]
         older, first_ns = counts.first.get(kind, 0) + int(rest[old].sum()), counts.times[int(old.sum())]
-        for item in candidates:
+        for item, fate, sent in self._unseen(instance, kind):
+            fate.ends["earlier"] += min(older, int((sent < first_ns).sum()))
+            for second in counts.set_back:
+                more = item.beyond(sent, *counts.span([second])) - int(rest[second])
+                fate.ends["earlier"] += max(0, more)
+
+    def _unseen(self, instance: int, kind: PipeKind) -> Iterator[tuple[_Candidate, Fate, Integers]]:
+        """Yield captured traffic that may explain counts, its fate, and when those without one were sent."""
+        for item in self._candidates(instance, kind):
             fate = self._fates.get(item.stream)
             if fate is not None and not fate.seen:
-                sent = fate.stream.time_ns[fate.open]
-                fate.ends["earlier"] += min(older, int((sent < first_ns).sum()))
-                for second in counts.set_back:
-                    more = item.beyond(sent, *counts.span([second])) - int(rest[second])
-                    fate.ends["earlier"] += max(0, more)
+                yield item, fate, fate.stream.time_ns[fate.open]
 
     def _candidates(self, instance: int, kind: PipeKind) -> list[_Candidate]:
         """Return traffic that may explain counts: that which events name, else that which is too fast."""

@@ -14,6 +14,7 @@ from edoras_tools.addons.lab.emulator.account import LOST, socket
 from edoras_tools.cfs import executive_services as es
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.diagnosis.accounting.closed import Outage
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.workbench import Settings
@@ -137,3 +138,11 @@ def test_what_a_cfs_may_have_read_just_before_it_was_killed_is_not_said_to_be_lo
     told = lost_of(examined(sent), "0x1827")["down"]
     truth = sum(item.hop == socket(cfs.profile.ci_port) and item.end in LOST for item in cfs.account.arrivals)
     assert truth - hertz <= told <= truth
+
+
+@pytest.mark.parametrize(
+    ("pipe", "is_its_own"),
+    [("EDORAS_APP_PIPE", True), ("EDORAS_APP2_PIPE", False)],
+)
+def test_a_pipe_is_of_the_application_whose_whole_name_it_begins_with(pipe, is_its_own):
+    assert Outage("EDORAS_APP", 0, None, 0, 0, "", 0).reads(pipe) == is_its_own
