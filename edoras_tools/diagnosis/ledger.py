@@ -648,10 +648,12 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
         spans = case.silences_of(stream.sender)
         for number, among in silenced:
             before, behind = among.times_ns
-            within = [span for span in spans if span[0] < behind and before < span[1]]
-            failed = all(map(case.socket_failure, within))
+            failed = all(case.socket_failure(span) for span in spans if span[0] < behind and before < span[1])
+            # At both ends some may have been sent, and the capture missed them.
+            unsure = case.perhaps_missed(len(stream), number) * failed
             about = _span_of(case, among) | {"text": f"{telemetry_output.SOCKET} failed"}
-            way.end("lost" if failed else "not_captured", number, TO_SOCKET if failed else "", **about)
+            way.end("uncertain", unsure, **about)
+            way.end("lost" if failed else "not_captured", number - unsure, TO_SOCKET * failed, **about)
     faults, dropped = case.faults_on(stream), telemetry.ends[stream]["proxied"]
     doubled = min(faults.doubled, stream.duplicates if stream.counted else len(stream))
     if dropped or doubled:

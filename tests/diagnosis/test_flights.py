@@ -1301,6 +1301,15 @@ def test_a_gap_over_two_silences_of_output_is_counted_in_one(tmp_path):
     assert sum(told) == sum(row.not_captured for row in found.balance if row.hop == "TO_LAB_APP socket")
 
 
+def test_what_came_just_before_a_socket_failed_may_be_missed_by_the_capture(tmp_path):
+    items = mutations.frames(FOLDER / "socket_failed_unseen.pcap.zst")
+    found = truth.examined(
+        mutations.write(tmp_path / "flight.pcap", mutations.removed(0.05)(items, random.Random(1)))
+    )
+    assert by_cause(found)["to_socket"] > 0
+    assert found.lost + found.unaccounted <= 155 <= found.lost + found.unaccounted + found.uncertain
+
+
 def test_what_the_bus_lost_around_a_hole_may_be_of_captured_commands(tmp_path):
     """Of the 24 captured on 0x1828, none of which is known behind cFS, 14 were lost."""
     items = mutations.frames(ROOT / "tests/captures/cfs7/slow_app.pcap.zst")

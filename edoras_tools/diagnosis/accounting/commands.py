@@ -47,7 +47,7 @@ from edoras_tools.diagnosis.matching.streams import Stream, counted_gaps, full_r
 from edoras_tools.diagnosis.quality import CONFIDENCE, overlapping
 from edoras_tools.diagnosis.verdict import Verdict
 from edoras_tools.model import Finding
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, distinct
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key, distinct
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -96,9 +96,7 @@ class Commands:
             if stream.link.only_to_cfs or (stream.link.peers and not stream.counted)
         }
         fates = list(self.fates.values())
-        self._by_packet: dict[tuple[str | None, int | None], list[Fate]] = {}
-        for fate in fates:
-            self._by_packet.setdefault((fate.stream.link.label, fate.stream.msg_id), []).append(fate)
+        self._by_packet = by_key(fates, lambda fate: (fate.stream.link.label, fate.stream.msg_id))
         self._spans = {key: _spans(own) for key, own in self._by_packet.items()}
         # Steps 2 and 3: what was lost before CI, and what cFS refused.
         for fate in fates:
