@@ -777,7 +777,9 @@ class BeforeCi:
     def concede(self, telemetry: Sequence[Loss]) -> None:
         """Make datagrams uncertain that counts lack, if the network loses some, either way."""
         accounts = self._case.ingests
-        if any(item.lost_by("network") for item in accounts) or any(item.kind == "after" for item in telemetry):
+        if any(item.lost_by("network") for item in accounts) or any(
+            item.kind == "after" for item in telemetry
+        ):
             for account in accounts:
                 self._make_uncertain([(fate, fate.open) for fate in self._to(account)], account.lacking)
 
