@@ -224,19 +224,20 @@ def _others_go_on(case: Case, silence: Silence, members: Sequence[Silence]) -> b
 
 
 def _again(case: Case, stream: Stream, start_ns: int) -> int | None:
-    """Return when a stream went on between the same peers, on a TCP connection of another port."""
+    """Return when a stream went on between the same peers, from or to another port."""
     if not stream.link.peers:
         return None
     party = case.network.party
     ways = party(stream.sender), party(stream.receiver)
     later = [
-        int(item.time_ns[0])
+        when
         for item in case.streams
         if (item.link, item.msg_id) == (stream.link, stream.msg_id)
         and (party(item.sender), party(item.receiver)) == ways
         and (item.sender, item.receiver) != (stream.sender, stream.receiver)
+        for when in item.time_ns[item.time_ns > start_ns][:1].tolist()
     ]
-    return min((when for when in later if when > start_ns), default=None)
+    return min(later, default=None)
 
 
 def _rate(stream: Stream, times: Integers, before: Sequence[Span], at: int) -> Rate | None:

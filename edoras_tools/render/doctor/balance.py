@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import groupby
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Group, RenderableType
@@ -12,7 +12,6 @@ from rich.text import Text
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.balance import PEER_TO_ROBOT, Chain
 from edoras_tools.diagnosis.ledger import cause_text
-from edoras_tools.model import NO_MSG_ID
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import msg_id_text, route_text
 from edoras_tools.render.capture.tree import value_text
@@ -156,6 +155,8 @@ def _table(
 
 _MOST_LINES: Final = 1000
 """Lines on a terminal; CSV and JSON have all."""
+_SAME: Final = attrgetter("number", "time_ns", "until_ns", "msg_id", "link", "topic", "what", "one_of")
+"""The common values of messages that share a line; a message that is a packet has its own."""
 
 
 def missing_table(missing: Sequence[Missing], start_ns: int, width: int) -> RenderableType:
@@ -164,50 +165,27 @@ def missing_table(missing: Sequence[Missing], start_ns: int, width: int) -> Rend
     Args:
         start_ns: time of the first datagram, zero of the times, ns since 1970.
     """
-    lines = [list(alike) for _, alike in groupby(missing, key=_same)]
-    rows = [
-        {
-            "when": f"{(first.time_ns - start_ns) / 1e9:.3f} s",
-            "packet": units.count(first.number) if first.number is not None else "",
-            "msg_id": "" if first.msg_id == NO_MSG_ID else f"0x{first.msg_id:04x}",
-            "topic": first.topic or "",
-            "count": units.count(sum(item.count for item in alike)),
-            "what": _message_text(alike),
-            "values": value_text(first.message) if first.message else "",
-        }
-        for alike in lines[:_MOST_LINES]
-        for first in alike[:1]
-    ]
+    lines = [list(alike) for _, alike in groupby(missing, lambda item: (_SAME(item), item.first is None))]
     columns = (
-        Column("When", lambda row: plain(row["when"])),
-        Column("Packet", lambda row: plain(row["packet"])),
-        Column("MsgId", lambda row: plain(row["msg_id"]), justify="left"),
-        Column("Topic", lambda row: plain(row["topic"]), justify="left", elastic=True),
-        Column("Count", lambda row: plain(row["count"])),
-        Column("What", lambda row: plain(row["what"]), justify="left"),
-        Column("Values", lambda row: plain(row["values"]), justify="left", elastic=True, rank=1),
+        Column("When", lambda row: plain(f"{(row[0].time_ns - start_ns) / 1e9:.3f} s")),
+        Column("Packet", lambda row: plain("" if row[0].number is None else units.count(row[0].number))),
+        Column("MsgId", lambda row: plain(row[0].as_json()["msg_id"] or ""), justify="left"),
+        Column("Topic", lambda row: plain(row[0].topic or ""), justify="left", elastic=True),
+        Column("Count", lambda row: plain(units.count(sum(item.count for item in row)))),
+        Column("What", lambda row: plain(_message_text(row)), justify="left"),
+        Column(
+            "Values",
+            lambda row: plain(value_text(row[0].message) if row[0].message else ""),
+            justify="left",
+            elastic=True,
+            rank=1,
+        ),
     )
-    parts: list[RenderableType] = [build(columns, rows, width)]
+    parts: list[RenderableType] = [build(columns, lines[:_MOST_LINES], width)]
     if rest := sum(item.count for alike in lines[_MOST_LINES:] for item in alike):
         parts.append(Text(f"and {rest:,} more: --list-lost csv", palette.DIM))
     parts.append(Text(f"{plural(sum(item.count for item in missing), 'message')} lost."))
     return Group(*parts)
-
-
-def _same(item: Missing) -> tuple[Any, ...]:
-    """Return the common values of messages that share a line; a message that is a packet has its own."""
-    has_number = item.first is not None
-    return (
-        item.number,
-        item.time_ns,
-        item.until_ns,
-        item.msg_id,
-        item.link,
-        item.topic,
-        item.what,
-        item.one_of,
-        has_number,
-    )
 
 
 def _message_text(alike: Sequence[Missing]) -> str:
