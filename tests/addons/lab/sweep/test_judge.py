@@ -98,13 +98,13 @@ def test_whose_loss_it_is(bench, grown, named, lost, hop):
 
 def test_what_ingest_never_read_is_lost_in_its_socket(bench):
     step = Step(bench, COMMAND)
-    for second in range(12):
+    for second in range(24):
         step.bus(second)
-        read = 7 + min(82, 22 * max(0, second - 1))  # 11 each half second, until its socket is empty
+        read = 7 + min(382, 22 * max(0, second - 1))  # 11 each half second, until its socket is empty
         step.telemetry(0x884, second, bytes(12) + read.to_bytes(4, "little") + bytes(8), count=second)
-    step.commands(100, hz=100)
+    step.commands(400, hz=400)
     before, after = step.take()
-    found = step.judge.commands(step.observer, before, after, sent=100, rate_hz=100)
+    found = step.judge.commands(step.observer, before, after, sent=400, rate_hz=400)
     assert (found.lost, found.not_ingested, found.hop) == (18, 18, "CI_LAB_APP socket")
 
 
