@@ -1,4 +1,4 @@
-"""Remedies for queues that lose messages, the losses that would remain with them, and the verdict on a loss.
+"""Remedies for queues that lose messages, the losses that would remain with them.
 
 Rules:
 

@@ -748,7 +748,7 @@ class Case:
         own = (f"event {item}" for item in events if telemetry_output.SUPPRESSED.phrase in item.message)
         samples, rows, text = self.payloads.commanded, self.rows, next(own, "")
         at = np.searchsorted(samples["time_ns"], (span[0], span[1] + TAIL_NS), "right") - 1
-        if text or at[0] < 0 or len(self.instances.items) > 1:
+        if text or not 0 <= at[0] < at[1] or len(self.instances.items) > 1:
             return text
         since_ns, until_ns = samples["time_ns"][at].tolist()
         sent = rows.on(lambda link: link.only_to_cfs) & (rows.known_id == telemetry_output.COMMAND_MSG_ID)

@@ -648,7 +648,8 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
         spans = case.silences_of(stream.sender)
         for number, among in silenced:
             before, behind = among.times_ns
-            failed = all(case.socket_failure(span) for span in spans if span[0] < behind and before < span[1])
+            inside = [span for span in spans if span[0] < behind and before < span[1]]
+            failed = bool(inside) and all(map(case.socket_failure, inside))
             # At both ends some may have been sent, and the capture missed them.
             unsure = case.perhaps_missed(len(stream), number) * failed
             about = _span_of(case, among) | {"text": f"{telemetry_output.SOCKET} failed"}

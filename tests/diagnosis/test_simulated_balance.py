@@ -95,7 +95,9 @@ def test_the_sums_are_the_counters_of_the_emulator(seed, lab):
             lost = row.lost.get("limit", 0) + row.lost.get("overflow", 0)
             # What was lost behind the last message of a burst is shared with what others lost just then.
             assert lost == pytest.approx(by_msg_id[row.msg_id], rel=0.3, abs=24)
-    assert sum(row.lost.get("after", 0) + row.lost.get("network", 0) for row in found.balance) <= 2
+    assert sum(row.lost.get("after", 0) for row in found.balance) <= 2
+    if simulation.cfs.profile.socket_queue == SimProfile().socket_queue:  # else the assumed size misleads
+        assert sum(row.lost.get("network", 0) for row in found.balance) <= 2
 
 
 def test_msg_ids_of_version_2_change_nothing_but_the_numbers(lab):

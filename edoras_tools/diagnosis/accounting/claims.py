@@ -375,18 +375,18 @@ def settle_possible(
 
 
 def take_back(counts: Mapping[int, Counts], claims: Sequence[Claim], others: Sequence[Claim]) -> list[int]:
-    """Take counts from claims of the rank ``MISSING`` that other messages may have caused as well.
+    """Take counts from claims that other messages may have caused as well.
 
     Args:
         counts: the counters; they do not get the counts back.
-        claims: claims on them.
+        claims: claims on them, of gaps.
         others: claims of messages that may also have arrived.
 
     Returns:
         How many of these counts each of ``others`` may have caused.
     """
     tables, numbers = _tables(counts, [*claims, *others]), [0] * len(others)
-    for claim in (claim for claim in claims if claim.rank == Rank.MISSING):
+    for claim in claims:
         for place in [*claim.assigned]:
             for at in tables[place[:2]].within(place[2]):
                 other = at - len(claims)

@@ -821,7 +821,7 @@ def _newest(fate: Fate, hop: Hop, wake_ns: int) -> Mask:
     out = hop.out
     times, out_ns = fate.stream.time_ns, out.time_ns
     steps = np.diff(out_ns) // (out.missing[:-1] + 1)
-    steps = steps[steps <= 2 * np.median(steps)] if len(steps) >= _LEAST_ROUNDS else steps[:0]
+    steps = steps[steps <= 2 * np.median(steps)] if len(steps) > 1 else steps[:0]
     period = int(steps.sum() + wake_ns) // len(steps) if len(steps) else 0
     newest = np.ones(len(times), bool)
     if fate.newer.any() and period >= _FASTER * float(np.median(np.diff(times))):

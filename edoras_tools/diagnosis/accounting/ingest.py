@@ -719,7 +719,7 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
             if level.first:
                 empty = np.flatnonzero(run.drained[: level.first])
                 last = int(empty[-1]) if len(empty) else 0
-                full = int(run.beyond[last : level.first + 1].max()) > number
+                full = int(run.beyond[last : level.first + 1].max()) + shown_less > number
                 missing_first = int(run.high[: level.first].min())
                 early = not account.losses and run.blind and missing_first >= number
                 cause = "socket" if full else "network"

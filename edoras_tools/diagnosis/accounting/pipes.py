@@ -558,20 +558,19 @@ class Leftover:
     def make_uncertain(self, claims: Sequence[Claim]) -> None:
         """Count messages as uncertain that may have caused the counts which gaps were given.
 
-        This is so where no pipe was full of what is missing, or where gaps show that telemetry was lost
-        behind cFS, too: then a gap need not be a count.
+        This is so where gaps show that telemetry was lost behind cFS, too: then a gap need not be a count.
 
         Args:
             claims: claims of gaps, settled.
         """
-        for own, number in zip(
-            self._pipes.claims, take_back(self._counts, claims, self._pipes.claims), strict=True
-        ):
+        behind = {at for own in claims if own.rank == Rank.MISSING and own.open for at in own.instances}
+        astray = [own for own in claims if own.rank == Rank.MISSING and behind.intersection(own.instances)]
+        others = self._pipes.claims
+        for own, number in zip(others, take_back(self._counts, astray, others), strict=True):
             ends = self._pipes.whose[own.key].fate.ends
             part = min(number, ends["superseded"])
             ends["superseded"] -= part
             ends["missed"] += part
-        behind = {at for own in claims if own.rank == Rank.MISSING and own.open for at in own.instances}
         places: Counter[Place] = Counter()
         for own in claims:
             places.update(own.assigned if own.rank == Rank.PRESSED else ())

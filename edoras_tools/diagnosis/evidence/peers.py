@@ -41,6 +41,7 @@ _LEAST_ROWS: Final = 3
 _BEGAN: Final = frozenset(f"its {kind} arrived" for kind in ("SUB", "PROTO", "ANNOUNCE"))
 """Reasons of a new connection; with any other message first, the peer did not begin it anew."""
 _TO_CONNECTED: Final = sbn.MsgType.PROTO, sbn.MsgType.APP, sbn.MsgType.HEARTBEAT
+_GREETINGS: Final = sbn.MsgType.PROTO, sbn.MsgType.SUB, sbn.MsgType.ANNOUNCE
 """What a cFS sends only to a peer that is connected; its lists go to all peers of its table."""
 _NEVER: Final = np.iinfo(np.int64).max // 2
 _STILL_NS: Final = 3 * SECOND
@@ -218,7 +219,9 @@ class Network:
                 heard = network[np.isin(way, ways[peer, observer])]
                 sent = network[np.isin(way, ways.get((observer, peer), []))]
                 app = sent[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
-                start = int(np.append(sent[np.isin(rows.sbn_msg_type[sent], _TO_CONNECTED)], heard)[0])
+                to_connected = sent[np.isin(rows.sbn_msg_type[sent], _TO_CONNECTED)]
+                greeted = (rows.sbn_msg_type[to_connected[:1]] == sbn.MsgType.PROTO).any()
+                start = int(np.append(to_connected if greeted else sent, heard)[0])
                 changes = self._changes(rows, heard, start, end_ns, _disconnect_spans(rows, sent))
                 app_ns = rows.time_ns[app]
                 changes = _believed(changes, app_ns)
@@ -274,7 +277,8 @@ class Network:
                     changes.append(PeerChange(now, "disconnected", "it sent DISCONNECT"))
                 up = False
             elif not up:
-                older = not (changes or begins) and now - begin_ns < timeout
+                begun_ns = SECOND if kind in _GREETINGS else timeout
+                older = not (changes or begins) and now - begin_ns < begun_ns
                 why = ALREADY if older else f"its {sbn.MSG_TYPE_NAMES.get(kind, f'type {kind:#04x}')} arrived"
                 changes.append(PeerChange(now, "connected", why))
                 up = True

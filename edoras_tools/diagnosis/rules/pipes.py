@@ -23,7 +23,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, warni
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
-from edoras_tools.units import MILLISECOND
+from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.order import by_key, groups
 from edoras_tools.words import plural
@@ -272,11 +272,18 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
 
     Name the route; and what CI counted that is not in the capture.
     """
+    profile = case.profile
     for loss in case.losses:
         if loss.kind == "network":
             relay, peers = loss.hop.startswith(RELAY_HOP), loss.hop == SBN_SOCKET
             why = "they did not come " + ("out" if relay else "to cFS")
-            why = why if relay or peers else "CI did not read them, and it can read so many"
+            if not (relay or peers):
+                reads_hz = profile.ci_datagrams_per_wake * SECOND / profile.ci_wake_ns
+                why = "CI did not read them, and " + (
+                    "it can read so many"
+                    if loss.offered_hz < reads_hz
+                    else f"its socket can hold what waited ({profile.socket_queue:,}, assumed)"
+                )
             more = ": a capture on the cFS host shows which of them arrive there" * (not case.capture.shared)
             remedy = f"look at the {'network' if peers else 'uplink'}{more}"
             if relay:
