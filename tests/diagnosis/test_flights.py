@@ -552,7 +552,7 @@ MOST = {
     "restarted_without_events": {0x1828: {"stopped": 11, "limit": 1}, 0x182A: {"stopped": 16}},
     "all_restarted": {0x1806: {}, 0x1827: {"limit": 3, "stopped": 36}},
     "restarted_with_backlog_of_two": {0x1827: {"restart": 130, "limit": 10}, 0x1828: {"restart": 60}},
-    "stopped_out_of_sight": {0x1827: {"stopped": 134}},
+    "stopped_out_of_sight": {0x1827: {"stopped": 134, "restart_failed": 87}},
     "overload_of_a_dead_bridge": {0x82A: {"limit": 139, "sbn_peer_restart": 160, "port_closed": 16}},
     "peer_back_with_one_list": {0x1827: {"away": 48}, 0x1828: {"away": 34, "unsubscribed": 60}},
     "housekeeping_to_a_peer": {0x808: {}, 0x1828: {"restart": 16}},

@@ -288,7 +288,7 @@ UNNAMED = {
 }
 HIDDEN = {
     ("n3_cfs_restart", "cut to 96"): (1, 0),
-    ("n5_app_restarts", "cut to 96"): (108, 64),
+    ("n5_app_restarts", "cut to 96"): (18, 0),
     ("a_rover", "cut to 60, before the counters of 0x803"): (0, 92),
 }
 """Messages not said to be lost, as what tells why is cut off: those, and how many are unaccounted for."""

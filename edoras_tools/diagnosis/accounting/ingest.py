@@ -538,8 +538,8 @@ class _Counted:
         """
         seen_ns, count, wake_ns = self._seen[part], self._count[part], self._profile.ci_wake_ns
         read = np.diff(count, prepend=count[0])
-        steps, made = (np.diff(times, prepend=times[0]) for times in (seen_ns, self._made[part]))
-        least = np.minimum(steps, made)  # a count may come late, and a clock may be set
+        steps, own_steps = (np.diff(times, prepend=times[0]) for times in (seen_ns, self._made[part]))
+        least = np.minimum(steps, own_steps)  # a count may come late, and a clock may be set
         busy = read > _BUSY * self._most * np.maximum(1.0, least / wake_ns)
         # If it read fewer than one wake-up can, the socket was empty after the last wake-up; else earlier.
         oldest = np.minimum(seen_ns - self._profile.to_wake_ns, self._made[part]) - wake_ns - _SLACK_NS

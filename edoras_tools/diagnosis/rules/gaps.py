@@ -23,7 +23,16 @@ from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.ledger import CAUSES
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.diagnosis.rules.about import loss_verdict, lost_at, packet, stream_subject, subject
-from edoras_tools.diagnosis.verdict import NOTHING_SENT, Severity, Verdict, error, note, verdict, warning
+from edoras_tools.diagnosis.verdict import (
+    NOTHING_SENT,
+    Severity,
+    Verdict,
+    error,
+    habit,
+    note,
+    verdict,
+    warning,
+)
 from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.sbn import SBN
@@ -71,15 +80,15 @@ def changed_values(case: Case) -> Iterator[Verdict]:
         else:
             text = f"{same + other:,} of {item.of:,} that {where} have a value that was never sent"
             text += f": {same_one}" if same else ""
-        meant = "" if same else "an application that changes values on purpose does this, too"
+        purpose = "" if same else "an application that changes values on purpose does this, too"
         if passes_on:
-            meant = f"{passes_on} is here: the public EDORAS applications pass values on as they are"
+            purpose = f"{passes_on} is here: the public EDORAS applications pass values on as they are"
         yield _about(
             Severity.ERROR if passes_on or same else Severity.WARNING,
             case,
             item,
             text,
-            *(_first(case, item.constant if same else item.changed), meant),
+            *(_first(case, item.constant if same else item.changed), purpose),
             remedy="look at what the application sends: a struct that was not filled, as after a command "
             "that it failed to parse, or one that something else wrote over",
         )
@@ -483,8 +492,7 @@ def superseded(case: Case) -> Iterator[Verdict]:
     for fate in (own for own in case.commands.fates.values() if own.ends["superseded"]):
         number, stream = fate.ends["superseded"], fate.stream
         outs = " and ".join(case.name(hop.out.msg_id) for hop in fate.hops)
-        yield verdict(
-            Severity.HABIT,
+        yield habit(
             f"{number:,} of {len(stream):,} messages on {case.name(stream.msg_id)} gave way to a "
             f"newer one before the application sent {outs}: it takes them in bursts, and the last goes on",
             f"{int(fate.arrived.sum()):,} came out with the same values",

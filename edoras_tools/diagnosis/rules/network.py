@@ -423,9 +423,9 @@ def _malformed(case: Case, members: list[int], kind: BadMessage) -> Verdict:
     )
 
 
-def answers(case: Case, start_ns: int, *wanted: EventText | str) -> list[str]:
+def answers(case: Case, start_ns: int, *texts: EventText | str) -> list[str]:
     """Return what SBN said about a datagram: the first of some events, and what followed from it."""
-    phrases = [item if isinstance(item, str) else item.phrase for item in wanted]
+    phrases = [item if isinstance(item, str) else item.phrase for item in texts]
     events = case.events_between(start_ns, start_ns + _ANSWERED_NS, facts.NAME)
     fits = next((at for at, record in enumerate(events) if _has(record, phrases)), None)
     if fits is None:
@@ -539,8 +539,10 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         peer, start_ns = peer_of(who), case.span(members)[0]
         lines = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
         messages = members[rows.msg_id[members] != NO_MSG_ID]
-        taken = 2 * np.isin(messages, came_out).sum() > len(messages)
-        if not lines and (taken or case.network.identity_of.get(int(rows.source[members[0]])) == str(peer)):
+        most_came = 2 * np.isin(messages, came_out).sum() > len(messages)
+        if not lines and (
+            most_came or case.network.identity_of.get(int(rows.source[members[0]])) == str(peer)
+        ):
             continue  # most there are its own: one that spoke before it is the other
         refused = _refused(
             case,

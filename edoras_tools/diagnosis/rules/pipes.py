@@ -130,12 +130,12 @@ def _over_limit(case: Case, loss: Loss, link: str, text: str) -> Verdict:
     period_ms, rate = queue.round_ns / MILLISECOND, queue.rate_hz(limit)
     rounds = text.format(set_by(case, loss, limit), period_ms, rate)
     clean = f": {rate:.1f} Hz is clean" if link == "to" else ""
-    shown = f"at most {limit} came in one round, every {period_ms:.1f} ms{clean}" if measured else ""
+    rounds_text = f"at most {limit} came in one round, every {period_ms:.1f} ms{clean}" if measured else ""
     rounds = f"{limit} of {rounds}"
     if loss.offered_hz:
         rounds = f"published at {loss.offered_hz:.0f}/s, {rounds}"
     reason = f"{lost_at(case, loss)}: {rounds}"
-    return loss_verdict(case, loss, reason, advise(case, loss), shown, link=link)
+    return loss_verdict(case, loss, reason, advise(case, loss), rounds_text, link=link)
 
 
 def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
@@ -203,9 +203,9 @@ def _output_overflow(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
         f"publish less: {room:.0f}/s of everything, housekeeping included; a lower limit of this "
         "MsgId in TO's table keeps the others safe; or make TO's pipe deeper or its delay shorter"
     )
-    names, silenced = _by_name(case, beside), case.of_known(cfe.EVENT_MSG_ID)
+    names, event_id = _by_name(case, beside), case.of_known(cfe.EVENT_MSG_ID)
     with_it = f"lost with it: {', '.join(names)}" if names else ""
-    if any(item.msg_id == silenced for item in beside):
+    if any(item.msg_id == event_id for item in beside):
         events = "events are among the lost: that none names the pipe proves nothing"
     return loss_verdict(case, loss, reason, remedy, text, with_it, events, link="to")
 

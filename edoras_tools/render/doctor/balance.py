@@ -177,7 +177,6 @@ def missing_table(missing: Sequence[Missing], start_ns: int, width: int) -> Rend
             "Values",
             lambda row: plain(value_text(row[0].message) if row[0].message else ""),
             justify="left",
-            elastic=True,
             rank=1,
         ),
     )

@@ -55,8 +55,8 @@ _ALIKE: Final = 4
 _MANY_ERRORS: Final = 12
 """The same number for errors, whose evidence matters more."""
 _grid = partial(Table, box=None, padding=(0, 2, 0, 0), pad_edge=False)
-_left = partial(TableColumn, no_wrap=True)
-_right = partial(TableColumn, no_wrap=True, justify="right")
+_text_column = partial(TableColumn, no_wrap=True)
+_number_column = partial(TableColumn, no_wrap=True, justify="right")
 _STATES: Final = {"connected": "green", "silent": "yellow", "timed_out": "bold red", "disconnected": "yellow"}
 
 
@@ -215,14 +215,16 @@ def told_of(group: Sequence[Verdict]) -> str:
 def _alike(result: Diagnosis, several: Sequence[Verdict]) -> RenderableType:
     """Return many verdicts of one rule as one entry."""
     lost = sum(item.lost or 0 for item in several)
-    table = _grid(_left("", style=palette.DIM), "", show_header=False)
+    table = _grid(_text_column("", style=palette.DIM), "", show_header=False)
     for item in sorted(several, key=lambda item: item.start_ns)[:_MOST_SPANS]:
         table.add_row(_when(result, item), plain(item.reason))
     body: list[RenderableType] = [table]
     if len(several) > _MOST_SPANS:
         body.append(Text(f"... {len(several) - _MOST_SPANS:,} more, in --json", palette.DIM))
     title = f"{len(several):,} times" + (f", {lost:,} lost in all" if lost else "")
-    return _entry(several[0], title, body, list(dict.fromkeys(item.remedy for item in several))[:_ALIKE])
+    return _entry(
+        several[0], title, body, list(dict.fromkeys(item.remedy for item in several if item.remedy))[:_ALIKE]
+    )
 
 
 def _when(result: Diagnosis, verdict: Verdict) -> str:
@@ -231,8 +233,8 @@ def _when(result: Diagnosis, verdict: Verdict) -> str:
 
 
 def _spans(result: Diagnosis, group: Sequence[Verdict]) -> Table:
-    figures = map(_right, ("lost", "of", "", "sent at"))
-    table = _grid(_left("when"), *figures, _left("confidence"), header_style=palette.DIM)
+    figures = map(_number_column, ("lost", "of", "", "sent at"))
+    table = _grid(_text_column("when"), *figures, _text_column("confidence"), header_style=palette.DIM)
     for item in group[:_MOST_SPANS]:
         share = f"{100 * (item.lost or 0) / item.of:.0f}%" if item.of else ""
         seconds = (item.end_ns - item.start_ns) / 1e9
@@ -298,7 +300,7 @@ def _routes(rows: Sequence[Mapping[str, Any]], width: int) -> Table:
 
 
 def _peers(result: Diagnosis) -> Table:
-    table = _grid(_left("SBN peer"), _left("seen by"), "", header_style=palette.STRONG)
+    table = _grid(_text_column("SBN peer"), _text_column("seen by"), "", header_style=palette.STRONG)
     for row in result.peers:
         line = Text()
         for change in row["states"]:
@@ -318,8 +320,8 @@ def _style(result: Diagnosis) -> str:
 
 def _live_table(result: Diagnosis, title: str, height: int) -> RenderableType:
     """Return the table that a live diagnosis keeps current."""
-    figures = map(_right, ("Lost", "Of", "Since"))
-    table = _grid(_left(""), *figures, "Verdict", header_style=palette.STRONG)
+    figures = map(_number_column, ("Lost", "Of", "Since"))
+    table = _grid(_text_column(""), *figures, "Verdict", header_style=palette.STRONG)
     merged = [_merged(group) for group in by_key(result.verdicts, lambda item: item.key).values()]
     for item in merged[: max(3, (height - 4) // 2)]:
         grade = _STYLES[item.severity]
