@@ -18,10 +18,7 @@ from edoras_tools.sessions.faults.rules import Rule, RuleScope
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 

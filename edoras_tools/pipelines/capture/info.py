@@ -37,10 +37,17 @@ from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from edoras_tools.decode import ColumnDecoder
     from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher
+
+    _Answer = tuple[PacketBatch | None, Columns | Begun | None, bytes, Exception | None]
+    """A batch, its columns, the state after it (pickled); at the end the error of the file, if any."""
 
 
 class Counting:
@@ -143,15 +150,6 @@ def inspect(
                 watcher.update(counting.report)
     return counting.end(loop)
 
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from edoras_tools.decode import ColumnDecoder
-    from edoras_tools.model import Columns, PacketBatch
-
-    _Answer = tuple[PacketBatch | None, Columns | Begun | None, bytes, Exception | None]
-    """A batch, its columns, the state after it (pickled); at the end the error of the file, if any."""
 
 _BATCHES: Final = 5
 """Batches that may be ahead, so that neither process waits if one batch takes longer than another."""

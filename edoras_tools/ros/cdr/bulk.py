@@ -32,11 +32,6 @@ from edoras_tools.ros.cdr.values import ENCAPSULATION_BYTES, bytes_left, encapsu
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
     from typing_extensions import Self
 
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets

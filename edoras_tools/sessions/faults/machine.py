@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import Link
     from edoras_tools.sessions.faults.effects import Effect
     from edoras_tools.sessions.faults.rules import Rule
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets

@@ -30,20 +30,14 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire import envelope, sbn
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from edoras_tools.addons.lab.demo.scene import Lane
     from edoras_tools.addons.lab.emulator import WireDatagram
     from edoras_tools.model import Endpoint
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from edoras_tools.addons.lab.demo.scene import Lane
     from edoras_tools.ros import TypeStore
 
     Call = Callable[..., None]
-
 
 _BEHIND_NS: Final = SECOND // 4
 """Delay from which a periodic call skips the missed ones."""

@@ -30,10 +30,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import FilterField
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from edoras_tools.model import Columns, Datagram, PacketBatch
 
     Shown = range | NDArray[np.int64]

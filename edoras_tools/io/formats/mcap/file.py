@@ -29,7 +29,12 @@ from edoras_tools.wire.arrays.order import Integers, Octets, by_value
 from edoras_tools.wire.arrays.window import put_rows
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
     from numpy.typing import NDArray
+
+    _Bytes = bytes | memoryview
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
 """Opcode and length of a record."""
@@ -235,16 +240,6 @@ def _times(
     low[filled], high[filled] = least, most
     return low.min(axis=0), high.max(axis=0)
 
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from edoras_tools.wire.arrays.order import Integers, Octets
-
-    _Bytes = bytes | memoryview
 
 _FOOTER_BYTES_IN_CRC = 9 + 8 + 8
 """The summary's CRC covers the footer record up to the CRC itself."""
