@@ -286,17 +286,17 @@ class LayoutEntry(Protocol):
 
 
 class LayoutEntries(Protocol):
-    """The entries of a dictionary, in the order of their keys; see ``structs.entries``."""
+    """The entries of a dictionary, in the order of their keys; see ``structs.table``."""
 
     def __len__(self) -> int: ...
 
     def __getitem__(self, place: int, /) -> LayoutEntry: ...
 
     def bind(self, key: Key, layout: StructLayout, struct: Struct, type_name: str) -> Any:
-        """Return the struct of an entry, a ``bound.Bound`` that makes its messages."""
+        """Return the struct of an entry, a ``bindings.Bound`` that makes its messages."""
 
     def table(self, structs: Any) -> Any:
-        """Return the ``entries.LayoutEntryTable`` of these entries; ``structs`` is the ``table.Structs``."""
+        """Return the ``table.LayoutEntryTable`` of these entries; ``structs`` is the ``table.Structs``."""
 
 
 class StructLayout(msgspec.Struct, frozen=True):

@@ -296,7 +296,7 @@ class LayoutEntryTable(Protocol):
         """Return the payloads that belong to an entry of the dictionary and are complete."""
 
     def read(self, reading: Reading, kind: int, at: int, end: int) -> bool:
-        """Read the entry that one packet of a datagram holds; see ``links.reading.Reading.described``."""
+        """Read the entry that one packet of a datagram holds; see ``links.doors.Reading.described``."""
 
     def logs(self, payloads: StructPayloads, data: Octets) -> Iterator[tuple[int, int, dict[str, Any]]]:
         """Yield row, place and fields of ``rcl_interfaces/msg/Log``, except the time, for each event."""

@@ -83,7 +83,7 @@ class EntryTable:
         return payloads.take(described & (payloads.length >= 0))
 
     def payloads(self, data: Octets, offset: Integers, length: NDArray[np.int32]) -> StructPayloads:
-        """Return all contents of datagrams; see ``structs.entries.LayoutEntryTable``."""
+        """Return all contents of datagrams; see ``structs.table.LayoutEntryTable``."""
         return self.in_packets(data, fprime.read_ground_frames(data, offset, length, checked=False).packets)
 
     def in_packets(self, data: Octets, packets: PacketPlaces) -> StructPayloads:

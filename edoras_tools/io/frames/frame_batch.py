@@ -66,7 +66,7 @@ class MadeFrames(FrameBatch, frozen=True, eq=False):
     """Raw IPv4 frames made from datagrams; their headers need not be parsed again.
 
     Attributes:
-        ends: endpoints of each datagram, ``io.frames.build.ENDS``.
+        ends: endpoints of each datagram, ``ENDS``.
     """
 
     ends: NDArray[np.void]

@@ -205,7 +205,7 @@ class SendOptions(msgspec.Struct, frozen=True):
         linger_ns: time to listen after the last datagram, ns; None: two seconds if answers can be received,
             and longer while CI has not read everything.
         follow_ns: longest time to listen while CI has not read everything, ns; set by ``placed``.
-        expect: expected results, as ``expect.AwaitedResults.of`` reads them.
+        expect: expected results, as ``responses.AwaitedResults.of`` reads them.
         expect_runs: captures of good runs; the answers must be like theirs.
         rooms: name of a field to its tolerance; with an empty name, the tolerance of ranges in percent.
         expect_ns: time to wait for results after the last datagram, ns.
