@@ -1,4 +1,7 @@
-"""The kernel's counters of this host while a link is recorded, and the advice that follows from losses."""
+"""The kernel's counters of this host while a link is recorded, and the advice that follows from losses.
+
+Everything is read from ``/proc``; no privilege is needed. The sockets are those of this network namespace.
+"""
 
 from __future__ import annotations
 
