@@ -1,4 +1,8 @@
-"""Entries of a reset log: told by length and kinds, alike in bulk and one by one; when each was made."""
+"""The links that only files of cFS have: stored packets, and entries of a reset log.
+
+The two are told apart by length and kinds, alike in bulk and one by one. Entries get the times when they were
+made.
+"""
 
 from __future__ import annotations
 

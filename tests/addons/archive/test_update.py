@@ -388,8 +388,7 @@ FULL = """
 import resource, signal, sys
 from pathlib import Path
 from edoras_tools.errors import CaptureError
-from edoras_tools.addons.archive.index import open_index
-from edoras_tools.addons.archive.index import TABLES
+from edoras_tools.addons.archive.index import TABLES, open_index
 
 path = Path(sys.argv[1])
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

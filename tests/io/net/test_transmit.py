@@ -186,7 +186,6 @@ def test_a_port_in_use_says_what_to_do(receiver):
         Transmitter(taken, taken)
 
 
-HOST = "127.0.0.1"
 IDENT = sbn.IDENT.encode().ljust(sbn.IDENT_BYTES, b"\0")
 APP, PROTO, SUB = 3, 4, 1
 SENT = [packet(0x1827, number, bytes([number]) * (1 + 40 * number)) for number in range(12)]

@@ -275,7 +275,7 @@ def test_it_says_goodbye_where_it_is_connected(flight_session, connected):
 
 
 class Meeting:
-    """Our flight_session and the emulated SBN, over a wire that can be cut."""
+    """Our session and the emulated SBN, over a wire that can be cut."""
 
     def __init__(self, msg_ids):
         self.profile = SimProfile()
