@@ -237,6 +237,24 @@ def test_every_package_is_installed():
     assert {".".join(folder.parts) for folder in there} <= {*installed_packages().names}
 
 
+def test_every_name_that_a_package_offers_is_there():
+    """Many are imported at their first use, so that a move would break them unseen. None needs an extra."""
+    packages = {
+        name.removesuffix("/__init__.py").replace("/", ".")
+        for name, text in modules().items()
+        if name.startswith("edoras_tools/") and name.endswith("/__init__.py") and "__all__" in text
+    }
+    assert {"edoras_tools", "edoras_tools.ros", "edoras_tools.io"} <= packages
+    missing = []
+    for package in map(importlib.import_module, sorted(packages)):
+        for name in package.__all__:
+            try:
+                getattr(package, name)
+            except (AttributeError, ImportError) as error:
+                missing.append(f"{package.__name__}.{name}: {error}")
+    assert missing == []
+
+
 def names_in(tree):
     """What a syntax tree imports, and its texts, among which may be names of modules."""
     for node in ast.walk(tree):

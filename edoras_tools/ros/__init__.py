@@ -12,5 +12,5 @@ if TYPE_CHECKING:
 __all__ = ["MessageColumns", "Ragged", "TypeStore", "ValueSpan"]
 
 __getattr__ = later(
-    __name__, **{"cdr.columns": "MessageColumns Ragged", "cdr.reader": "ValueSpan"}, store="TypeStore"
+    __name__, **{"cdr.columns": "MessageColumns Ragged", "cdr.values": "ValueSpan"}, store="TypeStore"
 )
