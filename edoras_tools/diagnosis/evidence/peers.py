@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 
 ObservedState = Literal["connected", "silent", "timed_out", "disconnected"]
 _LEAST_ROWS: Final = 3
-_BEGAN: Final = frozenset(f"its {kind} arrived" for kind in ("SUB", "PROTO", "ANNOUNCE"))
+_GREETINGS: Final = sbn.MsgType.SUB, sbn.MsgType.PROTO, sbn.MsgType.ANNOUNCE
+_BEGAN: Final = frozenset(f"its {sbn.MSG_TYPE_NAMES[kind]} arrived" for kind in _GREETINGS)
 """Reasons of a new connection; with any other message first, the peer did not begin it anew."""
 _TO_CONNECTED: Final = sbn.MsgType.PROTO, sbn.MsgType.APP, sbn.MsgType.HEARTBEAT
-_GREETINGS: Final = sbn.MsgType.PROTO, sbn.MsgType.SUB, sbn.MsgType.ANNOUNCE
 """What a cFS sends only to a peer that is connected; its lists go to all peers of its table."""
 _NEVER: Final = np.iinfo(np.int64).max // 2
 _STILL_NS: Final = 3 * SECOND
@@ -241,7 +241,7 @@ class Network:
         Args:
             rows: table of datagrams.
             heard: rows that the peer sent to the observer.
-            first: row of the observer's first datagram in a connection, which begins with PROTO.
+            first: row of the observer's PROTO that begins its first connection, else its first datagram.
             end_ns: time of the last datagram of the capture.
             farewells: result of ``_disconnect_spans``.
         """
