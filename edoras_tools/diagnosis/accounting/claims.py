@@ -392,9 +392,9 @@ def take_back(counts: Mapping[int, Counts], claims: Sequence[Claim], others: Seq
                 other = at - len(claims)
                 if other < 0 or others[other].rank < Rank.POSSIBLE:
                     continue
-                part = min(claim.assigned.get(place, 0), others[other].open - numbers[other])
-                numbers[other] += part
-                claim.give(place, -part) if part else None
+                if part := min(claim.assigned.get(place, 0), others[other].open - numbers[other]):
+                    numbers[other] += part
+                    claim.give(place, -part)
     return numbers
 
 

@@ -565,7 +565,7 @@ class Leftover:
         """
         behind = {at for own in claims if own.rank == Rank.MISSING and own.open for at in own.instances}
         astray = [own for own in claims if own.rank == Rank.MISSING and behind.intersection(own.instances)]
-        others = self._pipes.claims
+        others = self._pipes.claims if astray else []  # mostly there are none, and no tables are made
         for own, number in zip(others, take_back(self._counts, astray, others), strict=True):
             ends = self._pipes.whose[own.key].fate.ends
             part = min(number, ends["superseded"])
