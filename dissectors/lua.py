@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
-from edoras_tools.cfs import limits, names
+from edoras_tools.cfs import names
 from edoras_tools.cfs.arguments import ARGUMENTS, BARE_TOO, DEFAULTS, SERVICES, TAILS
+from edoras_tools.cfs.edoras_app import BRIDGE_LENGTH_MODULUS
+from edoras_tools.cfs.software_bus import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.dissectors.lua_text import literal, quoted
 from edoras_tools.links.protocol import BY_ADDRESS, BY_CONTENT, LARGEST_DOUBLE, SMALLEST_DOUBLE
 from edoras_tools.structs.shapes import COMMANDED
-from edoras_tools.wire import ccsds, cdr, cfe, sbn, transfer_frames
-from edoras_tools.wire.arrays.crc import CRC16_BYTES
+from edoras_tools.wire import ccsds, cfe, envelope, sbn, transfer_frames
+from edoras_tools.wire.arrays.sums import CRC16_BYTES
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
 from edoras_tools.wire.transfer_frames import FIRST_PART, FRAME_VERSIONS, LATE, count_modulus
 
@@ -49,7 +51,7 @@ LAYOUTS: Final[dict[str, tuple[Layout, Place]]] = {
     "software_bus": (cfe.SOFTWARE_BUS_HOUSEKEEPING, Place("cfe", "cfe.software_bus")),
     "sbn_legacy": (sbn.LEGACY_HEADER, Place("sbn", "sbn")),
     "subscription": (sbn.SUBSCRIPTION, Place("sbn", "sbn.subscription")),
-    "cdr": (cdr.ENCAPSULATION, Place("ros2cdr", "ros2cdr")),
+    "cdr": (envelope.ENCAPSULATION, Place("ros2cdr", "ros2cdr")),
 }
 """Headers by what the engine calls them; those of links and the envelopes in each format come to them."""
 
@@ -201,11 +203,11 @@ def _data(knowledge: Knowledge) -> str:
         "layouts": layouts,
         "formats": [_format(number, item) for number, item in enumerate(_formats(knowledge), 1)],
         "limits": {
-            "bridge_modulus": limits.BRIDGE_LENGTH_MODULUS,
-            "software_bus": limits.SOFTWARE_BUS_MAXIMUM,
+            "bridge_modulus": BRIDGE_LENGTH_MODULUS,
+            "software_bus": SOFTWARE_BUS_MAXIMUM,
             "highest_msg_id": cfe.HIGHEST_MSG_ID,
             "length_bias": ccsds.LENGTH_BIAS,
-            "rounded": cdr.ROUNDED,
+            "rounded": envelope.ROUNDED,
             "sequence_modulus": 1 << ccsds.PRIMARY.by_name["packet_sequence_count"].field.bits,
         },
         "sbn": {

@@ -25,10 +25,17 @@ from scapy.packet import Packet, Raw, bind_bottom_up, bind_top_down
 from edoras_tools.cfs.arguments import ARGUMENTS
 from edoras_tools.dissectors.scapy_fields import fields, put
 from edoras_tools.links import table
-from edoras_tools.wire import ccsds, cdr, cfe, sbn
-from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, detect
+from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.ccsds import MSG_ID_BYTES, VERSION_1, MsgIds
+from edoras_tools.wire.envelope import (
+    CDR_LE,
+    DEFAULT,
+    ENCAPSULATION,
+    ENVELOPE_FORMATS,
+    EnvelopeFormat,
+    detect,
+)
 from edoras_tools.wire.layout import Layout
-from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -291,7 +298,7 @@ class _Envelope(Packet):  # type: ignore[misc]
 
     def guess_payload_class(self, payload: bytes) -> type[Packet]:
         """Choose CDR where it is whole."""
-        return CDR if cdr.ENCAPSULATION.size <= self.buffer_length <= len(payload) else Raw
+        return CDR if ENCAPSULATION.size <= self.buffer_length <= len(payload) else Raw
 
 
 @cache
@@ -326,9 +333,9 @@ class _Body(StrLenField):  # type: ignore[misc]
 class CDR(Packet):  # type: ignore[misc]
     """A ROS 2 message: encapsulation and body; what a fixed-size struct leaves behind it is its payload."""
 
-    name = cdr.ENCAPSULATION.title
+    name = ENCAPSULATION.title
     fields_desc = [  # noqa: RUF012  scapy's way
-        *fields(cdr.ENCAPSULATION, representation=cdr.CDR_LE),
+        *fields(ENCAPSULATION, representation=CDR_LE),
         _Body("body", b"", length_from=lambda packet: packet.body_length()),
     ]
 
@@ -342,7 +349,7 @@ class CDR(Packet):  # type: ignore[misc]
     def body_length(self) -> int:
         """Return the bytes of the body that the envelope promises, or all."""
         if isinstance(self.underlayer, _Envelope):
-            return int(self.underlayer.buffer_length) - cdr.ENCAPSULATION.size
+            return int(self.underlayer.buffer_length) - ENCAPSULATION.size
         return 1 << 31
 
     @property

@@ -253,7 +253,7 @@ def _balances() -> dict[str, Any]:
     from edoras_tools.decode import Options
     from edoras_tools.diagnosis.examination import Examination
     from edoras_tools.io.formats.open import open_file
-    from edoras_tools.links.ci import CI
+    from edoras_tools.links.bare import CI
     from edoras_tools.pipelines.workbench import Settings
 
     found = {}

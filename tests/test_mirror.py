@@ -17,7 +17,7 @@ NO_BEHAVIOUR = (
         "cfs/edoras_app.py",
         "cfs/executive_services.py",
     ),
-    *("cfs/limits.py", "cfs/names.py", "cfs/sbn.py", "cfs/software_bus.py", "cfs/telemetry_output.py"),
+    *("cfs/edoras_app.py", "cfs/names.py", "cfs/sbn.py", "cfs/software_bus.py", "cfs/telemetry_output.py"),
     *("cfs/table_services.py", "cfs/time_services.py"),
     *("links/protocol.py", "middleware/graph.py"),
 )

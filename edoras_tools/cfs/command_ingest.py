@@ -1,4 +1,4 @@
-"""Command Ingest (CI_LAB): its name in events, its MsgIds, its events."""
+"""Command Ingest (CI_LAB): its name in events, its MsgIds, its buffer, its events."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ RESET_COUNTERS: Final = 1
 """Function code."""
 PORT: Final = 1234
 """UDP port on the first processor; each further processor has the next port."""
+CI_BUFFER: Final = 768
+"""Bytes of CI_LAB's receive buffer; a longer datagram is cut, and accepted silently."""
 
 INITIALIZED: Final = EventText(NAME, 3, "CI Lab Initialized. {version}")
 NOOP: Final = EventText(NAME, 5, "CI: NOOP command")

@@ -1,10 +1,21 @@
-"""The EDORAS flight applications: their name and pipe, their commands, their events."""
+"""The EDORAS flight applications and bridges: name and pipe, commands and events, lengths of buffers.
+
+A receiver cuts, drops or refuses what is longer than its buffer; measured, see ``docs/wire.md``.
+"""
 
 from __future__ import annotations
 
 from typing import Final
 
 from edoras_tools.cfs.event_services import EventText, EventType
+
+BRIDGE_BUFFER: Final = 1024
+"""Bytes of the ground bridge's receive buffer; a longer packet is published as garbage."""
+BRIDGE_LENGTH_MODULUS: Final = 256
+"""Modulus of the flight bridge's length, a ``uint8_t``: if the result is below 11, it drops the datagram."""
+FLIGHT_BRIDGE_BUFFER: Final = 4096
+"""Bytes of the flight bridge's receive buffer, SBN header included."""
+
 
 NAME: Final = "EDORAS_APP"
 PIPE: Final = "EDORAS_APP_PIPE"

@@ -22,6 +22,9 @@ ENABLE_ROUTE, DISABLE_ROUTE = 4, 5
 STOPS_AFTER: Final = 16
 """Number of loss events that cFS reports before its filter stops them."""
 
+SOFTWARE_BUS_MAXIMUM: Final = 32768
+"""CFE_MISSION_SB_MAX_SB_MSG_SIZE, in bytes: cFE refuses a longer packet."""
+
 SUCCESS: Final = 0
 BAD_ARGUMENT: Final = -905969661
 """``CFE_SB_BAD_ARGUMENT``: the MsgId is invalid."""

@@ -21,8 +21,8 @@ import numpy as np
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, distinct_rows
 from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.ccsds import VERSION_1
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
-from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
+from edoras_tools.cfs.software_bus import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.decode.variants import Variants
 from edoras_tools.links import table
@@ -32,10 +32,10 @@ from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
 from edoras_tools.wire.arrays.window import any_nonzero, gather, xor_bytes
-from edoras_tools.wire.cdr import ROUNDED
 from edoras_tools.wire.envelope import (
     DEFAULT,
     ENVELOPE_FORMATS,
+    ROUNDED,
     EnvelopeFormat,
     capacity_column,
     holds,

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.ros import TypeStore
     from edoras_tools.wire.arrays.order import Mask, Octets
+    from edoras_tools.wire.ccsds import MsgIds
     from edoras_tools.wire.layout import Layout
-    from edoras_tools.wire.msg_id import MsgIds
 
 
 _KEPT: Final = ("envelope", "time")

@@ -29,7 +29,7 @@ from edoras_tools.model import OTHER, Columns, Endpoint, Finding, Link, PacketBa
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.arrays.order import Integers, Mask, Places, distinct, numbered
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.ccsds import VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -24,7 +24,7 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Fi
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.order import Integers, Mask, by_value
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.ccsds import VERSION_1
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:

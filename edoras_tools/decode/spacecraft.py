@@ -20,10 +20,10 @@ from zlib import crc32
 import numpy as np
 
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays import fingerprint
+from edoras_tools.wire.arrays import sums
 from edoras_tools.wire.arrays.order import Mask, Octets, Places, Prints, distinct_rows
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.msg_id import MSG_ID_BYTES, MsgIds
+from edoras_tools.wire.ccsds import MSG_ID_BYTES, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -316,4 +316,4 @@ class _Packets(NamedTuple):
 def packet_prints(batch: PacketBatch, rows: Places, start: NDArray[np.int32]) -> Prints:
     """Return a fingerprint of each packet's first bytes, u64; 0 if no packet starts."""
     length = np.where(start < 0, 0, np.clip(batch.length[rows] - start, 0, _HEAD))
-    return fingerprint.of_bytes(batch.data, batch.offset[rows] + start, length)
+    return sums.of_bytes(batch.data, batch.offset[rows] + start, length)

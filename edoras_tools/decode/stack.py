@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
+from edoras_tools.cfs.software_bus import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.columns import link_of
 from edoras_tools.decode.recorded import dissect_recorded
 from edoras_tools.decode.summary import summarise
@@ -32,8 +32,7 @@ from edoras_tools.model import (
 )
 from edoras_tools.structs.shapes import OWN_LAYERS
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION, ROUNDED
-from edoras_tools.wire.envelope import DEFAULT, detect
+from edoras_tools.wire.envelope import CDR_BE, CDR_LE, DEFAULT, ENCAPSULATION, ROUNDED, detect
 
 if TYPE_CHECKING:
     from edoras_tools.decode.context import Context

@@ -17,7 +17,7 @@ from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
 from edoras_tools.ros.cdr.plan import CdrPlan, Repeat
 from edoras_tools.ros.types.schema import PLACEHOLDER
 from edoras_tools.wire import cfe
-from edoras_tools.wire.msg_id import VERSION_1, MsgIds
+from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -35,8 +35,8 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.order import Octets, by_value, distinct, distinct_rows, quantiles
 from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.ccsds import VERSION_1
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
-from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

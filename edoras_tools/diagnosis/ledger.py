@@ -32,7 +32,7 @@ from edoras_tools.diagnosis.evidence.copies import find_echoes
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays import PROXY_HOP, LostInRelay
 from edoras_tools.links import table
-from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.bare import ROBOT
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.wire.arrays.order import Places, groups
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Final
 
 ROWS: Final = {
-    "ci": "edoras_tools.links.ci:CI",
-    "to": "edoras_tools.links.to:TO",
+    "ci": "edoras_tools.links.bare:CI",
+    "to": "edoras_tools.links.bare:TO",
     "sbn": "edoras_tools.links.sbn:SBN",
-    "robot": "edoras_tools.links.robot:ROBOT",
+    "robot": "edoras_tools.links.bare:ROBOT",
     "file": "edoras_tools.links.table:STORED",
     "reset": "edoras_tools.links.table:RESETS",
     "icmp": "edoras_tools.links.icmp:ICMP",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs.limits import BRIDGE_LENGTH_MODULUS
+from edoras_tools.cfs.edoras_app import BRIDGE_LENGTH_MODULUS
 from edoras_tools.links.doors import NOT_A_MESSAGE, NOT_YET, Framing, prefixed
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport

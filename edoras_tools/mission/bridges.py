@@ -18,8 +18,8 @@ from edoras_tools.mission import model
 from edoras_tools.mission.parameters import Fields, suggestion
 from edoras_tools.mission.tree import Mistakes, ScalarNode, printable
 from edoras_tools.wire import cfe
+from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 from edoras_tools.wire.envelope import EnvelopeFormat
-from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from edoras_tools.errors import RouteError
 from edoras_tools.mission.tree import read_scalar
 from edoras_tools.model import Endpoint, Link
-from edoras_tools.wire.msg_id import VERSION_1, MsgIds
+from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

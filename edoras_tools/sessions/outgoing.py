@@ -24,7 +24,7 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
 from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at, xor_bytes
-from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1, VERSION_2
+from edoras_tools.wire.ccsds import MSG_ID_BYTES, VERSION_1, VERSION_2
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

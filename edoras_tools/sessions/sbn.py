@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.cfs import limits
+from edoras_tools.cfs import edoras_app
 from edoras_tools.cfs import sbn as facts
 from edoras_tools.errors import TruncatedError
 from edoras_tools.model import Peer
@@ -222,7 +222,9 @@ PUBLIC_BRIDGE: Final = Habits(
     heartbeat_ns=None,
     timeout_ns=None,
     ignores=frozenset(Trigger) - {Trigger.HEARD},
-    reading=PolledReading(100 * MILLISECOND, limits.FLIGHT_BRIDGE_BUFFER, limits.BRIDGE_LENGTH_MODULUS),
+    reading=PolledReading(
+        100 * MILLISECOND, edoras_app.FLIGHT_BRIDGE_BUFFER, edoras_app.BRIDGE_LENGTH_MODULUS
+    ),
 )
 """The public EDORAS flight bridge with its bugs: it repeats its SUB and answers every datagram with PROTO."""
 

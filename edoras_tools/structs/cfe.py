@@ -18,7 +18,7 @@ from edoras_tools.structs import shapes
 from edoras_tools.structs.files import layout_of
 from edoras_tools.wire import cfe
 from edoras_tools.wire import layout as wire
-from edoras_tools.wire.msg_id import VERSION_1, MsgIds
+from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 
 LAYOUT_NAME: Final = shapes.SHIPPED
 """Name of this layout on the command line."""

@@ -25,7 +25,7 @@ from edoras_tools.structs.shapes import (
     Wanted,
     arrange,
 )
-from edoras_tools.wire.msg_id import VERSION_1, VERSION_2
+from edoras_tools.wire.ccsds import VERSION_1, VERSION_2
 
 if TYPE_CHECKING:
     import os

@@ -10,12 +10,13 @@ import msgspec
 from msgspec.structs import replace
 
 from edoras_tools.cfs import sbn, telemetry_output
-from edoras_tools.wire import cfe, robot
+from edoras_tools.links import bare
+from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from edoras_tools.wire.msg_id import MsgIds
+    from edoras_tools.wire.ccsds import MsgIds
 
 
 SHIPPED: Final = "cfe"
@@ -43,7 +44,7 @@ UDP_KEY: Final = 1 << 16
 """First key that is a UDP port, not a MsgId: for datagrams of the robot link; port 0 means any port."""
 ENTRY_KEY: Final = 2 * UDP_KEY
 """First key that is an index into the entries of a dictionary."""
-DATAGRAMS: Final = {layout.size: layout for layout in robot.SENT_TO}
+DATAGRAMS: Final = {layout.size: layout for layout in bare.SENT_TO}
 """Header of a datagram on the robot link, by the datagram's bytes."""
 OWN_LAYERS: Final = frozenset(
     layout.name for layout in (cfe.EVENT, cfe.SOFTWARE_BUS_HOUSEKEEPING, *DATAGRAMS.values())

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, Key, StructLayout, commanded, packets
 from edoras_tools.wire.arrays.order import Mask, Octets, changes, order_by
-from edoras_tools.wire.msg_id import VERSION_1, MsgIds
+from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence

@@ -17,8 +17,8 @@ from msgspec.structs import replace
 from edoras_tools.errors import ConfigError, FieldError
 from edoras_tools.older import UTC
 from edoras_tools.wire import ccsds
+from edoras_tools.wire.ccsds import VERSION_1, VERSION_2, MsgIds
 from edoras_tools.wire.layout import Field, Layout
-from edoras_tools.wire.msg_id import VERSION_1, VERSION_2, MsgIds
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -284,7 +284,7 @@ SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: Final = 0x0803
 
 
 def known_ids(msg_id: NDArray[np.int32], headers: Octets) -> NDArray[np.int32]:
-    """Return the MsgIds of many packets, converted to version 1 (see :mod:`edoras_tools.wire.msg_id`).
+    """Return the MsgIds of many packets, converted to version 1 (see :mod:`edoras_tools.wire.ccsds`).
 
     Args:
         msg_id: MsgId of each packet, or a negative number.
@@ -361,7 +361,7 @@ def emit_telemetry(
 def with_headers(packet: bytes, old: Headers, new: Headers) -> bytes:
     """Return a packet with the headers of another build; function code or time, and the payload, stay.
 
-    The MsgId becomes that of the other version (:mod:`edoras_tools.wire.msg_id`). A correct checksum is
+    The MsgId becomes that of the other version (:mod:`edoras_tools.wire.ccsds`). A correct checksum is
     correct again. A packet shorter than its headers is returned unchanged.
     """
     msg_id = old.msg_ids.standard(old.msg_ids.of(packet)) if len(packet) > 1 else 0

@@ -3,6 +3,9 @@
 A bridge copies ``buffer_length`` and ``buffer_capacity`` of an ``rcutils_uint8_array_t`` (two ``size_t``) and
 then the CDR. A 64-bit little-endian sender makes 8 + 8 bytes; a 32-bit one 4 + 4; the EDORAS paper describes
 1 + 1. A mission may define its own envelope: other words, and a CRC after the CDR.
+
+The CDR begins with its encapsulation header (OMG DDSI-RTPS 2.5, 10.2), which is here too; its body is read in
+``edoras_tools.ros``.
 """
 
 from __future__ import annotations
@@ -15,9 +18,8 @@ import msgspec
 import numpy as np
 
 from edoras_tools.errors import ConfigError, TruncatedError
-from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16, crc16_rows, crc32, crc32_rows
+from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16, crc16_rows, crc32, crc32_rows
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.cdr import CDR_BE, CDR_LE
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
@@ -26,6 +28,30 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+
+CDR_BE: Final = 0x0000
+CDR_LE: Final = 0x0001
+ROUNDED: Final = 3
+"""Most bytes that follow a message because RTPS rounds its length up to 4 (DDSI-RTPS 9.4.2.13)."""
+
+ENCAPSULATION: Final = Layout(
+    "cdr",
+    "CDR",
+    Field(
+        "representation",
+        16,
+        "how the body is encoded; alignment counts from the byte after this header",
+        names={
+            CDR_BE: "CDR big-endian",
+            CDR_LE: "CDR little-endian",
+            2: "PL_CDR big-endian",
+            3: "PL_CDR little-endian",
+        },
+        base=16,
+        clause="RTPS 10.5",
+    ),
+    Field("options", 16, "unused, 0", base=16),
+)
 
 
 class EnvelopeFormat(msgspec.Struct, frozen=True):

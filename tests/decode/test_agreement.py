@@ -21,7 +21,7 @@ from edoras_tools.decode.lines import PacketLines, line_of
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI
 from edoras_tools.mission import FlightSoftware, Mission, load
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Endpoint, Finding, PacketBatch, Peer
 from edoras_tools.pipelines.capture.packet_json import PacketTexts, as_json

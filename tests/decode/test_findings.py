@@ -6,10 +6,8 @@ import pytest
 from places import ROOT
 
 from edoras_tools.decode import Context, Dissector, Options
-from edoras_tools.links.ci import CI
-from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.bare import CI, ROBOT, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import Mission, load, loads
 from edoras_tools.model import Datagram, Endpoint, Finding, Peer
 from edoras_tools.ros import TypeStore

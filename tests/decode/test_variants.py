@@ -12,8 +12,7 @@ from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.ci import CI
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.mission import load
 from edoras_tools.model import concatenate
 from edoras_tools.pipelines.capture.info import inspect

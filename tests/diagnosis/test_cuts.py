@@ -13,9 +13,8 @@ from places import ROOT
 from edoras_tools.decode import Options
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, ROBOT_COMMAND, ROBOT_PORT
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.wire.robot import ROBOT_COMMAND, ROBOT_PORT
 from tests.support.balance import wrong_rows
 
 PLACES = 40

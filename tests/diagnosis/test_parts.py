@@ -13,9 +13,8 @@ from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.diagnosis.evidence.loss_reports import Track, _returns, parse_loss_event
 from edoras_tools.diagnosis.evidence.payloads import EventRecord
 from edoras_tools.diagnosis.matching.streams import comb, find_streams
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import load
 from edoras_tools.model import Finding
 from edoras_tools.ros import TypeStore

@@ -27,7 +27,7 @@ from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
 from edoras_tools.diagnosis.rules import shipped_rules
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import TO
 from edoras_tools.model import Endpoint, HostCounters, Peer, SocketCounters
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings

@@ -21,7 +21,7 @@ from edoras_tools.ros import TypeStore
 from edoras_tools.structs import Structs
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.msg_id import VERSION_1, VERSION_2
+from edoras_tools.wire.ccsds import VERSION_1, VERSION_2
 
 COMMITTED = ROOT / "dissectors/edoras.lua"
 OF_EACH_KIND = ("a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect")

@@ -12,8 +12,8 @@ from scapy.layers.inet import UDP
 from edoras_tools.decode import Context, Dissector, Options
 from edoras_tools.dissectors import scapy_layers
 from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.bare import TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import load
 from edoras_tools.model import Peer
 from edoras_tools.ros import TypeStore

@@ -29,7 +29,7 @@ from edoras_tools.dissectors.scapy_layers import (
     envelope,
 )
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI
 from edoras_tools.links.sbn import SBN as SBN_LINK
 from edoras_tools.mission import Mission
 from edoras_tools.model import Finding, Peer

@@ -153,10 +153,10 @@ def test_the_number_of_findings_is_right():
 
 
 def test_every_layout_field_is_in_the_page_of_the_wire():
-    from edoras_tools.wire import ccsds, cdr, cfe, envelope, sbn
+    from edoras_tools.wire import ccsds, cfe, envelope, sbn
 
     page = (ROOT / "docs/wire.md").read_text()
-    layouts = [ccsds.PRIMARY, cfe.COMMAND, cfe.TELEMETRY, cfe.EXTENDED, cfe.EVENT, cdr.ENCAPSULATION]
+    layouts = [ccsds.PRIMARY, cfe.COMMAND, cfe.TELEMETRY, cfe.EXTENDED, cfe.EVENT, envelope.ENCAPSULATION]
     layouts += [cfe.SOFTWARE_BUS_HOUSEKEEPING, envelope.DEFAULT.layout]
     layouts += [sbn.HEADER, sbn.SUBSCRIPTIONS, sbn.SUBSCRIPTION, sbn.PROTO]
     for layout in layouts:

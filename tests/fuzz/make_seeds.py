@@ -25,9 +25,8 @@ from mcap.writer import CompressionType, Writer
 from edoras_tools.addons.rtps.wire import RTPS_MAGIC
 from edoras_tools.decode import Context, Dissector
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import load
 from edoras_tools.model import OTHER, Peer
 from edoras_tools.pipelines.capture.record import Target, record

@@ -4,8 +4,7 @@ import pytest
 
 from edoras_tools.decode import Context
 from edoras_tools.errors import ConfigError
-from edoras_tools.links.ci import CI
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.mission import FramedPort, loads
 from edoras_tools.wire.transfer_frames import FrameFormat
 

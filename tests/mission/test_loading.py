@@ -9,9 +9,8 @@ import pytest
 from places import MISSIONS
 
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import FlightLink, GroundLink, Mission, Route, load, loads
 from edoras_tools.model import Endpoint
 

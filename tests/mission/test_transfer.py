@@ -6,7 +6,7 @@ from edoras_tools.addons.cfdp.link import CFDP
 from edoras_tools.decode import Context
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission import TransferLink, loads
-from edoras_tools.wire.msg_id import VERSION_2
+from edoras_tools.wire.ccsds import VERSION_2
 
 FILE = """\
 /**:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from places import SAMPLES
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI
 from edoras_tools.pipelines.faults import fault_plan, load_scenario
 from edoras_tools.sessions.faults.rules import parse_rule
 

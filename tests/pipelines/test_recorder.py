@@ -14,7 +14,7 @@ from waiting import HOST, arrived_at, receive, until
 from edoras_tools.addons.proxy.plan import as_relayed
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import Sink
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI
 from edoras_tools.model import Endpoint, SourceStatistics
 from edoras_tools.pipelines import recorder as relay_recorder
 from edoras_tools.pipelines.capture.record import Target

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from edoras_tools.errors import TruncatedError
-from edoras_tools.links.ci import CI as CI_LINK
+from edoras_tools.links.bare import CI as CI_LINK
+from edoras_tools.links.bare import TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.model import (
     OTHER,
     Datagram,
@@ -23,7 +23,7 @@ from edoras_tools.model import (
     Peer,
     RosMessage,
 )
-from edoras_tools.wire import ccsds, cdr, cfe, envelope, sbn
+from edoras_tools.wire import ccsds, cfe, envelope, sbn
 
 START_NS = 1_795_241_802_553_538_000
 HEADERS = 42
@@ -72,7 +72,7 @@ def twist():
         packet_layer(data, 0, "/cmd_vel"),
         layer(cfe.COMMAND, data, 6),
         layer(envelope.DEFAULT.layout, data, 8),
-        layer(cdr.ENCAPSULATION, data, 24),
+        layer(envelope.ENCAPSULATION, data, 24),
         Layer("ros", "geometry_msgs/msg/Twist", 28, 76, tuple(fields)),
     )
     return Decoded(

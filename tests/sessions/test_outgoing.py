@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Peer
 from edoras_tools.sessions.outgoing import (
@@ -20,7 +20,7 @@ from edoras_tools.sessions.outgoing import (
     join_datagrams,
 )
 from edoras_tools.wire import ccsds, cfe, sbn
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.ccsds import VERSION_1
 
 PEER = Peer(0x42, 3)
 STAMPED = bytes.fromhex("00010000") + struct.pack("<II", 7, 8) + b"rest"

@@ -19,7 +19,7 @@ from edoras_tools.structs import Structs, cfe, shipped_structs
 from edoras_tools.structs.files import parse_layout
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import cfe as wire
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.ccsds import VERSION_1
 
 LAYOUT = """
 package: rover_msgs

@@ -7,7 +7,7 @@ import struct
 from places import CAPTURES, MISSIONS, SAMPLE_MISSIONS
 
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import TO
 from edoras_tools.pipelines.workbench import Settings
 
 GROUND_SAMPLES = ["a_rover", "b_arm_single", "e_ci_errors"]

@@ -17,7 +17,7 @@ from edoras_tools.addons.proxy.plan import ProxyPlan
 from edoras_tools.addons.proxy.run import Proxy
 from edoras_tools.io import SourceDefaults
 from edoras_tools.io.net.buffer import DatagramBuffer
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI
 from edoras_tools.model import Columns, Endpoint, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.faults.machine import FaultPlan

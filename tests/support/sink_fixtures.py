@@ -10,9 +10,8 @@ from places import ROOT
 
 from edoras_tools.decode import ColumnDecoder, Context, Options
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import load
 from edoras_tools.mission.model import Mission, Route
 from edoras_tools.model import Columns, PacketBatch, SourceInfo

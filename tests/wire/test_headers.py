@@ -12,8 +12,8 @@ from edoras_tools.errors import ConfigError, FieldError, TruncatedError, WireErr
 from edoras_tools.model import Peer
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.arrays import window
+from edoras_tools.wire.ccsds import VERSION_1
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, detect, intact_rows
-from edoras_tools.wire.msg_id import VERSION_1
 
 COMMANDS = [
     ("1806c00000010020", (0x1806, 0, b""), {}),

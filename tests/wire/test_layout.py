@@ -4,7 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.errors import FieldError, TruncatedError
-from edoras_tools.wire import ccsds, cdr, cfe, envelope, robot, sbn, transfer_frames
+from edoras_tools.links import bare
+from edoras_tools.wire import ccsds, cfe, envelope, sbn, transfer_frames
 from edoras_tools.wire.layout import Field, Layout
 
 LAYOUTS = [
@@ -23,9 +24,9 @@ LAYOUTS = [
     sbn.SUBSCRIPTIONS,
     sbn.SUBSCRIPTION,
     sbn.PROTO,
-    cdr.ENCAPSULATION,
+    envelope.ENCAPSULATION,
     *(item.layout for item in envelope.ENVELOPE_FORMATS),
-    *robot.SENT_TO,
+    *bare.SENT_TO,
     transfer_frames.TM,
     transfer_frames.TM_SECONDARY,
     transfer_frames.AOS,

@@ -16,7 +16,7 @@ import numpy as np
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16_rows
+from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16_rows
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.layout import Field, Layout
 

@@ -16,7 +16,7 @@ from edoras_tools.addons.cfdp import link as cfdp
 from edoras_tools.addons.cfdp.link import Directive, Pdus
 from edoras_tools.links.sending import LinkSending, SendingSession
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
+from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -25,8 +25,8 @@ from edoras_tools.addons.cfdp import link as cfdp
 from edoras_tools.addons.cfdp.link import CFDP, holds_pdu
 from edoras_tools.links.doors import LinkEvidence
 from edoras_tools.sessions.ranges import KnownRanges
-from edoras_tools.wire.arrays.crc import FileCrc
 from edoras_tools.wire.arrays.order import Integers, Octets, Places, numbered
+from edoras_tools.wire.arrays.sums import FileCrc
 from edoras_tools.wire.arrays.window import copy_rows
 
 if TYPE_CHECKING:

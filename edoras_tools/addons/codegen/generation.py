@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from edoras_tools.ros import TypeStore
-    from edoras_tools.wire.msg_id import MsgIds
+    from edoras_tools.wire.ccsds import MsgIds
 
 _ABOUT: Final = """\
 /**

@@ -23,7 +23,7 @@ from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Loc
 from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch, Transport
 from edoras_tools.wire import ccsds
 from edoras_tools.wire import transfer_frames as headers
-from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16_rows, crc32
+from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16_rows, crc32
 from edoras_tools.wire.arrays.window import gather, read_at
 from edoras_tools.wire.layout import Field, Layout
 

@@ -16,7 +16,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.links.sending import LinkSending
 from edoras_tools.structs.shapes import BasicKind, Enumeration, Member, Struct, StructLayout
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
+from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16
 from edoras_tools.wire.transfer_frames import TC_LENGTH_BIAS
 from edoras_tools.words import did_you_mean, listed
 

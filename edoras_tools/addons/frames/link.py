@@ -16,8 +16,8 @@ from edoras_tools.links.doors import Framing, prefixed
 from edoras_tools.links.protocol import BatchRows, LinkProtocol, Seen
 from edoras_tools.model import Datagram, Decoded, Finding, LayerField, Link, PacketBatch
 from edoras_tools.wire import transfer_frames as headers
-from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16, crc16_rows
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
+from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16, crc16_rows
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FRAME_VERSIONS, NO_FIRST, FrameFormat
 

@@ -15,7 +15,7 @@ from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import ccsds
 from edoras_tools.wire import transfer_frames as headers
-from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
+from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -48,8 +48,8 @@ from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.selection import Period
 from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.ccsds import VERSION_1, VERSION_2
 from edoras_tools.wire.cfe import STANDARD, WITH_EXTENDED, WITH_EXTENDED_2, emit_telemetry
-from edoras_tools.wire.msg_id import VERSION_1, VERSION_2
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

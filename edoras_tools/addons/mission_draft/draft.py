@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.text import Progress
-    from edoras_tools.wire.msg_id import MsgIds
+    from edoras_tools.wire.ccsds import MsgIds
 
     OpenInput = Callable[[Settings], tuple[Source, Workbench]]
 

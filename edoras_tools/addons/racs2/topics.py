@@ -25,7 +25,7 @@ from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.order import Places, by_value
 from edoras_tools.wire.arrays.window import copy_rows, gather
-from edoras_tools.wire.cdr import ENCAPSULATION
+from edoras_tools.wire.envelope import ENCAPSULATION
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -23,7 +23,7 @@ from edoras_tools.decode.filters.rows import (
 )
 from edoras_tools.links.doors import MOST_ENDPOINTS, Endpoints, KnownSamples
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
+from edoras_tools.wire.envelope import CDR_LE, ENCAPSULATION
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:

@@ -38,7 +38,7 @@ from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Finding, Link
 from edoras_tools.units import MILLISECOND
-from edoras_tools.wire.arrays.fingerprint import MIX, matches
+from edoras_tools.wire.arrays.sums import MIX, matches
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -8,7 +8,7 @@ import msgspec
 from msgspec.structs import replace
 
 from edoras_tools.cfs import queues
-from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS
+from edoras_tools.cfs.edoras_app import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS
 from edoras_tools.mission.model import FlightLink
 from edoras_tools.model import Link, Peer
 from edoras_tools.units import SECOND

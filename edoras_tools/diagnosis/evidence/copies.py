@@ -48,8 +48,8 @@ from edoras_tools.decode.conversations import conversation_of
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.model import OTHER, Columns, Endpoint, PacketBatch
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
 from edoras_tools.wire.arrays.order import by_value, distinct, groups, numbered, perhaps_in, quantiles
+from edoras_tools.wire.arrays.sums import MIX, of_bytes
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:

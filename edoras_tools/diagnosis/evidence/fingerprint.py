@@ -19,13 +19,13 @@ from zlib import crc32
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.links.robot import ROBOT
+from edoras_tools.links import bare
+from edoras_tools.links.bare import ROBOT
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.structs.shapes import UDP_KEY
-from edoras_tools.wire import robot
-from edoras_tools.wire.arrays.fingerprint import HASHED_BYTES, MIX, WEIGHTS, finished, of_bytes, stirred
 from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints, in_16_bits, numbered
+from edoras_tools.wire.arrays.sums import HASHED_BYTES, MIX, WEIGHTS, finished, of_bytes, stirred
 from edoras_tools.wire.arrays.window import PADDING, gather
 
 if TYPE_CHECKING:
@@ -199,8 +199,8 @@ def _bits(values: NDArray[Any]) -> Prints:
 
 
 _TYPES: Final = {
-    robot.ROBOT_COMMAND.size: "geometry_msgs/msg/Twist",
-    robot.ROBOT_POSE.size: "geometry_msgs/msg/Pose",
+    bare.ROBOT_COMMAND.size: "geometry_msgs/msg/Twist",
+    bare.ROBOT_POSE.size: "geometry_msgs/msg/Pose",
 }
 """Length of a datagram to a robot, in bytes, to the ROS type whose numbers it holds."""
 _ENCAPSULATION: Final = b"\0\1\0\0"
@@ -281,8 +281,8 @@ def _by_name(columns: MessageColumns) -> dict[str, tuple[str, np.dtype[Any]]]:
 def robot_commands(columns: Columns, batch: PacketBatch, structs: Structs) -> Mask:
     """Return which datagrams are commands to a robot, bool (n,): on its link, but not states from it."""
     port = batch.destination_port
-    state = (batch.length == robot.ROBOT_STATE.size) & (structs.of_port(port) == UDP_KEY)
-    return np.asarray((columns.link == ROBOT) & (port != robot.CFS_PORT) & ~state)
+    state = (batch.length == bare.ROBOT_STATE.size) & (structs.of_port(port) == UDP_KEY)
+    return np.asarray((columns.link == ROBOT) & (port != bare.CFS_PORT) & ~state)
 
 
 def with_garbled(columns: Columns, batch: PacketBatch) -> Columns:
@@ -290,7 +290,7 @@ def with_garbled(columns: Columns, batch: PacketBatch) -> Columns:
 
     The decoder recognises this link by plausible numbers, which unset or damaged datagrams do not have.
     """
-    garbled = (batch.source_port == robot.CFS_PORT) & (batch.destination_port == robot.ROBOT_PORT)
+    garbled = (batch.source_port == bare.CFS_PORT) & (batch.destination_port == bare.ROBOT_PORT)
     length = batch.length + np.maximum(batch.original_length - batch.frame_length, 0)
     garbled &= (columns.link == OTHER) & np.isin(length, list(_TYPES))
     link = np.where(garbled, np.uint8(ROBOT.code), columns.link)

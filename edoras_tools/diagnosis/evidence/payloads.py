@@ -20,11 +20,12 @@ from edoras_tools.cfs.arguments import APPLICATIONS, ARGUMENTS, arguments_of, co
 from edoras_tools.decode.filters.messages import field_series, held_messages, structs_of
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
 from edoras_tools.errors import TruncatedError
+from edoras_tools.links import bare
 from edoras_tools.links.table import among
 from edoras_tools.model import Columns, Finding, PacketBatch
-from edoras_tools.wire import cfe, robot, sbn
-from edoras_tools.wire.arrays.fingerprint import of_bytes
+from edoras_tools.wire import cfe, sbn
 from edoras_tools.wire.arrays.order import Integers, Places, Prints, by_value, numbered
+from edoras_tools.wire.arrays.sums import of_bytes
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -452,10 +453,10 @@ class StateRecorder:
 
     def add_states(self, batch: PacketBatch) -> None:
         """Record the robot states among some datagrams without packets."""
-        size = robot.ROBOT_STATE.size
-        own = np.flatnonzero((batch.length == size) & (batch.destination_port == robot.CFS_PORT))
+        size = bare.ROBOT_STATE.size
+        own = np.flatnonzero((batch.length == size) & (batch.destination_port == bare.CFS_PORT))
         if len(own):
-            length = np.full(len(own), robot.ROBOT_POSE.size, np.int32)
+            length = np.full(len(own), bare.ROBOT_POSE.size, np.int32)
             self._sent.append((batch.time_ns[own], of_bytes(batch.data, batch.offset[own], length)))
 
     def add_messages(
@@ -469,7 +470,7 @@ class StateRecorder:
             offset: i64 (n,), first byte of each message; -1 for none.
             length: i32 (n,), bytes of each message.
         """
-        size = robot.ROBOT_POSE.size
+        size = bare.ROBOT_POSE.size
         if not self._sent:
             return
         down = among(columns.link, lambda link: link.only_from_cfs)

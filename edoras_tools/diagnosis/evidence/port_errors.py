@@ -12,7 +12,7 @@ from edoras_tools.links.icmp import quoted_rows
 from edoras_tools.links.table import among
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.units import MILLISECOND
-from edoras_tools.wire.arrays.fingerprint import of_bytes
+from edoras_tools.wire.arrays.sums import of_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -48,8 +48,8 @@ from edoras_tools.diagnosis.evidence.table import Rows, number_hosts
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
 from edoras_tools.wire.arrays.order import by_key, by_value, distinct, numbered
+from edoras_tools.wire.arrays.sums import MIX, of_bytes
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:

@@ -23,8 +23,8 @@ from edoras_tools.diagnosis.evidence.fingerprint import paired
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.fingerprint import MIX
 from edoras_tools.wire.arrays.order import distinct, numbered, perhaps_in, quantiles
+from edoras_tools.wire.arrays.sums import MIX
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator, Sequence

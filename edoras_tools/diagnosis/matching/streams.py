@@ -27,7 +27,7 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding, Link, rate_hz
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value, distinct, distinct_rows, groups, numbered, quantiles
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.ccsds import VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, software_bus, telemetry_output
-from edoras_tools.cfs.limits import CI_BUFFER
+from edoras_tools.cfs.command_ingest import CI_BUFFER
 from edoras_tools.cfs.names import PRIVILEGED, command_name
 from edoras_tools.diagnosis.evidence.table import peer_of
 from edoras_tools.diagnosis.rules.about import one_by_one, packet, subject
 from edoras_tools.diagnosis.rules.messages import misread
 from edoras_tools.diagnosis.verdict import Severity, Verdict, habit, security, verdict
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe

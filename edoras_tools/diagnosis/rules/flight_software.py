@@ -23,10 +23,8 @@ from edoras_tools.diagnosis.matching.streams import Span, Stream, steady_rate
 from edoras_tools.diagnosis.rules.about import sent_before
 from edoras_tools.diagnosis.rules.pipes import START_AGAIN, revival
 from edoras_tools.diagnosis.verdict import Severity, Verdict, note, verdict, warning
-from edoras_tools.links.ci import CI
-from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.bare import CI, ROBOT, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe

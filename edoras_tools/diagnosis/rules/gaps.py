@@ -33,10 +33,8 @@ from edoras_tools.diagnosis.verdict import (
     verdict,
     warning,
 )
-from edoras_tools.links.ci import CI
-from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.bare import CI, ROBOT, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.model import rate_hz
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_key

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs.limits import BRIDGE_BUFFER
+from edoras_tools.cfs.edoras_app import BRIDGE_BUFFER
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
@@ -15,9 +15,8 @@ from edoras_tools.diagnosis.accounting.pipes import more_at_once
 from edoras_tools.diagnosis.rules.about import of_messages, packet, stream_subject, subject
 from edoras_tools.diagnosis.verdict import About, Confidence, Severity, Verdict, error, note, warning
 from edoras_tools.links import table
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.model import NO_ROUTE, Finding, Link
 from edoras_tools.ros.cdr.plan import ROUNDING
 from edoras_tools.ros.store import types_that_fit, types_that_fit_each

@@ -14,9 +14,7 @@ from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.diagnosis.evidence.timeline.table import Change, StateOwner
 from edoras_tools.diagnosis.rules.about import packet
 from edoras_tools.diagnosis.verdict import Severity, Verdict, security, verdict, warning
-from edoras_tools.links.ci import CI
-from edoras_tools.links.robot import ROBOT
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import CI, ROBOT, TO
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.words import listed, plural

@@ -20,8 +20,7 @@ from edoras_tools.diagnosis.ledger import CAUSES
 from edoras_tools.diagnosis.rules.about import loss_verdict, lost_at, of_messages, packet
 from edoras_tools.diagnosis.rules.commands import refusals
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, warning
-from edoras_tools.links.ci import CI
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe

@@ -27,7 +27,7 @@ from edoras_tools.ros.types.schema import full_name
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import Integers, by_value
-from edoras_tools.wire.cdr import ENCAPSULATION
+from edoras_tools.wire.envelope import ENCAPSULATION
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -30,8 +30,7 @@ from edoras_tools.ros.types.schema import PLACEHOLDER
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.arrays.order import Integers, Places, by_value, numbered
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.cdr import ENCAPSULATION
-from edoras_tools.wire.envelope import ENVELOPE_FORMATS
+from edoras_tools.wire.envelope import ENCAPSULATION, ENVELOPE_FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

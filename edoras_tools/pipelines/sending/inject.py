@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission, Route
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.ros.store import TypeStore
-    from edoras_tools.wire.msg_id import MsgIds
+    from edoras_tools.wire.ccsds import MsgIds
 
 _MOST: Final = 1 << 17
 """Maximum random messages that are made before the first is sent; a longer run repeats them."""

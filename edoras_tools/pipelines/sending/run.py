@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.faults.machine import FaultMachine
     from edoras_tools.sessions.outgoing import Changes, Outgoing
     from edoras_tools.sessions.pacing import Timetable
-    from edoras_tools.wire.msg_id import MsgIds
+    from edoras_tools.wire.ccsds import MsgIds
 
 
 class Loaded(msgspec.Struct, frozen=True):

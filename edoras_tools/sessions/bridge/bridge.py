@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING, Any, Final, Generic, Literal, Protocol, TypeVa
 
 import msgspec
 
-from edoras_tools.cfs import limits
+from edoras_tools.cfs.command_ingest import CI_BUFFER
 from edoras_tools.sessions.bridge.packets import Envelope, PacketWriter, find_packet
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.cdr import ENCAPSULATION
-from edoras_tools.wire.envelope import EnvelopeFormat
+from edoras_tools.wire.envelope import ENCAPSULATION, EnvelopeFormat
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -142,7 +141,7 @@ class _Clock:
         self.due_ns = now + period if late >= period else max(self.due_ns + period, now + period // 2)
 
 
-CI_LARGEST: Final = limits.CI_BUFFER
+CI_LARGEST: Final = CI_BUFFER
 """Largest packet that Command Ingest accepts, in bytes; it would cut a longer one, which is refused."""
 _REASONS: Final = 16
 SBN_LARGEST: Final = sbn.LARGEST_PAYLOAD

@@ -13,7 +13,7 @@ import msgspec
 from edoras_tools.cfs import edoras_app
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.wire import ccsds, cfe, envelope
-from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION
+from edoras_tools.wire.envelope import CDR_BE, CDR_LE, ENCAPSULATION
 
 _PRIMARY: Final = struct.Struct(">HHH")
 _WORDS: Final = {8: "Q", 4: "I", 2: "H", 1: "B"}

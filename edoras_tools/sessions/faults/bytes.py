@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.wire import ccsds, cdr, cfe, envelope, sbn
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire import ccsds, cfe, envelope, sbn
+from edoras_tools.wire.ccsds import VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -146,7 +146,7 @@ def _envelope(payload: bytes, struck: Struck) -> tuple[int, Layout]:
 
 def _encapsulation(payload: bytes, struck: Struck) -> tuple[int, Layout]:
     at, layout = _envelope(payload, struck)
-    return at + layout.size if at >= 0 else -1, cdr.ENCAPSULATION
+    return at + layout.size if at >= 0 else -1, envelope.ENCAPSULATION
 
 
 def _wrong(

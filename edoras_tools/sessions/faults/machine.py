@@ -30,8 +30,8 @@ from edoras_tools.sessions.faults.bytes import Chance, draw, draws, key_of, pack
 from edoras_tools.sessions.faults.effects import Pending, Received, effect_of
 from edoras_tools.sessions.faults.fault import Fault
 from edoras_tools.wire import ccsds, sbn
+from edoras_tools.wire.ccsds import MSG_ID_BYTES, VERSION_1, MsgIds
 from edoras_tools.wire.cfe import STANDARD, Headers
-from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -13,7 +13,7 @@ from yamcs_server import HERE, WHY, api, asked, yamcs
 
 from edoras_tools.addons.codegen.writing import describe_packets
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import TO
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import Settings
 

@@ -21,7 +21,7 @@ from edoras_tools.structs.bindings import Bindings
 from edoras_tools.structs.files import dumps, load_layout, load_together, parse_layout
 from edoras_tools.structs.shapes import OPEN
 from edoras_tools.wire import cfe
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.ccsds import VERSION_1
 
 PARAMETERS = Parameters(
     {

@@ -35,7 +35,7 @@ from edoras_tools.decode.filters.names import Names
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import TO
 from edoras_tools.mission import Mission
 from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.pipelines.capture.info import inspect

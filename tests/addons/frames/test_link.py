@@ -19,7 +19,7 @@ from transfer_frames import GROUND, Maker, space_packet
 from edoras_tools.addons.frames.link import FRAMES
 from edoras_tools.decode import Context
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import TO
 from edoras_tools.mission import loads
 from edoras_tools.model import Finding
 from edoras_tools.pipelines.capture.info import inspect

@@ -19,9 +19,8 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.net.buffer import SendResult
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import Mission, Route
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.faults import compiler

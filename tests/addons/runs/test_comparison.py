@@ -14,7 +14,7 @@ from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI
 from edoras_tools.mission import Mission
 from edoras_tools.model import Endpoint
 from edoras_tools.units import MILLISECOND, SECOND

@@ -17,10 +17,10 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.accounting.closed import Outage
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.bare import ROBOT_PORT
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.robot import ROBOT_PORT
 from tests.support.balance import wrong_rows
 
 SENT, REACHED_THE_ROBOT = 310, 174

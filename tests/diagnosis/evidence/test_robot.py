@@ -13,11 +13,11 @@ from places import ROOT
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.bare import ROBOT_PORT
 from edoras_tools.mission import load
 from edoras_tools.ros import TypeStore
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.files import parse_layout
-from edoras_tools.wire.robot import ROBOT_PORT
 
 LAYOUT = """
 edoras_structs: 1

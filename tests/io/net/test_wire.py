@@ -10,9 +10,8 @@ from waiting import HOST, PATIENCE_S
 
 from edoras_tools.io.net.transmit import Listener, Transmitter
 from edoras_tools.io.net.wire import UdpWire, precise_timing
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.model import Endpoint
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 

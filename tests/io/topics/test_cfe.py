@@ -10,9 +10,8 @@ from msgspec.structs import replace
 
 from edoras_tools.io.topics.cfe import event_messages, software_bus_messages
 from edoras_tools.io.topics.rows import RECORD_BYTES
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.model import Columns, PacketBatch
 from edoras_tools.wire.arrays.window import copy_rows
 

@@ -7,9 +7,8 @@ from mcap.reader import make_reader
 from edoras_tools.io.formats.mcap.reader import McapSource
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.topics.cfe import FAULTS_TOPIC
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import Mission
 from edoras_tools.model import NO_MSG_ID, SourceInfo, SourceStatistics
 from edoras_tools.ros import TypeStore

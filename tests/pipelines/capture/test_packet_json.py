@@ -15,7 +15,7 @@ from places import CAPTURES
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, contents
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI
 from edoras_tools.mission import Mission, Route
 from edoras_tools.model import concatenate
 from edoras_tools.pipelines.capture.packet_json import PacketTexts, as_json

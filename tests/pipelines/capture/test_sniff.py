@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from edoras_tools.decode import Context
 from edoras_tools.errors import CaptureError, RouteError, TruncatedError
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import Mission, Route
 from edoras_tools.model import (
     OTHER,

@@ -20,7 +20,7 @@ from edoras_tools.diagnosis import examination
 from edoras_tools.diagnosis.rules import shipped_rules
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import SourceDefaults
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import TO
 from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.pipelines.doctor.doctor import Pace, examine
 from edoras_tools.pipelines.doctor.scope import Scope

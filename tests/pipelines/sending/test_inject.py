@@ -14,9 +14,8 @@ from edoras_tools.cfs.commands import CALLS, NAMED, Argument
 from edoras_tools.cfs.names import COMMANDS
 from edoras_tools.decode import Options
 from edoras_tools.errors import ConfigError, EdorasError, FieldError, RouteError
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.pipelines.sending.inject import (
     Injection,
     arbitrary,

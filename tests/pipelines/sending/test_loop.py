@@ -15,9 +15,8 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.transmit import SendStatistics
 from edoras_tools.io.net.wire import Arrival
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import Mission
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedule, in_order

@@ -12,8 +12,7 @@ from places import SAMPLES
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.transmit import SendStatistics
 from edoras_tools.io.net.wire import Arrival
-from edoras_tools.links.ci import CI
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.mission import Mission
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.capture.record import Target

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.links import table
+from edoras_tools.links.bare import TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import Mission
 from edoras_tools.mission.model import Route
 from edoras_tools.model import OTHER, Peer

@@ -11,9 +11,8 @@ from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import Handling, Route
 from edoras_tools.model import Peer
 from edoras_tools.sessions.bridge.bridge import BridgeOptions, BridgeSession, Limit, Limiter, Traffic

@@ -5,9 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.decode import Context, Dissector
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import Mission, Route
 from edoras_tools.model import Datagram, Endpoint, Finding, Peer
 from edoras_tools.sessions.faults.bytes import CONTENT, Chance, Struck, packet_offset

@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.model import NO_MSG_ID, Peer
 from edoras_tools.sessions.faults import machine as module
 from edoras_tools.sessions.faults.kinds import FAULT_KINDS, PROFILES

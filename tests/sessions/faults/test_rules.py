@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.sessions.faults.kinds import (
     FAULT_KINDS,

@@ -21,9 +21,8 @@ from edoras_tools.ros.cdr.plan import CdrPlan, PlanStep, PrimitiveRun, Repeat, T
 from edoras_tools.structs.messages import MessagePart, parts
 from edoras_tools.structs.shapes import BasicKind, Enumeration, Member, Struct, StructLayout
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
 from edoras_tools.wire.cfe import EXTENDED, Headers, emit_command
-from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
+from edoras_tools.wire.envelope import CDR_LE, DEFAULT, ENCAPSULATION, EnvelopeFormat
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

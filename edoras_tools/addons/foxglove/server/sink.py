@@ -31,7 +31,7 @@ from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.units import SECOND
-from edoras_tools.wire.cdr import ENCAPSULATION
+from edoras_tools.wire.envelope import ENCAPSULATION
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.lab.emulator import messages
 from edoras_tools.addons.lab.emulator.robots import robot_of
-from edoras_tools.cfs import edoras_app, limits, telemetry_output
+from edoras_tools.cfs import edoras_app, telemetry_output
 from edoras_tools.errors import ConfigError
 from edoras_tools.model import Endpoint
 from edoras_tools.sessions.sbn import PUBLIC_BRIDGE, AppMessage, SbnConnection
@@ -126,7 +126,7 @@ class GroundBridge(_Bridge):
 
     def receive_datagram(self, data: bytes) -> None:
         """Process a datagram of cFS; the buffer holds 1024 bytes."""
-        if len(data[: limits.BRIDGE_BUFFER]) >= cfe.COMMAND_HEADER_BYTES:
+        if len(data[: edoras_app.BRIDGE_BUFFER]) >= cfe.COMMAND_HEADER_BYTES:
             self.received[self._headers.msg_ids.of(data)] += 1
 
     def _enable(self) -> None:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import command_ingest
 from edoras_tools.errors import FieldError, WireError
+from edoras_tools.links.bare import ROBOT_COMMAND, ROBOT_POSE
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, envelope
-from edoras_tools.wire.robot import ROBOT_COMMAND, ROBOT_POSE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

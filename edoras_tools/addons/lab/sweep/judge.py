@@ -15,7 +15,7 @@ from edoras_tools.cfs import command_ingest
 from edoras_tools.cfs.queues import application_pipe
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKETS
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import TO
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from edoras_tools.addons.lab.sweep import plan as packets
 from edoras_tools.addons.lab.sweep.judge import Judge, StepOutcome, Sweep, SweepStep
 from edoras_tools.addons.lab.sweep.observer import COMMAND_NS, Line, Observer, reset_filters
 from edoras_tools.cfs import software_bus
-from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT_BRIDGE_BUFFER
+from edoras_tools.cfs.edoras_app import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT_BRIDGE_BUFFER
 from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.wire import Wire, precise_timing

@@ -55,7 +55,7 @@ from edoras_tools.io.topics.statistics import HOST_TOPIC, host_counters_of
 from edoras_tools.links.table import links
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.crc import crc32
+from edoras_tools.wire.arrays.sums import crc32
 from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import zstandard
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.file import CHUNK_HEAD_BYTES, MAX_CHUNK_BYTES, ChunkHead, chunk_head
-from edoras_tools.wire.arrays.crc import crc32
+from edoras_tools.wire.arrays.sums import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -27,7 +27,7 @@ from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io import RecordingOptions
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.topics.rows import Records
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI
 from edoras_tools.model import Endpoint, Finding, SourceStatistics
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.reading import reading, selected_rows

@@ -15,7 +15,7 @@ from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.model import Peer
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.ccsds import VERSION_1
 
 
 @pytest.fixture

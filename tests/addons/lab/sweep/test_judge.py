@@ -12,8 +12,8 @@ from edoras_tools.addons.lab.sweep.observer import Mark, Observer
 from edoras_tools.addons.lab.sweep.plan import route_of
 from edoras_tools.cfs import software_bus
 from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.links.bare import TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe

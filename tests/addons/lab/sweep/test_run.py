@@ -28,9 +28,8 @@ from edoras_tools.addons.lab.sweep.run import _size_notes, sweep
 from edoras_tools.cfs.profile import GENERATOR_MSG_ID, SbnPeerConfig, SimProfile
 from edoras_tools.decode import Options
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.mission import Mission, Route
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.sending.options import SendOptions

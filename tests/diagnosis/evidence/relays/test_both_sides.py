@@ -13,7 +13,7 @@ from places import ROOT
 from rewriting import datagrams, write
 
 from edoras_tools.decode import Options
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings

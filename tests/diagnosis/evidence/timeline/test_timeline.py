@@ -24,9 +24,8 @@ from edoras_tools.diagnosis.evidence.timeline.table import (
     reasons_for,
 )
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
-from edoras_tools.links.to import TO
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import SECOND
 

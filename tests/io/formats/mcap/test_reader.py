@@ -19,7 +19,7 @@ from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.links.ci import CI
+from edoras_tools.links.bare import CI
 from edoras_tools.mission.model import Mission, Route
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics, concatenate
 from edoras_tools.ros import TypeStore

@@ -19,8 +19,7 @@ from edoras_tools.io.formats.mcap import chunks as mcap_chunks
 from edoras_tools.io.formats.mcap.file import McapFile
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.topics.messages import NO_MESSAGE
-from edoras_tools.links.ci import CI
-from edoras_tools.links.to import TO
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.mission.model import Mission, Route
 from edoras_tools.model import Columns, Finding, SourceStatistics
 

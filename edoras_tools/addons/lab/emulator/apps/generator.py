@@ -22,8 +22,8 @@ from edoras_tools.cfs.event_services import EventText, EventType
 from edoras_tools.cfs.profile import GENERATOR_MSG_ID
 from edoras_tools.units import MICROSECOND, SECOND
 from edoras_tools.wire import cfe
+from edoras_tools.wire.ccsds import VERSION_1
 from edoras_tools.wire.cfe import function_code_of
-from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
     from edoras_tools.addons.lab.emulator.cfs import Cfs

@@ -26,7 +26,7 @@ from edoras_tools.io.formats.mcap.file import (
     MessageIndex,
 )
 from edoras_tools.io.topics.rows import OPCODE_MESSAGE, RECORD
-from edoras_tools.wire.arrays.crc import crc32
+from edoras_tools.wire.arrays.sums import crc32
 from edoras_tools.wire.arrays.window import copy_rows, read_at
 
 if TYPE_CHECKING:

@@ -36,7 +36,7 @@ from edoras_tools.io.formats.mcap.file import (
 from edoras_tools.io.formats.mcap.recovery.records import Entries, FileBytes, Walked, parse, walk
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, frame_at, inflate, unpack_chunk
 from edoras_tools.io.topics.rows import MAGIC
-from edoras_tools.wire.arrays.crc import crc32
+from edoras_tools.wire.arrays.sums import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -13,7 +13,7 @@ from mcap.records import AttachmentIndex, Channel, ChunkIndex, Footer, MetadataI
 from edoras_tools.io.formats.mcap.file import RECORD_HEAD
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse
 from edoras_tools.io.topics.rows import MAGIC
-from edoras_tools.wire.arrays.crc import crc32
+from edoras_tools.wire.arrays.sums import crc32
 
 if TYPE_CHECKING:
     from edoras_tools.io.formats.mcap.recovery.records import Walked

@@ -13,11 +13,10 @@ from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.messages import structs_of
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import ConfigError
-from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.bare import CFS_PORT, ROBOT, ROBOT_PORT
 from edoras_tools.model import OTHER, PacketBatch
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.files import parse_key, parse_layout
-from edoras_tools.wire.robot import CFS_PORT, ROBOT_PORT
 
 TWIST = struct.pack("<6d", 0.5, 0, 0, 0, 0, -0.2)
 POSE = struct.pack("<7d", 0.5, 0, 0.7, 0, 0, 0, 1)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.wire import cfe
-from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1, VERSION_2
+from edoras_tools.wire.ccsds import MSG_ID_BYTES, VERSION_1, VERSION_2
 
 REAL = [
     # version, MsgId, first bytes of the packet: primary header and extended header

@@ -1,5 +1,7 @@
 """The published check values, the definition bit by bit, and an independent library."""
 
+from __future__ import annotations
+
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +11,8 @@ from fastcrc import crc32 as peer32
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.wire.arrays.crc import CRC16_BYTES, FileCrc, crc16, crc16_rows, crc32, crc32c
+from edoras_tools.wire.arrays import sums
+from edoras_tools.wire.arrays.sums import CRC16_BYTES, FileCrc, crc16, crc16_rows, crc32, crc32c
 
 
 def by_definition(octets):
@@ -43,7 +46,7 @@ def test_many_ranges(least, parts):
 
 
 def test_more_than_is_laid_out_at_once(monkeypatch):
-    monkeypatch.setattr("edoras_tools.wire.arrays.crc._BLOCK", 4096)
+    monkeypatch.setattr("edoras_tools.wire.arrays.sums._BLOCK", 4096)
     data = np.random.default_rng(5).integers(0, 256, 200 * 97, dtype=np.uint8)
     offset, length = np.arange(200, dtype=np.int64) * 97, np.full(200, 97, np.int32)
     expected = [crc16(data[at : at + 97].tobytes()) for at in offset]
@@ -80,3 +83,14 @@ def test_far_behind_the_beginning():
     found.add(b"end", (1 << 20) + 5)
     found.add(bytes((1 << 20) + 5), 0)
     assert found.of_file((1 << 20) + 8) == crc32(bytes((1 << 20) + 5) + b"end")
+
+
+@given(st.lists(st.binary(min_size=1, max_size=40), min_size=1, max_size=12))
+def test_equal_bytes_and_only_those_share_a_fingerprint(messages):
+    data = np.frombuffer(b"".join(messages), np.uint8)
+    data = np.append(data, np.zeros(8, np.uint8))  # as a batch has some bytes behind its last packet
+    length = np.array([len(item) for item in messages], np.int32)
+    found = sums.of_bytes(data, np.cumsum(length, dtype=np.int64) - length, length)
+    for index, one in enumerate(messages):
+        for other, two in enumerate(messages):
+            assert (found[index] == found[other]) == (one == two)

@@ -1,13 +1,15 @@
-"""Cyclic redundancy checks: CRC-32 as in zlib, MCAP and Ethernet, CRC-32C, and CRC-16 as in CCSDS.
+"""Sums of many byte ranges at once: cyclic redundancy checks, and hashes that tell equal bytes.
 
-CRC-32 uses the ``isal`` library, which is ten times as fast as zlib, or zlib on machines without it. CRC-16
-(polynomial 0x1021, preset to ones, 132.0-B 4.1.6.2) uses the standard library for one range of bytes; for
-many ranges it advances by two bytes of each at once. CRC-32C (Castagnoli, RFC 3720 B.4) is combined from the
-CRCs of short rows, which are computed all at once.
+CRC-32 (zlib, MCAP, Ethernet) uses the ``isal`` library, which is ten times as fast as zlib, or zlib on
+machines without it. CRC-16 (CCSDS: polynomial 0x1021, preset to ones, 132.0-B 4.1.6.2) uses the standard
+library for one range of bytes; for many ranges it advances by two bytes of each at once. CRC-32C (Castagnoli,
+RFC 3720 B.4) is combined from the CRCs of short rows, which are computed all at once.
 
 A CRC without its preset and its last inversion is a polynomial in x modulo P: the CRC of consecutive pieces
 is the sum of theirs, each times x to the power of the number of bits after it. So the CRC of a file can be
 added up from its pieces in any order (``FileCrc``).
+
+Equal bytes have equal hashes, different bytes almost never do.
 """
 
 from __future__ import annotations
@@ -18,15 +20,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.wire.arrays.window import copy_rows
+from edoras_tools.wire.arrays.order import Integers, Octets, Places, by_value
+from edoras_tools.wire.arrays.window import copy_rows, gather
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
     from typing_extensions import Buffer
-
-    from edoras_tools.wire.arrays.order import Integers, Octets
 
 CRC16_BYTES: Final = 2
 _ONES: Final = 0xFFFF
@@ -223,3 +224,57 @@ class FileCrc:
     def of_file(self, size: int) -> int:
         """Return the CRC of the whole file of ``size`` bytes, all of which were added."""
         return _shifted(self._folded() ^ _INVERTED, size, self._polynomial) ^ _INVERTED
+
+
+HASHED_BYTES: Final = 4096
+"""Bytes of a packet that are hashed; longer packets differ within these bytes."""
+_ROWS: Final = 2048
+"""Rows that are handled together: few enough to stay in the second-level cache."""
+MIX: Final = np.uint64(0x9E3779B97F4A7C15)
+"""An odd number without a pattern: multiplying by it spreads the bits of a word over the product."""
+
+
+def of_bytes(data: Octets, offset: Integers, length: NDArray[Any]) -> NDArray[np.uint64]:
+    """Return the fingerprint of each range of bytes, u64 (n,); 0 for an empty one."""
+    out = np.zeros(len(offset), np.uint64)
+    cut = np.minimum(length, HASHED_BYTES)
+    sizes = ((size, rows) for size, rows in by_value((cut + 7) >> 3) if size > 0)
+    for size, own, at in ((size, rows, at) for size, rows in sizes for at in range(0, len(rows), _ROWS)):
+        some = slice(at, at + _ROWS)
+        rows = some if len(own) == len(out) else own[some]
+        words = gather(data, offset[rows], size * 8).view(np.uint64)
+        words[:, -1] &= _LAST_WORD.take(cut[rows] & 7)
+        # Folded first: a factor alone would let the highest bits of two words cancel each other.
+        words ^= words >> np.uint64(32)
+        out[rows] = finished(words @ WEIGHTS[:size] + length[rows].astype(np.uint64) * MIX)
+    return out
+
+
+def stirred(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Mix each word so that every bit depends on many bits of the input; different words stay different."""
+    mixed = (words ^ (words >> np.uint64(29))) * MIX
+    return np.asarray(mixed ^ (mixed >> np.uint64(32)), np.uint64)
+
+
+def finished(total: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return fingerprints from sums of mixed words times ``WEIGHTS``; never 0."""
+    return stirred(total) | np.uint64(1)
+
+
+WEIGHTS: Final = stirred(np.arange(1, HASHED_BYTES // 8 + 2, dtype=np.uint64) * MIX) | np.uint64(1)
+"""An odd factor for each word of a range."""
+_LAST_WORD: Final = np.array([[0xFF] * (size or 8) + [0] * (-size % 8) for size in range(8)], np.uint8).view(
+    np.uint64
+)[:, 0]
+"""Masks for the last word of a range, by its size modulo 8."""
+
+
+def matches(first: NDArray[np.uint64], second: NDArray[np.uint64]) -> tuple[Places, Places]:
+    """Return the indices of keys that occur exactly once in each array, and are not 0."""
+    sides = []
+    for keys in (first, second):
+        values, at, count = np.unique(keys, return_index=True, return_counts=True)
+        once = (count == 1) & (values != 0)
+        sides.append((values[once], at[once]))
+    _, ours, theirs = np.intersect1d(sides[0][0], sides[1][0], assume_unique=True, return_indices=True)
+    return sides[0][1][ours], sides[1][1][theirs]
