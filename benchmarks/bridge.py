@@ -30,7 +30,7 @@ from edoras_tools.addons.lab.emulator import Served, Simulation, WireDatagram
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.io.net.buffer import make_buffer
 from edoras_tools.io.net.sockets import kernel_drops, open_bound, open_socket
-from edoras_tools.io.net.wire import precise_timing
+from edoras_tools.io.net.transmit import precise_timing
 from edoras_tools.middleware import Qos, open_graph
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges

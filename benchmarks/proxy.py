@@ -24,7 +24,7 @@ from rounds import busy_ns
 
 from edoras_tools.io.net.buffer import make_buffer
 from edoras_tools.io.net.sockets import kernel_drops, open_bound, open_socket
-from edoras_tools.io.net.wire import precise_timing
+from edoras_tools.io.net.transmit import precise_timing
 from edoras_tools.model import Endpoint
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire import cfe

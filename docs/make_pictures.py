@@ -17,8 +17,7 @@ from rich.console import Console, RenderableType
 from rich.text import Text
 from textual.widgets import Input
 
-from edoras_tools.addons.plot.request import parse_request
-from edoras_tools.addons.plot.series import open_recordings, read_plot
+from edoras_tools.addons.plot.series import open_recordings, parse_request, read_plot
 from edoras_tools.addons.report.charts import sankey
 from edoras_tools.addons.trace.views import standalone
 from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
@@ -32,7 +31,7 @@ from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.render.capture import tree
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
-from edoras_tools.render.doctor.doctor import screen
+from edoras_tools.render.doctor import screen
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.terminal import palette
 

@@ -270,7 +270,7 @@ def _balances() -> dict[str, Any]:
 
 def _marks() -> str:
     """Return what was noted of every capture when it was made, beside the sums of its balance."""
-    from edoras_tools.render.doctor.balance import causes
+    from edoras_tools.render.doctor import causes
 
     text = (ROOT / "tests/captures/README.md").read_text(encoding="utf-8")
     noted = {cells[1]: cells[-2] for line in text.splitlines() if len(cells := re.split(r" *\| *", line)) > 4}

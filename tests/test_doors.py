@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.rules import rules, shipped_rules
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import installed_formats
 from edoras_tools.links.table import links
-from edoras_tools.middleware.opening import middleware
+from edoras_tools.middleware.graph import middleware
 from edoras_tools.structs.files import parse_layout
 
 GONE = Addon(

@@ -24,7 +24,6 @@ COMMAND_LINES = ("cli/*", "addons/*/cli.py", "addons/*/cli/*")
 PUT_OFF = {
     "__init__.py": ("importlib", "loads warnings: nothing comes before the programs heed Ctrl-C"),
     "addons/dds/messages.py": ("cyclonedds", "a part of its inside, which may not be there"),
-    "addons/ros_verbs/echo.py": ("yaml", "9 ms, and only to print a message, not for the help"),
     "doors.py": (
         "edoras_tools.addons importlib.metadata",
         "the table, when an add-on is asked for; 11 ms, and only where a package adds something",

@@ -25,14 +25,13 @@ from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.capture.info import capture_summary
-from edoras_tools.render.doctor.doctor import screen
-from edoras_tools.render.pages.charts import BOTTOM, TOP
-from edoras_tools.render.pages.parts import Made
+from edoras_tools.render.doctor import screen
+from edoras_tools.render.pages import BOTTOM, TOP, Made
 from edoras_tools.render.plot.figure import DARK_COLOURS, LIGHT_COLOURS
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.plot.terminal import plot_lines
 
-STYLE = (files("edoras_tools.render.pages") / "style.css").read_text()
+STYLE = (files("edoras_tools.render") / "pages.css").read_text()
 PLOT_STYLE = (files("edoras_tools.render.plot") / "page.css").read_text()
 ROVER = ROOT / "samples/captures/a_rover.pcap"
 SETTINGS = Settings((ROOT / "samples/missions/rover_ground.yaml",))

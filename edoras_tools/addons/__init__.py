@@ -96,7 +96,7 @@ ADDONS: Final = (
         },
         {
             "parts": {
-                "expected_run": "expected:unlike",
+                "expected_run": "limits:unlike",
                 "against": "doctor_options:against",
                 "bags": "doctor_options:bags",
             }
@@ -131,18 +131,16 @@ ADDONS: Final = (
     Addon(
         "lab",
         {
-            "sweep": _SEND(
-                "Raise a route's rate or size until messages are lost.", "cli.sweep:sweep", "proxy"
-            ),
+            "sweep": _SEND("Raise a route's rate or size until messages are lost.", "cli:sweep", "proxy"),
             "experiment": _TRY(
-                "Make many runs, and say what each setting loses.", "cli.experiment:experiment", "samples"
+                "Make many runs, and say what each setting loses.", "cli:experiment", "samples"
             ),
-            "demo": _TRY("Show the main features, or run a demo of the paper.", "cli.demo:demo", "samples"),
-            "sim": _TRY("Run an emulated cFS on loopback, with the real limits.", "cli.sim:sim", "samples"),
+            "demo": _TRY("Show the main features, or run a demo of the paper.", "cli:demo", "samples"),
+            "sim": _TRY("Run an emulated cFS on loopback, with the real limits.", "cli:sim", "samples"),
         },
         {
             "middleware": {"local": ":LOCAL"},
-            "parts": {"simulation": "emulator.source:start_simulation", "prove": "cli.prove:prove"},
+            "parts": {"simulation": "emulator.source:start_simulation", "prove": "cli:prove"},
         },
     ),
     Addon(
@@ -197,14 +195,14 @@ ADDONS: Final = (
     Addon(
         "ros_verbs",
         {
-            "topic": _LOOK("List topics, or say more of one.", "cli.topics:topic", "host"),
-            "echo": _LOOK("Print the messages of a topic.", "cli.topics:echo", "host"),
-            "bw": _LOOK("Show the bytes a second of a topic.", "cli.topics:bw", "host"),
-            "delay": _LOOK("Show how old messages are.", "cli.topics:delay", "host"),
-            "observe": _RECORD("Count what ROS 2 nodes exchange.", "cli.observe:observe"),
-            "play": _SEND("Publish a recording's messages in ROS 2.", "cli.play:play"),
+            "topic": _LOOK("List topics, or say more of one.", "cli:topic", "host"),
+            "echo": _LOOK("Print the messages of a topic.", "cli:echo", "host"),
+            "bw": _LOOK("Show the bytes a second of a topic.", "cli:bw", "host"),
+            "delay": _LOOK("Show how old messages are.", "cli:delay", "host"),
+            "observe": _RECORD("Count what ROS 2 nodes exchange.", "cli:observe"),
+            "play": _SEND("Publish a recording's messages in ROS 2.", "cli:play"),
         },
-        {"parts": {"graph_hz": "cli.topics:graph_hz"}},
+        {"parts": {"graph_hz": "cli:graph_hz"}},
     ),
     Addon("tui", adds={"parts": {"panes": "cli"}}, extra="tui"),
     Addon("zenoh", adds={"middleware": {"zenoh": ":ZENOH"}}, extra="zenoh"),

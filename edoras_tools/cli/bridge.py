@@ -11,11 +11,11 @@ from typer import Argument, BadParameter, Option
 
 from edoras_tools import doors
 from edoras_tools.cli import options
-from edoras_tools.cli.declare import grouped, headed
+from edoras_tools.cli.options import grouped, headed
 from edoras_tools.cli.output import print_json, print_view, say, tell, tell_reach
 from edoras_tools.cli.relays import RelayOutputOptions, finish_relay, run_relay
 from edoras_tools.cli.sending import Yes, confirm_targets
-from edoras_tools.middleware.opening import middleware, names
+from edoras_tools.middleware.graph import middleware, names
 from edoras_tools.older import StrEnum
 from edoras_tools.words import plural
 
@@ -113,7 +113,7 @@ def bridge(
 
     Every bridge of every file runs, in one process: edoras bridge -c ground.yaml -c flight.yaml
     """
-    from edoras_tools.middleware.opening import distro_of_peers, usual, usual_domain
+    from edoras_tools.middleware.graph import distro_of_peers, usual, usual_domain
     from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
     from edoras_tools.render import bridge as view
 

@@ -9,8 +9,8 @@ from typing import Annotated
 from typer import Argument, Option
 
 from edoras_tools.cli import options
-from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import print_json, tell
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import READ_PACKED

@@ -13,9 +13,8 @@ from typer import Exit, Option
 
 from edoras_tools import doors
 from edoras_tools.cli import options
-from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.inputs import InputOptions, open_input
-from edoras_tools.cli.options import share
+from edoras_tools.cli.options import grouped, share
 from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_csv, print_json, print_view, tell
 from edoras_tools.errors import ConfigError
 from edoras_tools.older import StrEnum
@@ -138,7 +137,7 @@ def _examine(
     verbose: bool,
 ) -> Diagnosis:
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
-    from edoras_tools.render.doctor.doctor import LiveVerdicts
+    from edoras_tools.render.doctor import LiveVerdicts
 
     json, quiet = printing
     if not (inputs.paths or any(inputs.live)):
@@ -166,7 +165,7 @@ def _examine(
 def print_diagnosis(result: Diagnosis, name: str, *, quiet: bool, verbose: bool) -> None:
     """Print a line, a screen, or all."""
     from edoras_tools.diagnosis.summary import summarize
-    from edoras_tools.render.doctor.doctor import diagnosis, screen
+    from edoras_tools.render.doctor import diagnosis, screen
 
     words = sys.argv[2:]
     again = "" if not {"-", "-i", "--listen"}.isdisjoint(words) else shlex.join(words)
@@ -201,7 +200,7 @@ def _list_lost(
         again, _ = open_input(inputs, settings, aligned=True, progress=bar)
         losses = list_missing(findings.diagnosis, again, bench, bar)
     if listing is Listing.TABLE:
-        from edoras_tools.render.doctor.balance import missing_table
+        from edoras_tools.render.doctor import missing_table
 
         print_view(lambda width: missing_table(losses, findings.diagnosis.zero_ns, width))
     elif listing is Listing.JSON:
@@ -237,6 +236,6 @@ def _predict(settings: Settings, scope: Scope, *, json: bool) -> None:
     if json:
         print_json({"routes": [item.as_json() for item in budgets]})
         return
-    from edoras_tools.render.doctor.doctor import budgets as view
+    from edoras_tools.render.doctor import budgets as view
 
     print_view(lambda width: view(budgets, width))

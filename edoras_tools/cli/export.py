@@ -13,8 +13,8 @@ from typer import BadParameter, Option
 
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.inputs import FileOptions
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import file_progress, print_json, topics_read
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, TimeForm, written_as

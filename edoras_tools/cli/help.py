@@ -14,9 +14,8 @@ from typer import Argument, Option
 
 from edoras_tools import __version__
 from edoras_tools.cli import recordings
-from edoras_tools.cli.declare import grouped, parameters
-from edoras_tools.cli.options import DecodingOptions
-from edoras_tools.cli.usage import WHOLE, first_line, sections
+from edoras_tools.cli.main import WHOLE, first_line, sections
+from edoras_tools.cli.options import DecodingOptions, grouped, parameters
 from edoras_tools.errors import ConfigError
 from edoras_tools.words import did_you_mean
 

@@ -9,7 +9,7 @@ import typer
 from msgspec.structs import asdict
 
 from edoras_tools.cli import options
-from edoras_tools.cli.declare import grouped
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import LOST, print_json
 
 

@@ -10,8 +10,8 @@ from msgspec.structs import asdict
 from typer import Exit, Option
 
 from edoras_tools.cli import options
-from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import LOST, finish, print_json, print_view, watcher
 from edoras_tools.cli.recordings import known_topics
 from edoras_tools.errors import ConfigError

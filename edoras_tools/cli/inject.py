@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from typer import Argument, BadParameter, Context, Option, echo
 
 from edoras_tools.cli import options, sending
-from edoras_tools.cli.declare import grouped
+from edoras_tools.cli.options import grouped
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:

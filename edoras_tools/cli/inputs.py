@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 from typer import Argument, Option
 
-from edoras_tools.cli.declare import headed
+from edoras_tools.cli.options import headed
 from edoras_tools.cli.output import tell
 from edoras_tools.errors import ConfigError, NoDatagramsError, OnFailure
 from edoras_tools.io.formats.table import READ_PACKED

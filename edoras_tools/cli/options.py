@@ -1,22 +1,29 @@
 """Options that several commands share, and the parsers of their values.
 
-Options that belong together are a ``NamedTuple`` with their names, help texts and defaults. ``grouped`` lets
-a command take such a group as one value; a method of the group returns the value that pipelines take.
+Commands are functions whose parameters are declared as Typer requires, with
+``Annotated[..., typer.Option(...)]``. Typer has no groups; this file adds them:
+
+1. Options that belong together are the fields of a ``NamedTuple``, with their declarations and defaults.
+   ``grouped`` lets a command take such a group as one value. A method of the group returns the value that
+   pipelines take.
+2. ``headed`` gives a group its own heading in help texts, Typer's ``rich_help_panel``.
 """
 
 from __future__ import annotations
 
+import inspect
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
+from copy import copy
+from functools import cache, partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, TypeVar, get_args, get_type_hints
 
 from typer import BadParameter, Context, Option
 
 from edoras_tools import doors
-from edoras_tools.cli.declare import headed
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import ROWS
 from edoras_tools.middleware import MOST_DOMAIN
@@ -31,6 +38,80 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.selection import ClockTime, Period, Selection
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.sessions.faults.machine import FaultPlan
+
+_Group = TypeVar("_Group", bound=type)
+
+
+def headed(text: str) -> Callable[[_Group], _Group]:
+    """Give a group of options its own heading in help texts; groups inside it get the same heading."""
+
+    def mark(group: _Group) -> _Group:
+        group.heading = text  # type: ignore[attr-defined]
+        return group
+
+    return mark
+
+
+def grouped(command: Callable[..., None]) -> Callable[..., None]:
+    """Let a command take options in groups: a parameter whose type is a ``NamedTuple`` stands for its fields.
+
+    Typer sees an option for each field, in place of the parameter, with the field's name, type and default. A
+    field may itself be a group.
+    """
+    options = list(_options(command))
+
+    @wraps(command)
+    def call(**values: Any) -> None:
+        _filled(command, values)
+
+    call.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+    call.__annotations__ = {item.name: item.annotation for item in options}
+    return call
+
+
+def _options(holder: Callable[..., Any], heading: str = "") -> Iterator[inspect.Parameter]:
+    """Yield the options of a command or a group; nested groups are replaced by their options."""
+    heading = getattr(holder, "heading", heading)
+    for item in parameters(holder):
+        if _is_group(item.annotation):
+            yield from _options(item.annotation, heading)
+        elif heading:
+            kind, declared = get_args(item.annotation)
+            declared = copy(declared)
+            declared.rich_help_panel = heading
+            yield item.replace(annotation=Annotated[kind, declared])
+        else:
+            yield item
+
+
+def _filled(holder: Callable[..., Any], values: Mapping[str, Any]) -> Any:
+    """Call a command, or make a group, with the values of its options."""
+    return holder(
+        **{
+            item.name: _filled(item.annotation, values) if _is_group(item.annotation) else values[item.name]
+            for item in parameters(holder)
+        }
+    )
+
+
+@cache
+def parameters(holder: Callable[..., Any]) -> list[inspect.Parameter]:
+    """Return keyword parameters with evaluated annotations, as Typer needs them."""
+    hints = get_type_hints(holder, include_extras=True)
+    if sys.version_info < (3, 11):  # there a default of None changes ``X`` to ``X | None``
+        hints = {
+            name: next((item for item in get_args(hint) if hasattr(item, "__metadata__")), hint)
+            for name, hint in hints.items()
+        }
+    return [
+        item.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[item.name])
+        for item in inspect.signature(holder).parameters.values()
+    ]
+
+
+def _is_group(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, tuple)
+
 
 LINKS = (*ROWS, *doors.shipped("links"), "other")
 

@@ -13,9 +13,8 @@ from typer import BadParameter, Option, echo
 
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.inputs import InputOptions, open_input
-from edoras_tools.cli.options import amount, size
+from edoras_tools.cli.options import amount, grouped, headed, size
 from edoras_tools.cli.output import Metrics, finish, measured, print_json, tell, watcher
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import FILE_SUFFIXES, WRITTEN, Format, written_as

@@ -10,7 +10,7 @@ from msgspec.structs import asdict
 from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.declare import grouped
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import LOST, print_json
 from edoras_tools.io.outputs import in_the_way, refuse_existing
 

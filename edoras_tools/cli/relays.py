@@ -10,7 +10,7 @@ from typer import BadParameter, Option
 
 from edoras_tools import doors
 from edoras_tools.cli import recordings
-from edoras_tools.cli.declare import headed
+from edoras_tools.cli.options import headed
 from edoras_tools.cli.output import LOST, Metrics, lost_outputs, measured, place, print_json, say, tell
 from edoras_tools.errors import EdorasError
 

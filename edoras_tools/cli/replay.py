@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from typer import Argument, BadParameter, Option
 
 from edoras_tools.cli import options, sending
-from edoras_tools.cli.declare import grouped, headed
+from edoras_tools.cli.options import grouped, headed
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import READ
 
@@ -133,7 +133,7 @@ def replay(
     pairs = list(change.remap or ())
     if source.from_topics:
         from edoras_tools.io.formats.rosbag2.reader import open_rosbag
-        from edoras_tools.pipelines.sending.topics import load_topics
+        from edoras_tools.pipelines.sending.replay import load_topics
 
         bag = open_rosbag(source.file)
         bench = settings.workbench()

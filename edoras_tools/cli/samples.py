@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, echo
 
 from edoras_tools.cli import recordings
-from edoras_tools.cli.declare import grouped
+from edoras_tools.cli.options import grouped
 from edoras_tools.errors import CaptureError, ConfigError
 
 

@@ -13,8 +13,7 @@ from typer import BadParameter, Exit, Option, confirm
 
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.declare import headed
-from edoras_tools.cli.options import duration, room, share
+from edoras_tools.cli.options import duration, headed, room, share
 from edoras_tools.cli.output import (
     INTERRUPTED,
     LOST,
@@ -242,7 +241,7 @@ def carry_out(
         goal = _goal(send_options, ending, inputs, stack)
         recording = None
         if goal:
-            from edoras_tools.pipelines.sending.recording import SentRecording
+            from edoras_tools.pipelines.sending.run import SentRecording
 
             recording = partial(SentRecording, target=goal, bench=bench)
         with send_status(transmission.total, quiet=quiet, keys=keys is not None) as watcher:

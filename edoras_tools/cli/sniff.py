@@ -11,8 +11,8 @@ from typer import Option
 
 from edoras_tools import doors
 from edoras_tools.cli import options
-from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.inputs import InputOptions, open_input
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import no_messages, nothing_shown, print_json
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.older import StrEnum
@@ -160,7 +160,7 @@ def print_fields(
     import csv
 
     from edoras_tools.decode.filters.filter import fields
-    from edoras_tools.pipelines.capture.fields import column_texts, is_number
+    from edoras_tools.pipelines.capture.sniff import column_texts, is_number
     from edoras_tools.render.capture.packet_list import ColumnLines
     from edoras_tools.render.terminal.terminal import detect_terminal
     from edoras_tools.render.terminal.text import clean

@@ -28,7 +28,7 @@ from edoras_tools.model import (
     Link,
     PacketBatch,
 )
-from edoras_tools.structs.payloads import payloads
+from edoras_tools.structs.bindings import payloads
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
 from edoras_tools.wire.arrays.window import any_nonzero, gather, xor_bytes

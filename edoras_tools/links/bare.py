@@ -17,7 +17,7 @@ from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
     from edoras_tools.links.doors import Site
-    from edoras_tools.links.sending import LinkSending
+    from edoras_tools.links.protocol import LinkSending
 
 
 class CommandIngestLink(LinkProtocol):
@@ -122,7 +122,7 @@ class RobotLink(LinkProtocol):
         """Return a sender of commands to the robot, or of its states to the flight app."""
         port = CFS_PORT if up else ROBOT_PORT
         layouts = [layout for layout, to in SENT_TO.items() if to == port]
-        return self.part("sending:FormSending")(self, port, layouts)
+        return self.part("protocol:FormSending")(self, port, layouts)
 
     def recognise(self, facts: Seen) -> Any:
         """Return the confidence: certain if a struct of that length is bound to that port."""

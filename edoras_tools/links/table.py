@@ -16,7 +16,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.links import ROWS
 from edoras_tools.links.protocol import CERTAIN, Form, LinkProtocol, Seen
 from edoras_tools.model import OTHER, Columns, Decoded, Link, Transport
-from edoras_tools.wire.cfe_file import RESET_ENTRY
+from edoras_tools.wire.cfe import RESET_ENTRY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -5,12 +5,11 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.doors import later
 
 if TYPE_CHECKING:
-    from edoras_tools.middleware.graph import Graph, Qos
-    from edoras_tools.middleware.opening import open_graph
+    from edoras_tools.middleware.graph import Graph, Qos, open_graph
 
 __all__ = ["MOST_DOMAIN", "Graph", "Qos", "open_graph"]
 
 MOST_DOMAIN: Final = 232
 """The highest ROS_DOMAIN_ID: DDS has no ports for more (RTPS 9.6.1.1)."""
 
-__getattr__ = later(__name__, graph="Graph Qos", opening="open_graph")
+__getattr__ = later(__name__, graph="Graph Qos open_graph")

@@ -20,7 +20,7 @@ from edoras_tools.io.formats.open import is_cfe_file, open_file
 from edoras_tools.pipelines.reading import APART_NS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.cfe_file import RESET_LOG
+from edoras_tools.wire.cfe import RESET_LOG
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import HostCounters, PacketBatch
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress
-    from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.sessions.faults.kinds import Fault
     from edoras_tools.wire.arrays.order import Integers
 
 _LEAST: Final = 3

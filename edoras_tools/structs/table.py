@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.doors import Reading
     from edoras_tools.ros import TypeStore
     from edoras_tools.ros.types.schema import Definition
-    from edoras_tools.structs.bindings import Bindings, Bound, Held
-    from edoras_tools.structs.payloads import StructPayloads
+    from edoras_tools.structs.bindings import Bindings, Bound, Held, StructPayloads
     from edoras_tools.structs.shapes import LayoutEntry
     from edoras_tools.wire.arrays.order import Integers
 

@@ -14,7 +14,7 @@ from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
     from edoras_tools.links.doors import LinkEvidence, OwnTopics, Site, TopicSpace
-    from edoras_tools.links.sending import LinkSending
+    from edoras_tools.links.protocol import LinkSending
 
 MAGIC: Final = 0xED0A
 PORT: Final = 5600

@@ -20,8 +20,8 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.cfe import message_limits, network_peers, read_cfe_file
 from edoras_tools.io.formats.open import is_cfe_file, open_file
 from edoras_tools.model import Peer
-from edoras_tools.wire import cfe, cfe_file
-from edoras_tools.wire.cfe_file import CFE_MAGIC
+from edoras_tools.wire import cfe
+from edoras_tools.wire.cfe import CFE_MAGIC
 
 FILES = ROOT / "samples/cfs_files"
 EVENTS, STORED, RUN = FILES / "events.log", FILES / "stored_events.dat", FILES / "run.pcap"
@@ -40,7 +40,7 @@ HEADER = {
 
 
 def header(subtype):
-    return cfe_file.FILE_HEADER.emit({**HEADER, "subtype": subtype})
+    return cfe.FILE_HEADER.emit({**HEADER, "subtype": subtype})
 
 
 def file_of(path, subtype, rest):
@@ -159,13 +159,13 @@ def test_resets_are_exported_and_recorded_as_events(call, tmp_path):
 @pytest.mark.parametrize(
     ("data", "what"),
     [
-        (header(cfe_file.RESET_LOG) + bytes(391), "ends inside entry 1 at byte 64"),
+        (header(cfe.RESET_LOG) + bytes(391), "ends inside entry 1 at byte 64"),
         (b"cFE1", "ends inside the cFE file header, at byte 4 of 64"),
-        (header(cfe_file.EVENT_LOG)[:63], "ends inside the cFE file header, at byte 63 of 64"),
-        (header(cfe_file.STORED_PACKETS) + bytes(75), "inside Data Storage's header, at byte 139 of 140"),
-        (header(cfe_file.TABLE_IMAGE), "is a cFE table image, which has no packets; 'edoras info"),
+        (header(cfe.EVENT_LOG)[:63], "ends inside the cFE file header, at byte 63 of 64"),
+        (header(cfe.STORED_PACKETS) + bytes(75), "inside Data Storage's header, at byte 139 of 140"),
+        (header(cfe.TABLE_IMAGE), "is a cFE table image, which has no packets; 'edoras info"),
         (header(999), "is a cFE file of subtype 999, which has no packets"),
-        (header(cfe_file.EVENT_LOG) + telemetry(1) + telemetry(2)[:-1], "ends inside packet 2 at byte"),
+        (header(cfe.EVENT_LOG) + telemetry(1) + telemetry(2)[:-1], "ends inside packet 2 at byte"),
     ],
 )
 def test_what_cannot_be_read_is_told(tmp_path, data, what):
@@ -179,7 +179,7 @@ def test_what_cannot_be_read_is_told(tmp_path, data, what):
 @pytest.mark.parametrize("spare", [b"", b"\0\0\0\0"])
 def test_times_are_found_behind_an_extended_header_too(tmp_path, spare):
     path = tmp_path / "file"
-    file_of(path, cfe_file.EVENT_LOG, b"".join(telemetry(at, spare=spare) for at in (998, 1001)))
+    file_of(path, cfe.EVENT_LOG, b"".join(telemetry(at, spare=spare) for at in (998, 1001)))
     assert [row.time_ns % 10**13 for row in read(path)[0]] == [3_798_500_000_000, 3_801_500_000_000]
 
 
@@ -189,7 +189,7 @@ def test_times_are_found_behind_an_extended_header_too(tmp_path, spare):
 def test_any_packets_come_out_as_they_went_in(tmp_path_factory, items):
     path = tmp_path_factory.mktemp("files") / "file"
     packets = [command() if item is None else telemetry(*item) for item in items]
-    file_of(path, cfe_file.STORED_PACKETS, bytes(76) + b"".join(packets))
+    file_of(path, cfe.STORED_PACKETS, bytes(76) + b"".join(packets))
     rows, error = read(path)
     assert ([row.payload for row in rows], error) == (packets, "")
     known = [at for at in (item and item[0] for item in items) if at is not None]
@@ -200,7 +200,7 @@ def test_any_packets_come_out_as_they_went_in(tmp_path_factory, items):
 @given(st.binary(max_size=400))
 def test_any_bytes_end_in_one_line(tmp_path_factory, rest):
     path = tmp_path_factory.mktemp("files") / "file"
-    file_of(path, cfe_file.EVENT_LOG, rest)
+    file_of(path, cfe.EVENT_LOG, rest)
     rows, error = read(path)
     assert sum(len(row.payload) for row in rows) <= len(rest)
     assert bool(error) == (sum(len(row.payload) for row in rows) < len(rest))
@@ -254,10 +254,10 @@ def test_the_table_of_telemetry_output_is_what_predict_reads(call):
 
 def test_a_table_sets_the_limits_of_a_prediction(call, tmp_path):
     entries = struct.pack("<IBBHIBBHI", 0x0828, 0, 0, 2, 0x0829, 0, 0, 7, 0) + bytes(4)
-    head = cfe_file.TABLE_HEADER.emit(
+    head = cfe.TABLE_HEADER.emit(
         {"reserved": 0, "load_offset": 0, "load_bytes": len(entries), "table_name": "TO_LAB_APP.TO_LAB_Subs"}
     )
-    path = file_of(tmp_path / "to.tbl", cfe_file.TABLE_IMAGE, head + entries)
+    path = file_of(tmp_path / "to.tbl", cfe.TABLE_IMAGE, head + entries)
     done = call(
         "doctor",
         "--predict",
@@ -303,7 +303,7 @@ int main(void) { return fwrite(&made, sizeof made, 1, stdout) != 1; }
 
 def network_table(image):
     told = {"reserved": 0, "load_offset": 0, "load_bytes": len(image), "table_name": "SBN.SBN_ConfTbl"}
-    return cfe_file.TABLE_HEADER.emit(told) + image
+    return cfe.TABLE_HEADER.emit(told) + image
 
 
 @pytest.fixture(scope="module")
@@ -316,7 +316,7 @@ def network(tmp_path_factory):
     (folder / "table.c").write_text(NETWORK)
     subprocess.run([compiler, "-o", folder / "table", folder / "table.c"], check=True)
     image = subprocess.run([folder / "table"], capture_output=True, check=True).stdout
-    return file_of(folder / "sbn_conf_tbl.tbl", cfe_file.TABLE_IMAGE, network_table(image))
+    return file_of(folder / "sbn_conf_tbl.tbl", cfe.TABLE_IMAGE, network_table(image))
 
 
 def test_the_table_of_sbn_is_as_the_compiler_lays_it_out(call, network):
@@ -394,14 +394,14 @@ def test_the_doctor_compares_who_speaks_with_the_table_of_sbn(call, network):
     ],
 )
 def test_what_is_no_table_of_sbn_is_refused(call, tmp_path, image, what):
-    path = file_of(tmp_path / "x.tbl", cfe_file.TABLE_IMAGE, network_table(image))
+    path = file_of(tmp_path / "x.tbl", cfe.TABLE_IMAGE, network_table(image))
     done = call("doctor", RUN, "--set", f"sbn_table={path}")
     assert (done.code, len(done.err)) == (1, 1)
     assert what in done.err[0]
 
 
 def test_a_system_log_is_lines(call, tmp_path):
-    path = file_of(tmp_path / "log", cfe_file.SYSTEM_LOG, b"one\ntwo \x1b[31m\n\0\0")
+    path = file_of(tmp_path / "log", cfe.SYSTEM_LOG, b"one\ntwo \x1b[31m\n\0\0")
     value, text = told(call, path)
     assert [item["text"] for item in value["entries"]] == ["one", "two \x1b[31m"]
     assert "\x1b" not in text
@@ -415,11 +415,11 @@ def test_captures_beside_it_are_shown_too(call):
 @pytest.mark.parametrize(
     ("subtype", "rest", "what"),
     [
-        (cfe_file.RESET_LOG, bytes(391), "its 391 bytes are no whole number of entries of 392 bytes"),
-        (cfe_file.PERFORMANCE_LOG, bytes(43), "ends inside the cFE Performance Log, at byte 107 of 108"),
-        (cfe_file.PERFORMANCE_LOG, bytes(44), "not that of a performance log of a little-endian processor"),
-        (cfe_file.TABLE_IMAGE, bytes(51), "ends inside the cFE Table Header, at byte 115 of 116"),
-        (cfe_file.TABLE_IMAGE, bytes(11) + b"\x08" + bytes(47), "ends after 7 of the table's 8 bytes"),
+        (cfe.RESET_LOG, bytes(391), "its 391 bytes are no whole number of entries of 392 bytes"),
+        (cfe.PERFORMANCE_LOG, bytes(43), "ends inside the cFE Performance Log, at byte 107 of 108"),
+        (cfe.PERFORMANCE_LOG, bytes(44), "not that of a performance log of a little-endian processor"),
+        (cfe.TABLE_IMAGE, bytes(51), "ends inside the cFE Table Header, at byte 115 of 116"),
+        (cfe.TABLE_IMAGE, bytes(11) + b"\x08" + bytes(47), "ends after 7 of the table's 8 bytes"),
     ],
 )
 def test_what_is_cut_is_told(call, tmp_path, subtype, rest, what):
@@ -444,7 +444,7 @@ def test_any_other_bytes_are_read_or_refused(tmp_path_factory, subtype, rest):
 @given(st.integers(0, 2**32), st.integers(0, 17))
 def test_any_table_of_sbn_is_read_or_refused(tmp_path_factory, seed, count):
     image = random.Random(seed).randbytes(4964) + struct.pack("<HH", count, 0)
-    path = file_of(tmp_path_factory.mktemp("files") / "file", cfe_file.TABLE_IMAGE, network_table(image))
+    path = file_of(tmp_path_factory.mktemp("files") / "file", cfe.TABLE_IMAGE, network_table(image))
     if count > 16:
         with pytest.raises(CaptureError, match="names 17 peers"):
             read_cfe_file(path)

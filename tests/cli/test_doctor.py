@@ -518,7 +518,7 @@ def test_chromium_shows_the_report(width, scheme, report, captures, missions, tm
 def test_live_rings_once_for_each_new_verdict(capsys):
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.diagnosis.verdict import Severity, Verdict
-    from edoras_tools.render.doctor.doctor import LiveVerdicts
+    from edoras_tools.render.doctor import LiveVerdicts
 
     def diagnosis(*verdicts):
         return Diagnosis(verdicts, (), [], [], 1, 0, 1)

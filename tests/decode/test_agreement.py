@@ -25,7 +25,7 @@ from edoras_tools.links.bare import CI
 from edoras_tools.mission import FlightSoftware, Mission, load
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Endpoint, Finding, PacketBatch, Peer
 from edoras_tools.pipelines.capture.packet_json import PacketTexts, as_json
-from edoras_tools.pipelines.sending.topics import Encoder
+from edoras_tools.pipelines.sending.replay import Encoder
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND

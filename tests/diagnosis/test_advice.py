@@ -15,7 +15,7 @@ from edoras_tools.diagnosis.advice import Arrivals
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import Endpoint
-from edoras_tools.render.doctor.doctor import screen
+from edoras_tools.render.doctor import screen
 from edoras_tools.wire import cfe
 
 POSE, TWIST, GENERATED, TO_PEER = 0x0827, 0x1827, 0x08F1, 0x082A

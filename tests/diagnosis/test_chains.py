@@ -24,7 +24,7 @@ from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.bare import ROBOT_PORT
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.render.doctor.balance import causes, shown_rows
+from edoras_tools.render.doctor import causes, shown_rows
 
 FOLDER = ROOT / "tests/captures"
 NAMES = sorted(path.name.partition(".")[0] for path in FOLDER.glob("*.pcap.zst"))

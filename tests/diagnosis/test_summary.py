@@ -10,7 +10,7 @@ from rich.console import Console
 from truth import examined
 
 from edoras_tools.diagnosis.summary import summarize
-from edoras_tools.render.doctor.doctor import screen
+from edoras_tools.render.doctor import screen
 
 FOLDER = ROOT / "tests/captures"
 TOGETHER = "diagnoses"

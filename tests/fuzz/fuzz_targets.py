@@ -52,8 +52,8 @@ from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.packet_json import as_json
 from edoras_tools.render.capture import tree as packet_view
 from edoras_tools.render.capture.packet_list import PacketList
-from edoras_tools.render.doctor.doctor import diagnosis as view
-from edoras_tools.render.pages.parts import Made
+from edoras_tools.render.doctor import diagnosis as view
+from edoras_tools.render.pages import Made
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.arrays.window import PADDING
 

@@ -22,7 +22,7 @@ from fuzz_targets import LINK_TYPES, MESSAGES, ROOMS, ROOT, SCENARIOS, TYPES
 from fuzz_traffic import write_seeds
 from mcap.writer import CompressionType, Writer
 
-from edoras_tools.addons.rtps.wire import RTPS_MAGIC
+from edoras_tools.addons.rtps.link import RTPS_MAGIC
 from edoras_tools.decode import Context, Dissector
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.bare import CI, TO

@@ -17,8 +17,7 @@ from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.io.formats.cfe import reset_times
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.table import RESETS, STORED
-from edoras_tools.wire.cfe import EPOCH_S
-from edoras_tools.wire.cfe_file import EXCEPTION, RESET_COMMAND, RESET_ENTRY
+from edoras_tools.wire.cfe import EPOCH_S, EXCEPTION, RESET_COMMAND, RESET_ENTRY
 
 SIZE = RESET_ENTRY.size
 POWER_CYCLE, WATCHDOG = 1, 4

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from waiting import PATIENCE_S
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware import Qos, opening
+from edoras_tools.middleware import Qos
+from edoras_tools.middleware import graph as middleware_graph
 from edoras_tools.middleware.rclpy import _Echoes, open_graph
 from edoras_tools.ros import TypeStore
 
@@ -352,7 +353,7 @@ def test_what_cannot_be_opened_is_one_line(ros, store):
 def test_without_a_ros_one_line_says_so(store, monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     with pytest.raises(ConfigError) as caught:
-        opening.open_graph("rclpy", store, "bridge")
+        middleware_graph.open_graph("rclpy", store, "bridge")
     assert str(caught.value).startswith("--ros rclpy needs a ROS 2 of Python 3.")
     assert "\n" not in str(caught.value)
 

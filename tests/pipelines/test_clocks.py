@@ -14,7 +14,7 @@ from rewriting import datagrams, write
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.wire.cfe_file import FILE_HEADER
+from edoras_tools.wire.cfe import FILE_HEADER
 
 CONFIG = [MISSIONS / "two_rovers_ground.yaml", MISSIONS / "two_rovers_flight.yaml"]
 SBN = {2234, 2235, 2236}

@@ -13,8 +13,8 @@ from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.ros.types.schema import STRINGS, parse_definition
 from edoras_tools.structs import shipped_structs
+from edoras_tools.structs.bindings import payloads
 from edoras_tools.structs.cfe import shipped_layout as layout
-from edoras_tools.structs.payloads import payloads
 from edoras_tools.structs.shapes import COMMANDED, PACKETS
 
 CAPTURES = sorted((CAPTURES).glob("*.pcap*"))

@@ -16,8 +16,8 @@ from edoras_tools.mission import loads as load_mission
 from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.ros import TypeStore
 from edoras_tools.structs import Structs, cfe, shipped_structs
+from edoras_tools.structs.bindings import payloads
 from edoras_tools.structs.files import parse_layout
-from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import cfe as wire
 from edoras_tools.wire.ccsds import VERSION_1
 

@@ -11,7 +11,7 @@ import json
 import sys
 
 from edoras_tools.middleware import Qos, open_graph
-from edoras_tools.middleware.opening import usual_domain
+from edoras_tools.middleware.graph import usual_domain
 from edoras_tools.ros import TypeStore
 
 STRING = "std_msgs/msg/String"

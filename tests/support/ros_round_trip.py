@@ -13,7 +13,7 @@ import time
 from random import Random
 
 from edoras_tools.middleware import Qos, open_graph
-from edoras_tools.middleware.opening import usual_domain
+from edoras_tools.middleware.graph import usual_domain
 from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.ros import TypeStore
 

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.main import Command, Group, command_group
-from edoras_tools.cli.options import moment
+from edoras_tools.cli.options import grouped, headed, moment
 from edoras_tools.cli.output import INTERRUPTED, LOST, file_progress, print_csv, print_json, print_view, tell
 from edoras_tools.errors import ConfigError
 from edoras_tools.older import StrEnum
@@ -260,7 +259,7 @@ def report(
     from edoras_tools.addons.archive.page import archive_page
     from edoras_tools.addons.archive.questions import trends_of
     from edoras_tools.io.outputs import check_new
-    from edoras_tools.render.pages.parts import Made
+    from edoras_tools.render.pages import Made
 
     check_new(output, [index], force=force)
     with open_index(index) as opened:

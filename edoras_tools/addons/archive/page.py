@@ -10,9 +10,8 @@ import msgspec
 
 from edoras_tools.addons.archive.views import short
 from edoras_tools.older import UTC
-from edoras_tools.render import units
-from edoras_tools.render.pages import parts
-from edoras_tools.render.pages.charts import CHART_WIDTH, LEFT, RIGHT, Frame, TimeSpan, svg_box
+from edoras_tools.render import pages, units
+from edoras_tools.render.pages import CHART_WIDTH, LEFT, RIGHT, Frame, TimeSpan, svg_box
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
@@ -115,32 +114,32 @@ class _DateFrame(Frame):
         return marks
 
 
-def archive_page(trends: ArchiveTrends, origin: parts.Made) -> str:
+def archive_page(trends: ArchiveTrends, origin: pages.Made) -> str:
     """Return the HTML page."""
     calendar = _Calendar.of(trends)
     sections = [
-        parts.section(
+        pages.section(
             "Runs over time",
             _runs(trends, calendar),
-            parts.colour_key((("note", "nothing missing"), ("error", "something missing"))),
+            pages.colour_key((("note", "nothing missing"), ("error", "something missing"))),
         ),
-        parts.section(
+        pages.section(
             "Runs and topics",
             _heat_map(trends),
-            parts.colour_key([(f"heat{place}", text) for place, text in enumerate(_HEATS)]),
+            pages.colour_key([(f"heat{place}", text) for place, text in enumerate(_HEATS)]),
         ),
-        parts.section(
-            "Trends", _trends(trends, calendar), parts.colour_key((("error", "lost or unaccounted for"),))
+        pages.section(
+            "Trends", _trends(trends, calendar), pages.colour_key((("error", "lost or unaccounted for"),))
         ),
-        parts.section("Latency", _delays(trends, calendar)),
-        parts.section("Worst routes", [_routes(trends)]),
-        parts.section("Worst runs", [_worst(trends)] if trends.totals["with_loss"] else []),
-        parts.section("Verdicts by rule", [_rules(trends)]),
-        parts.section("Not whole", _errors(trends)),
+        pages.section("Latency", _delays(trends, calendar)),
+        pages.section("Worst routes", [_routes(trends)]),
+        pages.section("Worst runs", [_worst(trends)] if trends.totals["with_loss"] else []),
+        pages.section("Verdicts by rule", [_rules(trends)]),
+        pages.section("Not whole", _errors(trends)),
     ]
-    return parts.document(
+    return pages.document(
         f"edoras archive report: {trends.name}",
-        [_head(trends), parts.contents(sections), *sections, parts.footer(origin)],
+        [_head(trends), pages.contents(sections), *sections, pages.footer(origin)],
     )
 
 
@@ -156,7 +155,7 @@ def _head(trends: ArchiveTrends) -> str:
     )
     when = f"{units.utc(totals['start_ns'], digits=0)} to {units.utc(totals['end_ns'], digits=0)} UTC"
     return (
-        f"<header>{parts.heading(short(trends.name))}"
+        f"<header>{pages.heading(short(trends.name))}"
         f'<p class="dim">{plural(totals["captures"], "run")}, {totals["datagrams"]:,} datagrams, '
         f"{units.duration(totals['seconds'])} in all, {when}</p>"
         f'<p class="end-note {style}">{text}</p></header>'
@@ -173,13 +172,13 @@ def _runs(trends: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
     frame = _DateFrame(calendar, most or 1.0, "% missing", "share of each run's messages that is missing")
     for lossy, style in ((False, "run"), (True, "run lossy")):
         frame.dots(_apart(frame, ((x, y) for x, y, _ in shares if bool(y) is lossy)), style)
-    yield parts.chart_card("Missing of what was sent, a dot for each run", frame.svg())
+    yield pages.chart_card("Missing of what was sent, a dot for each run", frame.svg())
     counts = [0.0] * _bins(trends)
     for row in trends.runs:
         counts[min((row["start_ns"] - trends.totals["start_ns"]) // trends.bin_ns, len(counts) - 1)] += 1
     frame = _DateFrame(calendar, max(counts), "runs", "runs over time")
     frame.bars(counts, [0.0] * len(counts), trends.bin_ns / 1e9, "seen all")
-    yield parts.chart_card("Runs", frame.svg(), f"a bar is {_round_time(trends.bin_ns / SECOND)}")
+    yield pages.chart_card("Runs", frame.svg(), f"a bar is {_round_time(trends.bin_ns / SECOND)}")
 
 
 def _round_time(seconds: float) -> str:
@@ -229,7 +228,7 @@ def _heat_map(trends: ArchiveTrends) -> Iterable[str]:
         f"a column a run, the oldest first, {which}{len(captures)} runs; empty where it has none of a topic"
     )
     picture = svg_box("".join(inside), 4 + _STRIP * len(routes), title)
-    yield parts.chart_card("Missing of what was sent, topic by topic", picture, note)
+    yield pages.chart_card("Missing of what was sent, topic by topic", picture, note)
 
 
 def _trends(archive: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
@@ -243,7 +242,7 @@ def _trends(archive: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
         missing = row["lost"] + row["unaccounted"]
         runs = f"{row['with_loss']:,} of {plural(row['captures'], 'run')}"
         note = f"{missing:,} of {row['sent']:,} missing, in {runs}"
-        yield parts.chart_card(f"{row['route']}, {row['link'].upper()}".rstrip(", "), frame.svg(), note)
+        yield pages.chart_card(f"{row['route']}, {row['link'].upper()}".rstrip(", "), frame.svg(), note)
 
 
 def _delays(trends: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
@@ -254,7 +253,7 @@ def _delays(trends: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
             f"a dot is the 99th percentile of a run, the highest {units.milliseconds(row['p99_ms'])}; "
             f"{row['timed']:,} messages in {plural(row['captures'], 'run')}"
         )
-        yield parts.chart_card(
+        yield pages.chart_card(
             f"{row['route']}, {row['link'].upper()}, {_PARTS[row['part']]}", frame.svg(), note
         )
 
@@ -268,7 +267,7 @@ def _routes(trends: ArchiveTrends) -> str:
         for row in trends.routes
     )
     heads = ("route", "link", "runs with loss", "missing", "lost", "unaccounted", "sent")
-    return parts.html_table(heads, (map(escape, row) for row in rows), "figures")
+    return pages.html_table(heads, (map(escape, row) for row in rows), "figures")
 
 
 def _worst(trends: ArchiveTrends) -> str:
@@ -282,7 +281,7 @@ def _worst(trends: ArchiveTrends) -> str:
         if row["lost"] + row["unaccounted"]
     )
     heads = ("run", "began (UTC)", "worst", "missing", "lost", "unaccounted", "datagrams")
-    return parts.html_table(heads, (map(escape, row) for row in rows), "figures")
+    return pages.html_table(heads, (map(escape, row) for row in rows), "figures")
 
 
 def _rules(trends: ArchiveTrends) -> str:
@@ -292,7 +291,7 @@ def _rules(trends: ArchiveTrends) -> str:
         for row in trends.rules
     )
     heads = ("rule", "severity", "for example", "runs", "verdicts", "lost")
-    return parts.html_table(heads, (map(escape, row) for row in rows), "rules")
+    return pages.html_table(heads, (map(escape, row) for row in rows), "rules")
 
 
 def _errors(trends: ArchiveTrends) -> Iterable[str]:

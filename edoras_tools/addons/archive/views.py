@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
-from edoras_tools.io.formats.text import json_value
+from edoras_tools.io.formats.columns import json_value
 from edoras_tools.render import units
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from typer import Exit, Option
 
 from edoras_tools.cli import options
-from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import LOST, file_progress, lost, no_datagrams, print_json
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.render.units import count

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import LinkEvidence, OwnTopics, Reading, Site, TopicSpace
-    from edoras_tools.links.sending import LinkSending
+    from edoras_tools.links.protocol import LinkSending
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 
@@ -467,7 +467,7 @@ class FileDeliveryLink(LinkProtocol):
 
     def topics(self, space: TopicSpace) -> OwnTopics | None:
         """Return the maker of messages of transferred files; None if the mission has no such topic."""
-        return self.part("topics:FileTopics")(space) if space.mission.stored_topics else None
+        return self.part("transactions:FileTopics")(space) if space.mission.stored_topics else None
 
     def evidence(self, site: Site) -> LinkEvidence:
         """Return a follower of transactions."""

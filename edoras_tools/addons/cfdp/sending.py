@@ -14,7 +14,7 @@ import numpy as np
 
 from edoras_tools.addons.cfdp import link as cfdp
 from edoras_tools.addons.cfdp.link import Directive, Pdus
-from edoras_tools.links.sending import LinkSending, SendingSession
+from edoras_tools.links.protocol import LinkSending, SendingSession
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, NamedTuple
 from typer import Argument, Option
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.declare import grouped
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import tell
 from edoras_tools.older import StrEnum
 
@@ -67,8 +67,7 @@ def codegen(
     """
     from edoras_tools.addons.codegen.generation import LibraryOrder, generate, generator_app
     from edoras_tools.addons.codegen.plan import BoundRule, Bounds
-    from edoras_tools.addons.codegen.summary import app_summary, summary
-    from edoras_tools.addons.codegen.writing import write_folder
+    from edoras_tools.addons.codegen.writing import app_summary, summary, write_folder
     from edoras_tools.cfs.profile import GENERATOR_MSG_ID
     from edoras_tools.errors import ConfigError
     from edoras_tools.mission import load

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from edoras_tools.addons.databases import placement
-from edoras_tools.addons.databases.documents import NESTING, Node, Notes, SheetError, has_root, parse_document
+from edoras_tools.addons.databases.placement import NESTING, Node, Notes, SheetError, has_root, parse_document
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.files import Database
 from edoras_tools.structs.shapes import BASIC, BasicKind, ByteOrder, Key, Member, Range, StructLayout

@@ -21,8 +21,7 @@ from edoras_tools.addons.dds import domain as dds_domain
 from edoras_tools.addons.dds import peers as dds_peers
 from edoras_tools.addons.dds.endpoints import BLOCKING_MS, CountedWriter, TopicReaders, acknowledged, room_of
 from edoras_tools.addons.dds.messages import DdsTypes, padded, trimmed, writer_of
-from edoras_tools.addons.dds.peers import Discovered, OwnEndpoint, user_data
-from edoras_tools.addons.dds.session import Session
+from edoras_tools.addons.dds.peers import Discovered, OwnEndpoint, Session, user_data
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware.graph import check_name, dds_name, node_name
 from edoras_tools.ros.type_hash import type_hash

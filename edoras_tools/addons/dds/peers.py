@@ -2,6 +2,8 @@
 
 From Iron on an endpoint's user data has ``typehash=RIHS01_...;``: the hash of its type's definition. ``ros2
 node list`` shows a participant whose entities are published on ``ros_discovery_info``.
+
+A ``Session`` is a participant of ours in a domain, and the thread that waits for what it receives.
 """
 
 from __future__ import annotations
@@ -9,8 +11,9 @@ from __future__ import annotations
 from collections import defaultdict
 from difflib import get_close_matches
 from functools import cache
+from threading import Event, RLock, Thread, current_thread
 from time import monotonic, sleep
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import msgspec
 from cyclonedds.builtin import (
@@ -19,11 +22,13 @@ from cyclonedds.builtin import (
     BuiltinTopicDcpsSubscription,
     DcpsEndpoint,
 )
-from cyclonedds.core import DDSException, InstanceState
+from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCondition, WaitSet
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.qos import Policy, Qos
 
+from edoras_tools.addons.dds import domain as dds_domain
 from edoras_tools.addons.dds.domain import configuration, hold, release
+from edoras_tools.addons.dds.messages import ANY_STATE
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import graph
 from edoras_tools.middleware.graph import dds_name, ros_name
@@ -34,6 +39,10 @@ from edoras_tools.ros.type_hash import HASH_VERSION, type_hash
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from uuid import UUID
+
+    from cyclonedds.core import Entity
+
+    Owned = TypeVar("Owned", bound=Entity)
 
 PRESENCE_TOPIC: Final = "ros_discovery_info"
 """Name of a DDS topic: ROS puts no ``rt/`` in front of it."""
@@ -308,3 +317,71 @@ def _difference(ours: OwnEndpoint, item: PeerEndpoint) -> str:
         f"{ours.topic}: {who} has another definition of {ours.type_name} ({item.type_hash[:19]}..., not "
         f"{ours.type_hash[:19]}...); give theirs with --set msg-path or distro"
     )
+
+
+class Session:
+    """A participant with its entities. A class derived from it listens to what the wait set reports.
+
+    Args:
+        domain: ``ROS_DOMAIN_ID``.
+        config: configuration of the domain, as XML.
+        name: name of the thread.
+
+    Raises:
+        ConfigError: Cyclone DDS refuses the domain or its configuration.
+    """
+
+    def __init__(self, domain: int, config: str, name: str) -> None:
+        self._domain, self._lock, self._closed = domain, RLock(), Event()
+        self._entities: list[Entity] = []
+        dds_domain.hold(domain, config)
+        try:
+            self._participant = self._own(DomainParticipant(domain, Qos(Policy.Userdata(ENCLAVE))))
+            self._waitset = self._own(WaitSet(self._participant))
+            self._stop = self._own(GuardCondition(self._participant))
+            self._waitset.attach(self._stop)
+            self._join()
+        except DDSException as error:
+            self._leave()
+            raise ConfigError(f"dds: no participant in domain {domain}: {error}") from error
+        self._thread = Thread(target=self._listen, name=name, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the graph; calling it again does nothing."""
+        with self._lock:
+            if self._closed.is_set():
+                return
+            self._closed.set()
+        self._stop.set(True)
+        if current_thread() is not self._thread:
+            self._thread.join()
+        self._leave()
+
+    def _join(self) -> None:
+        """Create what belongs to the participant from the beginning."""
+
+    def _listen(self) -> None:
+        """Take what comes until the session is closed; runs on the thread."""
+        raise NotImplementedError
+
+    def _own(self, entity: Owned) -> Owned:
+        self._entities.append(entity)
+        return entity
+
+    def _await(self, reader: Any) -> ReadCondition:
+        """Let the wait set report the samples of a reader."""
+        ready = self._own(ReadCondition(reader, ANY_STATE))
+        self._waitset.attach(ready)
+        return ready
+
+    def _delete(self, *entities: Entity) -> None:
+        """Delete entities; cyclonedds itself deletes only what is no longer referenced."""
+        for entity in entities:
+            self._entities.remove(entity)
+            entity.__del__()
+
+    def _leave(self) -> None:
+        """Delete every entity, the last first."""
+        self._delete(*reversed(self._entities))
+        dds_domain.release(self._domain)

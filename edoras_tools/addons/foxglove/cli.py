@@ -17,8 +17,8 @@ from typer import Option
 
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings, sending
-from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.inputs import InputOptions, open_input
+from edoras_tools.cli.options import grouped, headed
 from edoras_tools.cli.output import (
     Metrics,
     address,

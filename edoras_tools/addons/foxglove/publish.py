@@ -13,10 +13,9 @@ from msgspec.structs import replace
 from edoras_tools.addons.foxglove.server.protocol import Publisher
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.sockets import is_loopback
-from edoras_tools.io.net.transmit import Transmitter
-from edoras_tools.io.net.wire import UdpWire
+from edoras_tools.io.net.transmit import Transmitter, UdpWire
 from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver, SendOptions, fits
-from edoras_tools.pipelines.sending.topics import Encoder, routes_towards, sender_of
+from edoras_tools.pipelines.sending.replay import Encoder, routes_towards, sender_of
 from edoras_tools.sessions.outgoing import Outgoing
 from edoras_tools.sessions.sbn import SbnConnection
 from edoras_tools.units import MILLISECOND

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import LinkEvidence, Reading, Site
-    from edoras_tools.links.sending import LinkSending
+    from edoras_tools.links.protocol import LinkSending
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from edoras_tools.addons.fprime import link as fprime
 from edoras_tools.errors import ConfigError
-from edoras_tools.links.sending import LinkSending
+from edoras_tools.links.protocol import LinkSending
 from edoras_tools.structs.shapes import BasicKind, Enumeration, Member, Struct, StructLayout
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16

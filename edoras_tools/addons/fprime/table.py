@@ -19,9 +19,8 @@ import numpy as np
 from edoras_tools.addons.fprime import link as fprime
 from edoras_tools.addons.fprime.link import TIME_BYTES, VALUES_LAYER, PacketPlaces, PacketType
 from edoras_tools.model import Finding, Layer, LayerField, RosMessage
-from edoras_tools.structs.bindings import Bound, Encoded, headed
+from edoras_tools.structs.bindings import Bound, Encoded, StructPayloads, headed
 from edoras_tools.structs.messages import parts
-from edoras_tools.structs.payloads import StructPayloads
 from edoras_tools.structs.shapes import ENTRY_KEY, Struct, StructLayout
 from edoras_tools.structs.transcode import HEAD, StructPlan
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import Reading, Site, Unwrapper
-    from edoras_tools.links.sending import LinkSending
+    from edoras_tools.links.protocol import LinkSending
     from edoras_tools.wire.layout import Layout
 
 _TM_FLAGS: Final = headers.TM.by_name["secondary_header_flag"].start

@@ -10,7 +10,7 @@ import numpy as np
 
 from edoras_tools.addons.frames.link import TransferFraming
 from edoras_tools.addons.frames.unframer import read_frames
-from edoras_tools.links.sending import LinkSending
+from edoras_tools.links.protocol import LinkSending
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import ccsds

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Option
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.main import Command, command_group
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import file_progress, tell
 from edoras_tools.errors import ConfigError
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.declare import grouped
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import file_progress, print_json, topics_read
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import FILE_SUFFIXES, READ_PACKED
@@ -58,8 +58,7 @@ def plot(
     A FIELD is /cmd_vel.linear.x, '/cmd_vel.linear.*' or /imu.covariance[4]; each has its own panel; with a
     comma, two share one. Without FIELD: the rates of all topics. Several files are laid over each other.
     """
-    from edoras_tools.addons.plot.request import parse_request
-    from edoras_tools.addons.plot.series import open_recordings, read_plot
+    from edoras_tools.addons.plot.series import open_recordings, parse_request, read_plot
     from edoras_tools.io.outputs import check_new
 
     words = arguments or []

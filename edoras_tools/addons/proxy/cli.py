@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from typer import Argument, Option
 
 from edoras_tools.cli import options
-from edoras_tools.cli.declare import grouped
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import address, print_json, print_view, say, tell_reach
 from edoras_tools.cli.relays import RelayOutputOptions, finish_relay, run_relay
 from edoras_tools.cli.sending import DryRun, Yes, confirm_targets

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.addons.proxy.clients import Clients, ProxyClient
-from edoras_tools.addons.proxy.faults import FaultStage, Outbox
+from edoras_tools.addons.proxy.plan import FaultStage, Outbox
 from edoras_tools.io.net.buffer import SLOTS, SPARE, make_buffer
 from edoras_tools.io.net.forward import Direction
 from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound, resolve
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.proxy.plan import ProxyPlan
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.render.terminal.text import Watcher
-    from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.sessions.faults.kinds import Fault
     from edoras_tools.sessions.faults.machine import Predicate
 
 _TURNS: Final = 4

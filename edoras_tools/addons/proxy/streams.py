@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from edoras_tools.addons.proxy.faults import StreamFaults
+from edoras_tools.addons.proxy.plan import StreamFaults
 from edoras_tools.errors import os_errors
 from edoras_tools.io.net.sockets import local_endpoint
 from edoras_tools.links.doors import NOT_A_MESSAGE

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from edoras_tools.links.doors import OwnTopics, Reading, Site, TopicSpace
-    from edoras_tools.links.sending import LinkSending
+    from edoras_tools.links.protocol import LinkSending
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 _WORDS: Final = Layout(

@@ -17,7 +17,7 @@ from edoras_tools.addons.racs2.streams import Opcode, WebSocketFraming
 from edoras_tools.errors import CaptureError, OnFailure
 from edoras_tools.io.net.sockets import address_of, bind, local_endpoint, resolve
 from edoras_tools.io.net.transmit import ANSWER_WITHIN_S, SendStatistics, StreamTransmitter
-from edoras_tools.links.sending import LinkSending, SendingSession
+from edoras_tools.links.protocol import LinkSending, SendingSession
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.window import gather
 

@@ -15,7 +15,7 @@ from edoras_tools.diagnosis.balance import ways
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.ledger import ENDING_TEXTS, ENDINGS, Row, cause_text, summed
 from edoras_tools.model import NO_ROUTE
-from edoras_tools.render.pages.charts import BOTTOM, CHART_WIDTH, LEFT, TOP, Frame, TimeSpan, svg_box
+from edoras_tools.render.pages import BOTTOM, CHART_WIDTH, LEFT, TOP, Frame, TimeSpan, svg_box
 from edoras_tools.render.terminal.text import clean, clip
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural

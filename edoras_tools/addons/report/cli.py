@@ -11,8 +11,8 @@ from typing import Annotated
 from typer import Exit, Option
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_json, tell
 from edoras_tools.io.outputs import check_new
 from edoras_tools.words import plural
@@ -35,7 +35,7 @@ def report(
     from edoras_tools.addons.report.page import page
     from edoras_tools.diagnosis.verdict import group_verdicts
     from edoras_tools.pipelines.doctor.doctor import examine
-    from edoras_tools.render.pages.parts import Made
+    from edoras_tools.render.pages import Made
 
     files, scope, (json, quiet) = inputs.required(), part.scope(), printing
     path = output or Path(f"{files[0].name if str(files[0]) != '-' else 'report'}.html")

@@ -11,10 +11,8 @@ from edoras_tools.addons.report import charts
 from edoras_tools.diagnosis.ledger import Row, summed
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts
-from edoras_tools.render import units
-from edoras_tools.render.doctor import balance
-from edoras_tools.render.doctor.doctor import clean_to, limits, told_of
-from edoras_tools.render.pages import parts
+from edoras_tools.render import doctor, pages, units
+from edoras_tools.render.doctor import clean_to, limits, told_of
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -42,10 +40,10 @@ _ALIKE: Final = 4
 """Number of verdicts of one rule from which on they share a table."""
 
 
-def page(result: Diagnosis, name: str, origin: parts.Made) -> str:
+def page(result: Diagnosis, name: str, origin: pages.Made) -> str:
     """Return the HTML page."""
     picture = charts.sankey(result)
-    sections = [parts.section("Messages", [_card(picture)], _key(picture, "bands"))]
+    sections = [pages.section("Messages", [_card(picture)], _key(picture, "bands"))]
     drawn = [
         (whose, charts.plots(part.case, part.choice))
         for whose, part in _parts(result)
@@ -53,13 +51,13 @@ def page(result: Diagnosis, name: str, origin: parts.Made) -> str:
     ]
     for whose, item in drawn:
         picture = charts.strip(item)
-        sections.append(parts.section(f"Routes over time{whose}", [_card(picture)], _key(picture)))
-    sections += [parts.section("Links", [links_picture(result)]), _verdicts(result)]
+        sections.append(pages.section(f"Routes over time{whose}", [_card(picture)], _key(picture)))
+    sections += [pages.section("Links", [links_picture(result)]), _verdicts(result)]
     for whose, item in drawn:
         sections += [draw(item, whose) for draw in (_rates, _latency, _time, _sizes)]
     sections += [_balance(result), _routes(result), _habits(result)]
-    whole = [_head(result, name), _summary(result), parts.contents(sections), *sections, parts.footer(origin)]
-    return parts.document(f"edoras report: {name}", whole)
+    whole = [_head(result, name), _summary(result), pages.contents(sections), *sections, pages.footer(origin)]
+    return pages.document(f"edoras report: {name}", whole)
 
 
 def _parts(result: Diagnosis) -> list[tuple[str, Diagnosis]]:
@@ -74,7 +72,7 @@ def _key(drawing: str, style: str = "") -> str:
     entries = [(label, label.upper()) for label in _LINKS if label in links]
     others = sorted(links - {*_LINKS})
     entries += [("other", ", ".join(others).upper())] * bool(others)
-    return parts.colour_key([*entries, *(entry for words, entry in _ENDS.items() if words in drawing)], style)
+    return pages.colour_key([*entries, *(entry for words, entry in _ENDS.items() if words in drawing)], style)
 
 
 def _card(svg: str) -> str:
@@ -101,7 +99,7 @@ def _head(result: Diagnosis, name: str) -> str:
         for text in (f"{plural(result.datagrams, 'datagram')}{when}", *limits(result))
     )
     warned = "".join(f'<p class="warning">{escape(text)}</p>' for text in result.capture.warnings)
-    return f"<header>{parts.heading(name)}{line}{warned}{end}</header>"
+    return f"<header>{pages.heading(name)}{line}{warned}{end}</header>"
 
 
 def _summary(result: Diagnosis) -> str:
@@ -134,7 +132,7 @@ def _verdicts(result: Diagnosis) -> str:
     ]
     rest = len(cards) - _MOST_VERDICTS
     more = f'<p class="dim">... and {rest:,} more, in doctor --json</p>' if rest > 0 else ""
-    return parts.section("Verdicts", [*cards[:_MOST_VERDICTS], more])
+    return pages.section("Verdicts", [*cards[:_MOST_VERDICTS], more])
 
 
 def _many(result: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
@@ -147,7 +145,7 @@ def _many(result: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
     worst = max(several, key=lambda members: sum(item.lost or 0 for item in members))
     more = f", the first {_MOST_VERDICTS}" if len(every) > _MOST_VERDICTS else ""
     summary = f"{len(every):,} verdicts of {escape(every[0].rule)}{more}"
-    table = parts.html_table(("when", "what", "lost"), rows, "alike")
+    table = pages.html_table(("when", "what", "lost"), rows, "alike")
     return f"{_verdict(result, worst)}<details><summary>{summary}</summary>{table}</details>"
 
 
@@ -166,7 +164,7 @@ def _verdict(result: Diagnosis, members: Sequence[Verdict]) -> str:
             )
             for item in members
         )
-        spans = parts.html_table(("when", "lost", "of", "", "confidence"), rows, "spans")
+        spans = pages.html_table(("when", "lost", "of", "", "confidence"), rows, "spans")
     evidence = "".join(f"<li>{escape(line)}</li>" for line in worst.evidence)
     return (
         f'<article class="verdict {worst.severity.label}"><p class="what">{escape(reason)}</p>'
@@ -190,10 +188,10 @@ def _when(result: Diagnosis, item: Verdict) -> str:
 
 def _rates(drawn: charts.Plots, whose: str) -> str:
     cards = "".join(
-        parts.chart_card(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn))
+        pages.chart_card(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn))
         for row in drawn.rates[:_MOST_CHARTS]
     )
-    return parts.section(f"Rates against limits{whose}", [cards], _key(cards))
+    return pages.section(f"Rates against limits{whose}", [cards], _key(cards))
 
 
 def _latency(drawn: charts.Plots, whose: str) -> str:
@@ -202,10 +200,10 @@ def _latency(drawn: charts.Plots, whose: str) -> str:
         figures = [units.milliseconds(latency[name]) for name in ("p50_ms", "p99_ms", "max_ms")]
         return "p50 {}, p99 {}, max {}".format(*figures)
 
-    return parts.section(
+    return pages.section(
         f"Latency through cFS{whose}",
         (
-            parts.chart_card(row["label"], charts.delays(row, drawn), note(row))
+            pages.chart_card(row["label"], charts.delays(row, drawn), note(row))
             for row in drawn.delays[:_MOST_CHARTS]
         ),
     )
@@ -213,7 +211,7 @@ def _latency(drawn: charts.Plots, whose: str) -> str:
 
 def _time(drawn: charts.Plots, whose: str) -> str:
     inside = [
-        parts.chart_card(
+        pages.chart_card(
             f"Lost on the software bus, {row['label']}",
             charts.counters(row, drawn),
             "from 0x803; solid: over a message limit, dashed: by full pipes",
@@ -224,8 +222,8 @@ def _time(drawn: charts.Plots, whose: str) -> str:
     if drawn.peers or drawn.events:
         picture = charts.timeline(drawn)
         entries = [entry for style, entry in _STATES.items() if f'class="{style}"' in picture]
-        inside += [parts.colour_key(entries), parts.chart_card("SBN peers and events", picture)]
-    return parts.section(f"Over time{whose}", inside)
+        inside += [pages.colour_key(entries), pages.chart_card("SBN peers and events", picture)]
+    return pages.section(f"Over time{whose}", inside)
 
 
 def _sizes(drawn: charts.Plots, whose: str) -> str:
@@ -235,31 +233,31 @@ def _sizes(drawn: charts.Plots, whose: str) -> str:
 
     sizes = ((escape(row["label"]), row["link"].upper(), row["bytes"], row["room"]) for row in drawn.sizes)
     rows = ((name, link, meter(used, room), f"{used:,}", f"{room:,}") for name, link, used, room in sizes)
-    table = parts.html_table(("route", "link", "", "largest", "buffer"), rows)
-    return parts.section(f"Sizes against buffers{whose}", [table])
+    table = pages.html_table(("route", "link", "", "largest", "buffer"), rows)
+    return pages.section(f"Sizes against buffers{whose}", [table])
 
 
 def _balance(result: Diagnosis) -> str:
     """Return the balance: a row for each route and hop, whose numbers add up."""
-    lines = balance.shown_rows(result)
+    lines = doctor.shown_rows(result)
     figures = [
         (name, head)
-        for name, head in balance.FIGURES.items()
+        for name, head in doctor.FIGURES.items()
         if name in {"in", "out", "lost"} or any(row[name] for row in lines)
     ]
     titles = ("MsgId", "topic", "hop", *(head for _, head in figures), "lost by")
     rows = (
         (
             *(row["msg_id"] or "", row["topic"] or row["name"] or "", row["hop"]),
-            *(balance.figure_text(row[name]) for name, _ in figures),
-            balance.causes(row),
+            *(doctor.figure_text(row[name]) for name, _ in figures),
+            doctor.causes(row),
         )
         for row in lines
     )
     both = "In and Twice are" if any(name == "duplicated" for name, _ in figures) else "In is"
     lead = f'<p class="dim">{both} the sum of the figures that follow, in every row.</p>'
-    table = parts.html_table(titles, (map(escape, row) for row in rows), "balance")
-    return parts.section("Balance", [table], lead)
+    table = pages.html_table(titles, (map(escape, row) for row in rows), "balance")
+    return pages.section("Balance", [table], lead)
 
 
 def _routes(result: Diagnosis) -> str:
@@ -273,19 +271,19 @@ def _routes(result: Diagnosis) -> str:
         )
         for row in result.routes
     )
-    return parts.section("Accounts", [parts.html_table(heads, (map(escape, row) for row in rows))])
+    return pages.section("Accounts", [pages.html_table(heads, (map(escape, row) for row in rows))])
 
 
 def _habits(result: Diagnosis) -> str:
     lines = "".join(f"<li>{escape(item.reason)}</li>" for item in result.habits)
     lead = '<p class="dim">What these senders always do.</p>'
-    return parts.section("Habits", [f"<ul>{lines}</ul>"] if lines else [], lead)
+    return pages.section("Habits", [f"<ul>{lines}</ul>"] if lines else [], lead)
 
 
 _MOST: Final = 12
 _MOST_NAMES: Final = 2
 _REST: Final = tuple(
-    (name, head.lower()) for name, head in balance.FIGURES.items() if name not in {"in", "out"}
+    (name, head.lower()) for name, head in doctor.FIGURES.items() if name not in {"in", "out"}
 )
 
 
@@ -329,7 +327,7 @@ def _lane(link: str, hops: tuple[str, ...], members: list[list[Row]]) -> str:
         sums: Counter[str] = Counter()
         for rows in members:
             row_json = rows[place].as_json(None)
-            sums.update({name: row_json[name] for name in balance.FIGURES})
+            sums.update({name: row_json[name] for name in doctor.FIGURES})
         bad = " bad" if sums["lost"] or sums["unaccounted"] else ""
         figures = [(f"{sums['in']:,} in, {sums['out']:,} out", "dim")] + [
             (f"{sums[name]:,} {text}", "lost" if name in {"lost", "unaccounted"} else "dim")

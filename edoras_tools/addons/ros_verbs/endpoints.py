@@ -12,8 +12,7 @@ import yaml
 
 from edoras_tools import doors
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import Qos
-from edoras_tools.middleware.opening import middleware
+from edoras_tools.middleware.graph import Qos, middleware
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:

@@ -19,8 +19,7 @@ from msgspec.structs import replace
 from edoras_tools.addons.ros_verbs.endpoints import recorded_qos
 from edoras_tools.addons.ros_verbs.messages import OWN_NAMES, TopicReader
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io.net.transmit import SendStatistics
-from edoras_tools.io.net.wire import SPIN_NS, Arrival, precise_timing
+from edoras_tools.io.net.transmit import SPIN_NS, Arrival, SendStatistics, precise_timing
 from edoras_tools.io.topics.streams import QOS_METADATA
 from edoras_tools.middleware.graph import Qos
 from edoras_tools.model import OTHER, Endpoint

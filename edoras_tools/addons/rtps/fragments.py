@@ -22,10 +22,9 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 
-from edoras_tools.addons.rtps.link import RTPS
+from edoras_tools.addons.rtps.link import RTPS, RTPS_MAGIC
 from edoras_tools.addons.rtps.reader import distinct_guids, rtps_messages
 from edoras_tools.addons.rtps.samples import LeftSamples
-from edoras_tools.addons.rtps.wire import RTPS_MAGIC
 from edoras_tools.addons.rtps.wire import headers as rtps
 from edoras_tools.addons.rtps.wire.messages import SubmessageFields, read_samples
 from edoras_tools.io.frames.frame_batch import order_behind, packets_behind

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.addons.rtps.wire import RTPS_MAGIC
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen
 from edoras_tools.model import Decoded, PacketBatch, Transport
 
@@ -21,9 +20,12 @@ if TYPE_CHECKING:
         Site,
         TopicSpace,
     )
-    from edoras_tools.links.sending import LinkSending
+    from edoras_tools.links.protocol import LinkSending
     from edoras_tools.wire.arrays.order import Integers, Places
     from edoras_tools.wire.layout import Layout
+
+RTPS_MAGIC: Final = b"RTPS"
+"""First bytes of every message."""
 
 
 class PublishSubscribeLink(LinkProtocol):
@@ -78,7 +80,7 @@ class PublishSubscribeLink(LinkProtocol):
     def topics(self, space: TopicSpace) -> OwnTopics | None:
         """Return the object that makes messages of samples; None if nothing decodes topics' announcements."""
         heard = space.endpoints
-        return None if heard is None else self.part("topics:SampleMessages")(space, heard)
+        return None if heard is None else self.part("samples:SampleMessages")(space, heard)
 
     def follow(self, site: Site) -> Follower:
         """Return a follower of the samples of every writer."""

@@ -22,9 +22,9 @@ from edoras_tools.addons.rtps.wire.messages import read_messages
 from edoras_tools.errors import ConfigError, OnFailure, WireError
 from edoras_tools.io.net.sockets import SendResult
 from edoras_tools.io.net.transmit import SendStatistics
-from edoras_tools.links.sending import LinkSending, SendingSession
+from edoras_tools.links.protocol import LinkSending, SendingSession
 from edoras_tools.middleware import MOST_DOMAIN, Qos
-from edoras_tools.middleware.opening import usual_domain
+from edoras_tools.middleware.graph import usual_domain
 from edoras_tools.model import Columns, Endpoint, Link, PacketBatch
 from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.units import SECOND

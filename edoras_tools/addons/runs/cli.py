@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
-from edoras_tools.cli.options import share
+from edoras_tools.cli.options import grouped, share
 from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_json, print_view, tell
 from edoras_tools.errors import ConfigError, InterruptError
 

@@ -36,7 +36,7 @@ from edoras_tools.addons.runs.limits import MODEL_WORTH, field_limit, range_text
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.intervals import MEAN_CONFIDENCE, MeanInterval, t_quantile
-from edoras_tools.io.formats.text import json_value
+from edoras_tools.io.formats.columns import json_value
 from edoras_tools.mission import Mission
 from edoras_tools.render import units
 from edoras_tools.wire import cfe

@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.balance import Chain, chains
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.pipelines.doctor.doctor import Pace, examine
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.render.doctor.balance import chain_table
+from edoras_tools.render.doctor import chain_table
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import SPACECRAFT, link_text, msg_id_text, route_text
-from edoras_tools.render.doctor.doctor import latency_text
+from edoras_tools.render.doctor import latency_text
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import Column, build, figure, plain

@@ -12,8 +12,8 @@ from typer import Argument, Exit, Option
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.bridge import RosOptions
-from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.inputs import FileOptions, InputOptions, LiveOptions, open_input
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_json, print_view, tell
 from edoras_tools.errors import ConfigError, NoDatagramsError
 from edoras_tools.io.formats.table import READ_PACKED
@@ -152,7 +152,7 @@ def _write(tracing: Tracing, zero_ns: int, name: str, output: Path) -> None:
     import shlex
 
     from edoras_tools.addons.trace.views import trace_mermaid, trace_page, trace_svg
-    from edoras_tools.render.pages.parts import Made
+    from edoras_tools.render.pages import Made
 
     subject = tracing.trace or tracing.timing
     assert subject is not None

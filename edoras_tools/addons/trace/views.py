@@ -13,9 +13,8 @@ from rich.text import Text
 
 from edoras_tools.addons.trace.tracer import MessageTrace
 from edoras_tools.addons.trace.tracing import TraceRequest, Tracing
-from edoras_tools.render import units
+from edoras_tools.render import pages, units
 from edoras_tools.render.capture.sequence import mermaid_text
-from edoras_tools.render.pages import charts, parts
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clean, clip, fit, fit_right, wrap
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.trace.tracer import TraceStep
     from edoras_tools.decode import Context
     from edoras_tools.model import Columns, PacketBatch
-    from edoras_tools.render.pages.parts import Made
+    from edoras_tools.render.pages import Made
 
 
 _WIDEST: Final = 100
@@ -315,12 +314,12 @@ def packet_ladder(
 _RUNG: Final = 46
 _ROUNDS: Final = 12
 """Number of rounds in a timing diagram."""
-_KEY: Final = parts.colour_key((("note", "came out"), ("error", "did not"), ("rule", "wake-up")))
+_KEY: Final = pages.colour_key((("note", "came out"), ("error", "did not"), ("rule", "wake-up")))
 
 
 def standalone(svg: str) -> str:
     """Return a page's chart as a separate picture: light or dark like the reader's system."""
-    style = (files("edoras_tools.render.pages") / "style.css").read_text(encoding="utf-8")
+    style = (files("edoras_tools.render") / "pages.css").read_text(encoding="utf-8")
     head = '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" style="background:var(--card)"'
     return (
         svg.replace("<svg", head, 1).replace(">", f"><style>{escape(style, quote=False)}</style>", 1) + "\n"
@@ -329,7 +328,7 @@ def standalone(svg: str) -> str:
 
 def trace_picture(trace: MessageTrace, zero_ns: int) -> str:
     """Draw the way of a message as a ladder."""
-    shapes, x, y, right = [], 20, 20, charts.CHART_WIDTH - 10
+    shapes, x, y, right = [], 20, 20, pages.CHART_WIDTH - 10
     for way in ladder_parts(trace, zero_ns):
         shapes.append(f'<text class="label" x="10" y="{y}">{escape(way.heading)}</text>')
         y += 24
@@ -350,21 +349,21 @@ def trace_picture(trace: MessageTrace, zero_ns: int) -> str:
             f'<text x="{x + 18}" y="{y + 20}">{escape(usual_text(way.trace))}</text>',
         ]
         y += _RUNG
-    return charts.svg_box("".join(shapes), y - 12, f"{title(trace)}: {ended_text(trace)}")
+    return pages.svg_box("".join(shapes), y - 12, f"{title(trace)}: {ended_text(trace)}")
 
 
 def timing_picture(timing: Timing, zero_ns: int) -> str:
     """Draw a topic's wake-ups, the waiting messages, and those that do not come out."""
     rounds = timing.rounds
     window = TimingWindow.worst(rounds, _ROUNDS)
-    span = charts.TimeSpan((window.start_ns - zero_ns) / 1e9, (window.end_ns - window.start_ns) / 1e9)
+    span = pages.TimeSpan((window.start_ns - zero_ns) / 1e9, (window.end_ns - window.start_ns) / 1e9)
     depth, mine = rounds.depth(), window.messages
     seconds = (rounds.time_ns[mine] - window.start_ns) / 1e9
     inside = depth[mine] if len(rounds.wakes_ns) else depth[mine] * 0 + 1
     points = list(zip(seconds.tolist(), inside.tolist(), rounds.out[mine].tolist(), strict=True))
     most = max([rounds.limit, *inside.tolist()]) + 1
     name = name_on_link(timing)
-    frame = charts.Frame(span, most, "messages", f"{name}: {'; '.join(facts(timing))}")
+    frame = pages.Frame(span, most, "messages", f"{name}: {'; '.join(facts(timing))}")
     for when in window.wakes_ns:
         frame.line([((when - window.start_ns) / 1e9, 0.0), ((when - window.start_ns) / 1e9, most)], "wake")
     if len(rounds.wakes_ns):
@@ -396,5 +395,5 @@ def trace_page(subject: MessageTrace | Timing, zero_ns: int, name: str, origin: 
         name_text, picture = name_on_link(subject), f"{_KEY}{timing_picture(subject, zero_ns)}"
         lines = [line.plain for line in diagram(subject, zero_ns, 80)]
     text = f'<div class="scroll"><pre>{escape(chr(10).join(lines))}</pre></div>'
-    body = [parts.heading(name), f'<figure class="chart">{picture}</figure>', text, parts.footer(origin)]
-    return parts.document(f"{name_text}, {name}", body)
+    body = [pages.heading(name), f'<figure class="chart">{picture}</figure>', text, pages.footer(origin)]
+    return pages.document(f"{name_text}, {name}", body)

@@ -36,9 +36,8 @@ from edoras_tools.decode.filters.rows import (
 from edoras_tools.links.table import among
 from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
 from edoras_tools.ros.types import schema
-from edoras_tools.structs.bindings import Bound, Encoded, Held
+from edoras_tools.structs.bindings import Bound, Encoded, Held, payloads
 from edoras_tools.structs.messages import INLINED, aliased, field_name
-from edoras_tools.structs.payloads import payloads
 from edoras_tools.structs.shapes import PACKETS, UDP_KEY
 from edoras_tools.wire import cfe
 

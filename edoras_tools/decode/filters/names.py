@@ -25,7 +25,7 @@ from edoras_tools.decode.filters.rows import (
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Finding
 from edoras_tools.ros.types.schema import full_name
-from edoras_tools.structs.payloads import payloads
+from edoras_tools.structs.bindings import payloads
 from edoras_tools.structs.shapes import OWN_LAYERS
 from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.words import either, listed

@@ -22,7 +22,7 @@ from msgspec.structs import replace
 from edoras_tools.links import bare
 from edoras_tools.links.bare import ROBOT
 from edoras_tools.model import OTHER, Columns, PacketBatch
-from edoras_tools.structs.payloads import payloads
+from edoras_tools.structs.bindings import payloads
 from edoras_tools.structs.shapes import UDP_KEY
 from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints, in_16_bits, numbered
 from edoras_tools.wire.arrays.sums import HASHED_BYTES, MIX, WEIGHTS, finished, of_bytes, stirred

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.model import Endpoint
-    from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.sessions.faults.kinds import Fault
     from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
 

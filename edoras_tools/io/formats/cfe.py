@@ -29,9 +29,9 @@ from edoras_tools.io.frames.frame_batch import FramePage, ends_of
 from edoras_tools.links.table import STORED
 from edoras_tools.model import Endpoint, Peer, SourceInfo
 from edoras_tools.units import SECOND
-from edoras_tools.wire import ccsds, cfe, cfe_file
+from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.cfe_file import (
+from edoras_tools.wire.cfe import (
     CFE_MAGIC,
     FILE_HEADER,
     MARKER,
@@ -96,9 +96,9 @@ class CfePacketSource(RecordSource):
             raise CaptureError(
                 f"{name}: is a cFE {kind}, which has no packets; 'edoras info {name}' shows what is in it"
             )
-        if subtype == cfe_file.RESET_LOG:
+        if subtype == cfe.RESET_LOG:
             self.unit = "entry"
-        self._at = cfe_file.OF_PACKETS.get(subtype, FILE_HEADER.size)
+        self._at = cfe.OF_PACKETS.get(subtype, FILE_HEADER.size)
         self._info = SourceInfo(name, f"cFE {kind}")
         self._time_ns = (cfe.EPOCH_S + self.header["seconds"]) * SECOND
         self._clock_at = 0
@@ -112,7 +112,7 @@ class CfePacketSource(RecordSource):
     def _frames(self) -> Iterator[FrameBatch]:
         window = self._window
         data, start, end = window.data, self._at, window.end
-        if self.header["subtype"] == cfe_file.RESET_LOG:
+        if self.header["subtype"] == cfe.RESET_LOG:
             yield from self._entries(data, start, end)
             return
 
@@ -188,7 +188,7 @@ def reset_times(rows: Octets) -> tuple[Integers, Places]:
         RESET_ENTRY.column(name, rows).astype(np.int64)
         for name in ("entry_type", "reset_type", "reset_subtype", "seconds", "subseconds")
     )
-    stamped = (core != 1) | np.isin(subtype, (cfe_file.RESET_COMMAND, cfe_file.EXCEPTION))
+    stamped = (core != 1) | np.isin(subtype, (cfe.RESET_COMMAND, cfe.EXCEPTION))
     begin = START_S * SECOND
     times = seconds * SECOND + (subseconds * SECOND >> 32)
     times = np.where(stamped, times, np.where(power_on == 2, begin, -1))
@@ -229,7 +229,7 @@ class CfeFile(msgspec.Struct, frozen=True):
     @property
     def kind(self) -> str:
         """The kind of file, such as ``table image``."""
-        return cfe_file.kind_of(self.header["subtype"])
+        return cfe.kind_of(self.header["subtype"])
 
     @property
     def made_ns(self) -> int:
@@ -296,19 +296,19 @@ def read_cfe_file(path: Path) -> CfeFile | None:
         if not data.startswith(CFE_MAGIC):
             return None
         header = _parsed(path, FILE_HEADER, data, 0)
-        if header["subtype"] in cfe_file.OF_PACKETS:
+        if header["subtype"] in cfe.OF_PACKETS:
             return None
         data += file.read(_LARGEST)
     subtype = header["subtype"]
-    if subtype == cfe_file.RESET_LOG:
+    if subtype == cfe.RESET_LOG:
         return CfeFile(path, header, entries=_resets(path, data[at:]))
-    if subtype == cfe_file.SYSTEM_LOG:
+    if subtype == cfe.SYSTEM_LOG:
         lines = data[at:].rstrip(b"\0").decode("utf-8", "replace").splitlines()
         return CfeFile(path, header, entries=[{"text": line} for line in lines])
-    if subtype == cfe_file.PERFORMANCE_LOG:
+    if subtype == cfe.PERFORMANCE_LOG:
         head = _parsed(path, PERFORMANCE, data, at)
         return CfeFile(path, header, head, markers=_markers(path, head, data[at + PERFORMANCE.size :]))
-    if subtype == cfe_file.TABLE_IMAGE:
+    if subtype == cfe.TABLE_IMAGE:
         head = _parsed(path, TABLE_HEADER, data, at)
         image = data[at + TABLE_HEADER.size :]
         if len(image) < head["load_bytes"]:
@@ -403,8 +403,8 @@ def _markers(path: Path, head: dict[str, Any], data: bytes) -> Integers:
     ticks = upper * np.uint64(head["rollover"] or 1 << 32) + lower
     ticks -= ticks[:1].sum()  # the first is the oldest
     time_ns = ticks.astype(np.float64) * (SECOND / head["ticks_per_second"])
-    exits = number >= cfe_file.EXIT
-    return np.stack([number % cfe_file.EXIT, exits, time_ns.round()], axis=1).astype(np.int64)
+    exits = number >= cfe.EXIT
+    return np.stack([number % cfe.EXIT, exits, time_ns.round()], axis=1).astype(np.int64)
 
 
 def _subscriptions(image: bytes) -> list[dict[str, Any]]:

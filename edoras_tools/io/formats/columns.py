@@ -1,9 +1,17 @@
-"""Tables that are written column by column, to files that appear only when they are complete."""
+"""Tables that are written column by column, to files that appear only when they are complete.
+
+Columns become texts in bulk: values as JSON, rows as JSON Lines and CSV (RFC 4180).
+"""
 
 from __future__ import annotations
 
+import pickle
+import re
 from contextlib import contextmanager
-from typing import IO, TYPE_CHECKING, Any, Protocol
+from itertools import pairwise
+from json import dumps
+from math import isfinite
+from typing import IO, TYPE_CHECKING, Any, Final, Protocol
 
 import msgspec
 import numpy as np
@@ -13,7 +21,7 @@ from edoras_tools.io.outputs import NewFile
 from edoras_tools.ros.cdr.columns import Ragged
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -151,3 +159,144 @@ class TableFile:
 
     def _failure(self, error: OSError) -> CaptureError:
         return CaptureError(f"{self.path}: cannot be written: {error.strerror or error}")
+
+
+NOT_FINITE: Final = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
+"""JSON texts of the floats that JSON has no number for, by Python's ``repr``."""
+_OCTETS: Final = [str(value) for value in (*range(256), *range(-128, 0))]
+"""Texts of ``uint8`` and ``int8`` values; a negative index counts from the end."""
+
+
+class TextRows(bytes):
+    """Rows as text; they are passed between processes in shared memory, and copied by the receiver."""
+
+    def __reduce_ex__(self, _: Any) -> tuple[Any, ...]:
+        """Return the constructor and its arguments for ``pickle``."""
+        return TextRows, (pickle.PickleBuffer(self),)
+
+
+def json_texts(column: TableColumn) -> list[str]:
+    """Return the JSON text of every row of a column; NaN and infinities become strings."""
+    values, offsets = column.spread()
+    texts = value_texts(values)
+    if offsets is not None:
+        texts = [f"[{','.join(texts[first:last])}]" for first, last in pairwise(offsets.tolist())]
+    if column.present is None:
+        return texts
+    return [text if present else "null" for text, present in zip(texts, column.present.tolist(), strict=True)]
+
+
+def json_value(value: Any, octets: Callable[[bytes], Any] = list) -> Any:
+    """Return a value with only types of JSON; NaN and infinities become strings.
+
+    Args:
+        value: a value of a message or a header, possibly nested.
+        octets: converts bytes; by default to a list of numbers.
+    """
+    if isinstance(value, dict):
+        return {name: json_value(item, octets) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [json_value(item, octets) for item in value]
+    if isinstance(value, (bytes, bytearray)):
+        return octets(bytes(value))
+    if isinstance(value, float) and not isfinite(value):
+        return NOT_FINITE[repr(value)]
+    return value
+
+
+def number_texts(values: NDArray[Any]) -> list[str]:
+    """Return the shortest text of each number that reads back as the same number of its type."""
+    if values.dtype.kind == "f" and values.itemsize < 8:
+        return values.astype(str).tolist()
+    if values.itemsize == 1:
+        return list(map(_OCTETS.__getitem__, values.tolist()))
+    return list(map(repr, values.tolist()))
+
+
+def time_texts(values: NDArray[np.datetime64]) -> list[str]:
+    """Return times in UTC as ISO 8601, to the ns."""
+    return np.datetime_as_string(values, "ns", timezone="UTC").tolist()
+
+
+def value_texts(values: NDArray[Any]) -> list[str]:
+    """Return the JSON text of every value of an array of one dimension."""
+    kind = values.dtype.kind
+    if kind == "O":
+        items = values.tolist()
+        quoted = {item: dumps(item, ensure_ascii=False) for item in set(items)}
+        return [quoted[item] for item in items]
+    if kind == "b":
+        return ["true" if value else "false" for value in values.tolist()]
+    if kind == "M":
+        return [f'"{text}"' for text in time_texts(values)]
+    texts = number_texts(values)
+    if kind == "f" and not np.isfinite(values).all():
+        return [f'"{NOT_FINITE[text]}"' if text in NOT_FINITE else text for text in texts]
+    return texts
+
+
+class _TextWriter:
+    """Writes rows as they are made; see ``TableWriter``."""
+
+    def __init__(self, file: IO[bytes], _: TableHead, __: Sequence[TableColumn]) -> None:
+        self._file = file
+
+    def write(self, piece: TextRows) -> None:
+        """Write some rows."""
+        self._file.write(piece)
+
+    def close(self) -> None:
+        """Do nothing: every row is written."""
+
+
+class JsonLinesWriter(_TextWriter):
+    """Writes one object a row, its keys in the order of the columns."""
+
+    @staticmethod
+    def piece(columns: Sequence[TableColumn]) -> TextRows:
+        """Return some rows as text."""
+        names = [dumps(column.name, ensure_ascii=False).replace("%", "%%") for column in columns]
+        line = "{" + ", ".join(f"{name}: %s" for name in names) + "}\n"
+        return TextRows("".join(map(line.__mod__, zip(*map(json_texts, columns), strict=True))).encode())
+
+
+_SPECIAL: Final = re.compile(r'[",\r\n]')
+
+
+class CsvWriter(_TextWriter):
+    """Writes one line a row; a list is JSON in one cell, a missing value is an empty cell."""
+
+    def __init__(self, file: IO[bytes], head: TableHead, columns: Sequence[TableColumn]) -> None:
+        super().__init__(file, head, columns)
+        self.write(_lines([_quoted([column.name for column in columns])]))
+
+    @staticmethod
+    def piece(columns: Sequence[TableColumn]) -> TextRows:
+        """Return some rows as text."""
+        return _lines(zip(*map(_cells, columns), strict=True))
+
+
+def _lines(rows: Iterable[Sequence[str]]) -> TextRows:
+    # Cells are quoted already, a column at a time: Python's csv module takes five times as long.
+    return TextRows("".join(f"{','.join(row)}\n" for row in rows).encode())
+
+
+def _cells(column: TableColumn) -> list[str]:
+    values, offsets = column.spread()
+    kind = values.dtype.kind
+    if offsets is not None:
+        texts = _quoted(json_texts(column))
+    elif kind == "O":
+        texts = _quoted(values.tolist())
+    elif kind == "M":
+        texts = time_texts(values)
+    else:
+        texts = json_texts(column) if kind == "b" else number_texts(values)
+    if column.present is None:
+        return texts
+    return [text if present else "" for text, present in zip(texts, column.present.tolist(), strict=True)]
+
+
+def _quoted(texts: Sequence[str]) -> list[str]:
+    """Quote the texts that need it."""
+    return ['"' + text.replace('"', '""') + '"' if _SPECIAL.search(text) else text for text in texts]

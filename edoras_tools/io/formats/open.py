@@ -21,7 +21,7 @@ from edoras_tools.io.formats.stream import (
     Window,
     settled_file,
 )
-from edoras_tools.wire.cfe_file import CFE_MAGIC
+from edoras_tools.wire.cfe import CFE_MAGIC
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source

@@ -63,8 +63,8 @@ FILE_FORMATS: Final = (PCAP, PCAPNG, MCAP, ROSBAG2)
 TABLE_FORMATS: Final = (
     Format("Parquet", ".parquet", "", "part/arrow_tables:ParquetWriter", table=True),
     Format("Arrow", ".arrow", "", "part/arrow_tables:ArrowWriter", table=True),
-    Format("CSV", ".csv", "", ".text:CsvWriter", table=True),
-    Format("JSON Lines", ".jsonl", "", ".text:JsonLinesWriter", table=True),
+    Format("CSV", ".csv", "", ".columns:CsvWriter", table=True),
+    Format("JSON Lines", ".jsonl", "", ".columns:JsonLinesWriter", table=True),
 )
 """Tables of the messages of a topic, which are only written; their writers are ``TableWriter``."""
 

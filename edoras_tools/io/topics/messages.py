@@ -24,7 +24,7 @@ from edoras_tools.io.topics.rows import (
 )
 from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.ros.types.schema import full_name
-from edoras_tools.structs.payloads import payloads
+from edoras_tools.structs.bindings import payloads
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import Integers, by_value
 from edoras_tools.wire.envelope import ENCAPSULATION

@@ -33,7 +33,7 @@ from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.record import CaptureReport
 from edoras_tools.pipelines.reading import Limits, ReadLoop, reading, reads_by_heads
 from edoras_tools.pipelines.selection import fits_topic
-from edoras_tools.structs.payloads import payloads
+from edoras_tools.structs.bindings import payloads
 from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from edoras_tools.decode.contents import Contents, endpoints, links_of, message_
 from edoras_tools.decode.filters.layers import slot_values
 from edoras_tools.decode.recorded import RECORDED_LAYER, recorded_topic
 from edoras_tools.decode.summary import Group, grouped_columns
-from edoras_tools.io.formats.text import json_value, value_texts
+from edoras_tools.io.formats.columns import json_value, value_texts
 from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_ROUTE, Decoded, Finding, Link, RosMessage

@@ -18,7 +18,7 @@ from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.examination import Chapter, Diagnosis, Examination
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.errors import CaptureError, EdorasError, OnFailure
-from edoras_tools.io.formats.text import json_value
+from edoras_tools.io.formats.columns import json_value
 from edoras_tools.io.processes import Workers
 from edoras_tools.io.processors import jobs_for
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope

@@ -21,8 +21,8 @@ from edoras_tools.cfs.telemetry_output import USUAL_LIMIT
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.sockets import own_address
 from edoras_tools.pipelines.sending.options import LinkReceiver, Receiver, SendOptions
+from edoras_tools.pipelines.sending.replay import Encoder, routes_towards, sender_of
 from edoras_tools.pipelines.sending.run import Loaded
-from edoras_tools.pipelines.sending.topics import Encoder, routes_towards, sender_of
 from edoras_tools.pipelines.sending.wait_for import enable_output
 from edoras_tools.ros.types.schema import PRIMITIVES, STRINGS, MessageField, Shape
 from edoras_tools.sessions.outgoing import Outgoing, Packet

@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from edoras_tools.io.formats.watched import OutputLoss
-    from edoras_tools.io.net.wire import Wire
-    from edoras_tools.links.sending import SendingSession
+    from edoras_tools.io.net.transmit import Wire
+    from edoras_tools.links.protocol import SendingSession
     from edoras_tools.pipelines.sending.responses import Responses
     from edoras_tools.pipelines.sending.wait_for import Condition
     from edoras_tools.render.terminal.text import Watcher
-    from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.sessions.faults.kinds import Fault
     from edoras_tools.sessions.faults.machine import Delivery, FaultMachine
     from edoras_tools.sessions.sbn import SbnConnection
 

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from edoras_tools.cfs.names import message_name
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.sockets import LOOPBACK, is_loopback, own_address, parse_endpoint
-from edoras_tools.links.sending import LinkSending
+from edoras_tools.links.protocol import LinkSending
 from edoras_tools.links.table import carrying, links
 from edoras_tools.model import NO_MSG_ID, OTHER, Endpoint, Link, Peer
 from edoras_tools.older import StrEnum

@@ -17,8 +17,8 @@ from edoras_tools.wire import cfe
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from edoras_tools.io.net.wire import Wire
-    from edoras_tools.links.sending import SendingSession
+    from edoras_tools.io.net.transmit import Wire
+    from edoras_tools.links.protocol import SendingSession
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.sending.responses import Responses
     from edoras_tools.sessions.outgoing import Outgoing

@@ -1,4 +1,4 @@
-"""Every kind of fault: its options, and the stage at which it acts.
+"""Every kind of fault: its options, the stage at which it acts, and the record of one that struck.
 
 The times, probabilities, counts, rates and field changes of a rule are read from text. Each function that
 reads one raises ValueError for another text; the message says which texts are allowed.
@@ -12,8 +12,37 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
+from edoras_tools.model import NO_MSG_ID, Link
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+
+class Fault(NamedTuple):
+    """One fault of one datagram, as it is recorded.
+
+    Attributes:
+        time_ns: time at which the datagram came, on the caller's clock.
+        kind: name of the kind, or ``overflow`` if ``HOLD_BYTES`` were exceeded.
+        detail: description of the change.
+        original: bytes of the datagram as it came.
+        link: link of the datagram.
+        to_cfs: whether it went to cFS.
+        msg_id: its MsgId; ``NO_MSG_ID`` if it has none.
+        rule: text of the rule.
+        stream: number of the sender.
+    """
+
+    time_ns: int
+    kind: str
+    detail: str
+    original: bytes
+    link: Link
+    to_cfs: bool
+    msg_id: int = NO_MSG_ID
+    rule: str = ""
+    stream: int = 0
+
 
 _TIMES = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "m": 60 * 10**9, "h": 3600 * 10**9}
 _MULTIPLES = {"k": 10**3, "M": 10**6, "G": 10**9}

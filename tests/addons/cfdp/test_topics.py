@@ -5,7 +5,7 @@ from mcap.reader import make_reader
 from pdus import eof, finished, metadata, piece
 from rewriting import Udp, write
 
-from edoras_tools.addons.cfdp import topics
+from edoras_tools.addons.cfdp import transactions
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.workbench import Settings
@@ -86,7 +86,7 @@ def test_what_is_no_message_is_none(recorded, payloads):
 
 
 def test_what_is_kept_is_limited(recorded, monkeypatch):
-    monkeypatch.setattr(topics, "MOST_BYTES", 1500)
+    monkeypatch.setattr(transactions, "MOST_BYTES", 1500)
     content = DEFAULT.emit(scan(1))
     assert 1000 < len(content) < 1500
     first, other = list(sent(content, 1)), list(sent(content, 2))

@@ -12,8 +12,7 @@ from places import ROOT
 from edoras_tools import __version__
 from edoras_tools.addons.codegen.generation import LibraryOrder, generate, generator_app
 from edoras_tools.addons.codegen.plan import BoundRule, Bounds
-from edoras_tools.addons.codegen.summary import summary
-from edoras_tools.addons.codegen.writing import write_folder
+from edoras_tools.addons.codegen.writing import summary, write_folder
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.mission import load

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from places import SAMPLES
 from xml_damage import damaged
 
-from edoras_tools.addons.databases.documents import SheetError
 from edoras_tools.addons.databases.eds import Parameters, is_sheet, read_sheets
+from edoras_tools.addons.databases.placement import SheetError
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs import Structs
 from edoras_tools.structs.bindings import Bindings

@@ -6,7 +6,7 @@ import pytest
 
 from edoras_tools.addons.dds.graph import open_graph
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware import opening
+from edoras_tools.middleware import graph
 from edoras_tools.ros import TypeStore
 
 
@@ -15,7 +15,7 @@ def test_without_the_library_the_extra_is_named(monkeypatch):
     for name in ("graph", "messages"):  # as in a process that has not joined a graph yet
         monkeypatch.delitem(sys.modules, f"edoras_tools.addons.dds.{name}", raising=False)
     with pytest.raises(ConfigError, match=r"--ros dds needs an extra .*: pip install 'edoras-tools\[dds\]'"):
-        opening.open_graph("dds", TypeStore(), "bridge")
+        graph.open_graph("dds", TypeStore(), "bridge")
 
 
 @pytest.mark.parametrize("name", ["", "9lives", "a b", "/", "a//b"])
@@ -34,13 +34,13 @@ def test_an_option_that_does_not_exist_is_refused():
 def test_the_distribution_is_that_of_the_nodes_there(distro, told):
     peer = open_graph(TypeStore(distro), "peer", domain=71)
     try:
-        assert opening.distro_of_peers("dds", 71) == told
+        assert graph.distro_of_peers("dds", 71) == told
     finally:
         peer.close()
 
 
 @pytest.mark.own_network
 def test_where_nobody_is_nobody_tells_the_distribution():
-    assert opening.distro_of_peers("dds", 72) is None
-    assert opening.distro_of_peers("local", 72) is None
-    assert opening.distro_of_peers("dds", 72, {"multicast": "odd"}) is None
+    assert graph.distro_of_peers("dds", 72) is None
+    assert graph.distro_of_peers("local", 72) is None
+    assert graph.distro_of_peers("dds", 72, {"multicast": "odd"}) is None

@@ -9,7 +9,7 @@ from websockets.exceptions import InvalidStatus
 from edoras_tools.addons.foxglove.graph import open_graph
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import Qos
-from edoras_tools.middleware.opening import open_graph as open_any
+from edoras_tools.middleware.graph import open_graph as open_any
 from edoras_tools.ros import TypeStore
 
 QOS = Qos()

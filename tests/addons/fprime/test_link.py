@@ -41,8 +41,8 @@ from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.structs import Structs
+from edoras_tools.structs.bindings import payloads
 from edoras_tools.structs.files import load_layout
-from edoras_tools.structs.payloads import payloads
 
 STRUCTS = Structs([load_layout(DICTIONARY)])
 PLAIN, NAMED = Context(), Context(structs=STRUCTS)

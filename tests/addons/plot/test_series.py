@@ -1,13 +1,23 @@
 """Fields, rates, losses and events of the samples, beside ``edoras_tools.read`` and plain loops."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from places import ROOT
 
 import edoras_tools
 from edoras_tools.addons.plot import series as lines
-from edoras_tools.addons.plot.request import parse_request
-from edoras_tools.addons.plot.series import MOST_MARKS, Values, numbers, open_recordings, read_plot
+from edoras_tools.addons.plot.series import (
+    MOST_MARKS,
+    PlotRequest,
+    Quantity,
+    Values,
+    numbers,
+    open_recordings,
+    parse_request,
+    read_plot,
+)
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.io.formats.columns import TableColumn
 from edoras_tools.pipelines.doctor.scope import Scope
@@ -207,3 +217,34 @@ def test_long_lines_are_held_in_bounded_memory_and_keep_their_peaks(monkeypatch)
     line = made.line(0)
     assert line.read == 20_000
     assert line.values.max() == 19_500
+
+
+FIELD, RATE, LOSS = Quantity.FIELD, Quantity.RATE, Quantity.LOSS
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("/cmd_vel", [(FIELD, "/cmd_vel", "", None)]),
+        ("cmd_vel.linear.x", [(FIELD, "cmd_vel", "linear.x", None)]),
+        ("/robot_*.linear.*", [(FIELD, "/robot_*", "linear.*", None)]),
+        ("/imu.covariance[4]", [(FIELD, "/imu", "covariance", 4)]),
+        ("/path.poses[3].position.x", [(FIELD, "/path", "poses.position.x", 3)]),
+        (
+            "/a.b, rate:/c ,loss:/d",
+            [(FIELD, "/a", "b", None), (RATE, "/c", "", None), (LOSS, "/d", "", None)],
+        ),
+    ],
+)
+def test_requests(text, parts):
+    assert [(item.quantity, item.topic, item.field, item.index) for item in parse_request(text)] == parts
+
+
+@pytest.mark.parametrize("text", [",", "", "speed:/cmd_vel", "rate:", "field:/a", "/a.b[1].c[2]"])
+def test_mistakes(text):
+    with pytest.raises(ConfigError, match=r"cannot be plotted; write /topic\.field|more than one index"):
+        parse_request(text)
+
+
+def test_a_request_is_told_as_it_was_given():
+    assert parse_request("/a.b[1]")[0] == PlotRequest("/a.b[1]", FIELD, "/a", "b", 1)

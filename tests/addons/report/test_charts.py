@@ -19,7 +19,7 @@ from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.render.pages.parts import Made
+from edoras_tools.render.pages import Made
 
 MISSION = ROOT / "samples/missions/rover_ground.yaml"
 NAMES = ("a_rover", "c4_cmd_rate", "n12_two_hosts_ground", "season3/q01_two_causes_one_counter")

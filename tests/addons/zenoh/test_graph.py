@@ -14,7 +14,8 @@ from waiting import PATIENCE_S, free_ports
 from edoras_tools.addons.zenoh.graph import open_graph
 from edoras_tools.addons.zenoh.identity import ATTACHMENT, GID, gid
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware import Qos, opening
+from edoras_tools.middleware import Qos
+from edoras_tools.middleware import graph as middleware_graph
 from edoras_tools.ros import TypeStore
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -494,6 +495,6 @@ def test_without_the_library_one_line_names_the_extra(jazzy, monkeypatch):
     for name in ("config", "graph"):  # as in a process that has not joined a graph yet
         monkeypatch.delitem(sys.modules, f"edoras_tools.addons.zenoh.{name}", raising=False)
     with pytest.raises(ConfigError) as caught:
-        opening.open_graph("zenoh", jazzy, "bridge")
+        middleware_graph.open_graph("zenoh", jazzy, "bridge")
     assert str(caught.value).startswith("--ros zenoh needs an extra (")
     assert str(caught.value).endswith("pip install 'edoras-tools[zenoh]'")

@@ -279,7 +279,7 @@ CODE = """
     import ctypes, socket
     from edoras_tools.errors import CaptureError
     from edoras_tools.io.capture.device import claim_raw_sockets
-    from edoras_tools.io.capture.ring import _socket
+    from edoras_tools.io.capture.live import _socket
 
     def state():
         with open("/proc/thread-self/status") as file:

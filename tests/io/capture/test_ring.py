@@ -22,9 +22,9 @@ from waiting import PATIENCE_S, until
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.capture import device
-from edoras_tools.io.capture import ring as module
+from edoras_tools.io.capture import live as module
 from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2, RAW
-from edoras_tools.io.capture.ring import Ring, _marks_segments
+from edoras_tools.io.capture.live import Ring, _marks_segments
 from edoras_tools.io.frames.linklayer import demux
 
 TUNSETIFF = 0x400454CA
@@ -299,7 +299,7 @@ def read_until(source, count):
 @pytest.mark.parametrize("how", ["down", "not there"])
 def test_an_interface_that_goes_away_and_comes_back(ring, wire, monkeypatch, how, walks):
     """The same socket goes on, bound again where the interface was made anew."""
-    monkeypatch.setattr("edoras_tools.io.capture.ring.available", lambda: walks)
+    monkeypatch.setattr("edoras_tools.io.capture.live.available", lambda: walks)
     tap = wire(IFF_TAP)
     source = ring(tap.name, [1234])
     handle = source.filenos()
@@ -391,7 +391,7 @@ def test_no_interface_of_an_impossible_name_is_waited_for(ring, name):
 
 def test_the_open_block_is_read(ring, pair, monkeypatch):
     """Nothing waits for a block to be full or old, and reading it closes none."""
-    monkeypatch.setattr("edoras_tools.io.capture.ring._RETIRE_MS", 60_000)
+    monkeypatch.setattr("edoras_tools.io.capture.live._RETIRE_MS", 60_000)
     sender, port = pair
     source = ring("lo", [port])
     for number in range(50):
@@ -403,7 +403,7 @@ def test_the_open_block_is_read(ring, pair, monkeypatch):
 
 def test_the_open_block_at_every_turn(ring, pair, monkeypatch):
     """Read as often as can be, across many ends of blocks."""
-    monkeypatch.setattr("edoras_tools.io.capture.ring.FRESH_S", 0)
+    monkeypatch.setattr("edoras_tools.io.capture.live.FRESH_S", 0)
     sender, port = pair
     source = ring("lo", [port], block_size=1 << 16, blocks=4)
     seen = []
@@ -422,7 +422,7 @@ def test_the_open_block_at_every_turn(ring, pair, monkeypatch):
 def test_a_wait_for_the_kernel_holds_nothing_up(ring, pair, monkeypatch, early):
     """Where processors are busy it takes seconds: what came is read when its block is closed by its age."""
     end = threading.Event()
-    monkeypatch.setattr("edoras_tools.io.capture.ring.wait", end.wait)
+    monkeypatch.setattr("edoras_tools.io.capture.live.wait", end.wait)
     sender, port = pair
     source = ring("lo", [port])
     try:
@@ -439,7 +439,7 @@ def test_a_wait_for_the_kernel_holds_nothing_up(ring, pair, monkeypatch, early):
 
 def test_a_ring_that_nobody_empties_holds_what_its_bytes_hold(ring, pair, monkeypatch):
     """Blocks are closed by fill: time costs no room."""
-    monkeypatch.setattr("edoras_tools.io.capture.ring._RETIRE_MS", 60_000)
+    monkeypatch.setattr("edoras_tools.io.capture.live._RETIRE_MS", 60_000)
     sender, port = pair
     source = ring("lo", [port], block_size=1 << 16, blocks=2)
     for number in range(20):
@@ -488,7 +488,7 @@ def test_a_kernel_short_of_memory_gives_a_smaller_ring(ring, pair, monkeypatch):
                     raise OSError(12, "Cannot allocate memory")
             super().setsockopt(level, option, value)
 
-    monkeypatch.setattr("edoras_tools.io.capture.ring.socket.socket", Short)
+    monkeypatch.setattr("edoras_tools.io.capture.live.socket.socket", Short)
     sender, port = pair
     source = ring("lo", [port])
     assert asked[0] > 4

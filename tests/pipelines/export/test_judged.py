@@ -8,8 +8,7 @@ from places import CAPTURES, MISSIONS
 import edoras_tools
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.pipelines.doctor.doctor import examine, list_missing
-from edoras_tools.pipelines.export.judged import JUDGED
-from edoras_tools.pipelines.export.sources import open_topics
+from edoras_tools.pipelines.export.sources import JUDGED, open_topics
 from edoras_tools.pipelines.workbench import Settings, open_files
 
 PATHS = [CAPTURES / "f_sbn_disconnect.pcap"]
@@ -70,7 +69,7 @@ def test_they_are_there_for_captures_that_can_be_read_again(tmp_path):
 
 
 def test_no_doctor_is_asked_where_nobody_names_it(tables, monkeypatch):
-    monkeypatch.setattr("edoras_tools.pipelines.export.judged.examine", None)
+    monkeypatch.setattr("edoras_tools.pipelines.export.sources.examine", None)
     with pytest.warns(UserWarning, match="3 messages are incomplete"):
         topics = tables.topics
     assert topics["/edoras/events"] == 79

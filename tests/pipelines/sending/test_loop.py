@@ -13,8 +13,7 @@ from places import SAMPLES
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.net.transmit import SendStatistics
-from edoras_tools.io.net.wire import Arrival
+from edoras_tools.io.net.transmit import Arrival, SendStatistics
 from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import Mission

@@ -24,9 +24,14 @@ from edoras_tools.pipelines.sending.options import (
     fits,
     is_loopback,
 )
-from edoras_tools.pipelines.sending.replay import ReplaySelection, changes_for, load_datagrams, remapped
+from edoras_tools.pipelines.sending.replay import (
+    ReplaySelection,
+    changes_for,
+    load_datagrams,
+    load_topics,
+    remapped,
+)
 from edoras_tools.pipelines.sending.run import Transmission
-from edoras_tools.pipelines.sending.topics import load_topics
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.outgoing import Changes
 from edoras_tools.wire import cfe, sbn

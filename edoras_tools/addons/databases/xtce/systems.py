@@ -16,8 +16,17 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.addons.databases.documents import NESTING, Node, Notes, SheetError, has_root, parse_document
-from edoras_tools.addons.databases.placement import DataType, Placement, c_name
+from edoras_tools.addons.databases.placement import (
+    NESTING,
+    DataType,
+    Node,
+    Notes,
+    Placement,
+    SheetError,
+    c_name,
+    has_root,
+    parse_document,
+)
 from edoras_tools.addons.databases.xtce.types import (
     SYSTEM,
     TYPE_KINDS,

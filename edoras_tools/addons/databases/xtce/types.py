@@ -16,7 +16,7 @@ import msgspec
 from msgspec.structs import replace
 
 from edoras_tools.addons.databases import placement
-from edoras_tools.addons.databases.documents import NESTING, Node, Notes, SheetError
+from edoras_tools.addons.databases.placement import NESTING, Node, Notes, SheetError
 from edoras_tools.structs.shapes import BASIC, BasicKind, ByteOrder, Member, Range
 
 if TYPE_CHECKING:

@@ -1,43 +1,148 @@
-"""The nodes of a demo's ROS 2 graph besides the bridges: ground station and robots; and its messages.
+"""The four demonstrations of the EDORAS paper: mission files with free ports, topics, and their nodes.
 
-Messages are followed by their bytes, from node to node through bridges and cFS. The time that a message
-spends in cFS belongs to cFS; the rest to bridges, sockets and middleware.
+The nodes are those of a demo's ROS 2 graph besides the bridges: ground station and robots. Messages are
+followed by their bytes, from node to node through bridges and cFS. The time that a message spends in cFS
+belongs to cFS; the rest to bridges, sockets and middleware.
 """
 
 from __future__ import annotations
 
 import heapq
+import re
 import threading
 import time
 from collections import OrderedDict
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
+from importlib.resources import files
 from itertools import count
 from math import atan2, dist
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+from msgspec.structs import replace
 
 from edoras_tools import doors
+from edoras_tools.addons.lab.emulator import MISSIONS, Scenario
 from edoras_tools.addons.lab.emulator.bridges import operator_command
 from edoras_tools.addons.lab.emulator.robots import Arm, Robot, Rover
+from edoras_tools.addons.lab.emulator.routes import routes_of_kind
+from edoras_tools.cfs.profile import Ports, SimProfile
 from edoras_tools.errors import WireError
+from edoras_tools.io.net.sockets import local_endpoint, open_bound
+from edoras_tools.io.outputs import write_bytes
 from edoras_tools.middleware import Graph, Qos
+from edoras_tools.model import Endpoint
 from edoras_tools.sessions.bridge.packets import Envelope, find_packet
 from edoras_tools.sessions.pacing import Lateness
 from edoras_tools.units import SECOND
 from edoras_tools.wire import envelope, sbn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from pathlib import Path
 
-    from edoras_tools.addons.lab.demo.scene import Lane
     from edoras_tools.addons.lab.emulator import WireDatagram
-    from edoras_tools.model import Endpoint
+    from edoras_tools.mission import Bridge, Route
     from edoras_tools.ros import TypeStore
 
     Call = Callable[..., None]
+
+HOST: Final = "127.0.0.1"
+LAYOUTS: Final = {
+    "rover": "foxglove_layout_rover",
+    "arm": "foxglove_layout_arm",
+    "two-rovers": "foxglove_layout",
+    "two-arms": "foxglove_layout_two_arms",
+}
+_TO_LIMIT: Final = 20
+"""Packets of one state that may wait in Telemetry Output: those of 0.5 s at 30 Hz, and a reserve."""
+
+
+class Lane(msgspec.Struct, frozen=True):
+    """One robot and its four topics.
+
+    Attributes:
+        robot: name.
+        command: the ground route to cFS.
+        state: the ground route from cFS.
+        board_command: the command route at the robot; None if the robot is part of the flight application.
+        board_state: the state route at the robot; None if the robot is part of the flight application.
+    """
+
+    robot: str
+    command: Route
+    state: Route
+    board_command: Route | None = None
+    board_state: Route | None = None
+
+
+def free_ports() -> Ports:
+    """Return free ports.
+
+    They are not the default ports: the demo would also receive other programs' traffic on those.
+
+    Raises:
+        CaptureError: the system has no free port.
+    """
+    with ExitStack() as stack:
+        opened = [stack.enter_context(open_bound(Endpoint(HOST, 0))) for _ in range(4)]
+        return Ports(*(local_endpoint(item).port for item in opened))
+
+
+def profile(ports: Ports, states: Iterable[int]) -> SimProfile:
+    """Return a cFS on these ports, with the flight bridge as its peer, and TO limits for the states.
+
+    Args:
+        states: MsgIds of the states that go to the ground.
+    """
+    usual = SimProfile(address=HOST).on(ports)
+    return replace(usual, to_limits={**usual.to_limits, **dict.fromkeys(states, _TO_LIMIT)})
+
+
+def write_missions(scenario: Scenario, folder: Path, ports: Ports, max_rate: float) -> list[Path]:
+    """Write a demo's mission files.
+
+    Args:
+        ports: ports that replace the default ones.
+        max_rate: states per second that the flight bridge forwards for each robot; 0 for all.
+
+    Raises:
+        CaptureError: they cannot be written.
+    """
+    samples = files("edoras_tools.samples")
+    paths = []
+    for name in MISSIONS[scenario]:
+        text = (samples / f"missions/{name}.yaml").read_text(encoding="utf-8")
+        for key, port in (
+            ("bridge_port", ports.to),
+            ("fsw_port", ports.ci),
+            ("peer_port", ports.sbn),
+            ("udp_receive_port", ports.peer),
+        ):
+            text = re.sub(rf"\b{key}: \d+", f"{key}: {port}", text)
+        if max_rate and name.endswith("flight"):
+            group = (
+                f"    edoras: # read by edoras bridge only\n      max_rate: {max_rate:g}\n      keep: first\n"
+            )
+            text = text.replace("  ros__parameters:\n", f"  ros__parameters:\n{group}\n")
+        path = folder / f"{name}.yaml"
+        write_bytes(path, text.encode())
+        paths.append(path)
+    return paths
+
+
+def lanes_of(scenario: Scenario, bridges: Iterable[Bridge]) -> tuple[Lane, ...]:
+    """Return the robots of a demo, from its bridges."""
+    bridges = list(bridges)
+    ways = (("ground", True), ("ground", False), ("flight", False), ("flight", True))
+    groups = [routes_of_kind(bridges, kind, to_cfs=to_cfs) for kind, to_cfs in ways]
+    if not groups[-1]:
+        return tuple(Lane(scenario, *pair) for pair in zip(*groups[:2], strict=True))
+    rows = zip(*groups, strict=True)
+    return tuple(Lane(row[0].topic.split("/")[1], *row) for row in rows)
+
 
 _BEHIND_NS: Final = SECOND // 4
 """Delay from which a periodic call skips the missed ones."""

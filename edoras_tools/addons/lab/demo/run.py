@@ -15,6 +15,7 @@ import msgspec
 
 from edoras_tools import doors
 from edoras_tools.addons.lab.demo.nodes import (
+    LAYOUTS,
     AppRobot,
     CallScheduler,
     GroundStation,
@@ -22,9 +23,12 @@ from edoras_tools.addons.lab.demo.nodes import (
     RobotNode,
     Trace,
     commands,
+    free_ports,
+    lanes_of,
     make_robot,
+    profile,
+    write_missions,
 )
-from edoras_tools.addons.lab.demo.scene import LAYOUTS, free_ports, lanes_of, profile, write_missions
 from edoras_tools.addons.lab.emulator import BOOT_NS, Scenario, Served, Simulation
 from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp
 from edoras_tools.cfs.edoras_app import PIPE

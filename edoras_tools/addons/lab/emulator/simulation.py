@@ -7,12 +7,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.addons.lab.emulator.apps import generator
-from edoras_tools.addons.lab.emulator.apps.command_ingest import CommandIngest
 from edoras_tools.addons.lab.emulator.apps.core import SCHEDULER, start_core, start_scheduler
 from edoras_tools.addons.lab.emulator.apps.edoras import EdorasApp, SingleRobotApp, TwoRobotApp
 from edoras_tools.addons.lab.emulator.apps.generator import Generator
+from edoras_tools.addons.lab.emulator.apps.ground_apps import CommandIngest, TelemetryOutput
 from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnApp
-from edoras_tools.addons.lab.emulator.apps.telemetry_output import TelemetryOutput
 from edoras_tools.addons.lab.emulator.bridges import FlightBridge, GroundBridge
 from edoras_tools.addons.lab.emulator.cfs import Cfs
 from edoras_tools.addons.lab.emulator.robots import robot_of

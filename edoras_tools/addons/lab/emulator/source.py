@@ -16,8 +16,7 @@ from edoras_tools.addons.lab.emulator.simulation import WireDatagram
 from edoras_tools.io import SourceDefaults
 from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.io.net.transmit import SendStatistics
-from edoras_tools.io.net.wire import Arrival
+from edoras_tools.io.net.transmit import Arrival, SendStatistics
 from edoras_tools.model import Endpoint, Link, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.units import SECOND
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.io.net.wire import Wire
+    from edoras_tools.io.net.transmit import Wire
     from edoras_tools.pipelines.sending.wait_for import Condition
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.sbn import SbnConnection

@@ -16,7 +16,7 @@ from edoras_tools.io.net.sockets import is_loopback
 from edoras_tools.links.table import carrying
 from edoras_tools.mission import Mission, Route
 from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver, SendOptions, check_allowed
-from edoras_tools.pipelines.sending.topics import Encoder
+from edoras_tools.pipelines.sending.replay import Encoder
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe

@@ -18,7 +18,7 @@ from edoras_tools.cfs import software_bus
 from edoras_tools.cfs.edoras_app import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT_BRIDGE_BUFFER
 from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.net.wire import Wire, precise_timing
+from edoras_tools.io.net.transmit import Wire, precise_timing
 from edoras_tools.links.table import carrying
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.sending.options import called

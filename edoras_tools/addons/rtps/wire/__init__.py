@@ -2,10 +2,3 @@
 
 DDSI-RTPS 2.5 (OMG formal/2022-04-01).
 """
-
-from __future__ import annotations
-
-from typing import Final
-
-RTPS_MAGIC: Final = b"RTPS"
-"""First bytes of every message."""

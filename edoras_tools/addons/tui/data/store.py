@@ -1,15 +1,16 @@
-"""The packets of the list: blocks of columns, with the rows that pass the filter.
+"""The packets of the list: blocks of columns, with the rows that pass the filter; searching in them.
 
 Only the thread that draws uses a store. A filter's result for a block is shown once all blocks before it have
 a result, so that the list grows from its top while the filter runs.
 
 Another thread judges the packets of the view (``WatchThread``). The list may be in the order of one of its
-columns.
+columns. A search is a filter, a text, or bytes.
 """
 
 from __future__ import annotations
 
 import queue
+import re
 import threading
 from bisect import bisect_right
 from typing import TYPE_CHECKING, Any, Final
@@ -17,11 +18,14 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 import numpy as np
 
-from edoras_tools.decode.filters.filter import fields
+from edoras_tools.decode.filters.filter import Where, fields
 from edoras_tools.decode.filters.rows import ColumnRows
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.decode.filters.syntax import Presence, WhereError, parse_filter
+from edoras_tools.links import table
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Finding
 from edoras_tools.pipelines.capture.record import ROW_BYTES, join
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -35,6 +39,8 @@ if TYPE_CHECKING:
     Shown = range | NDArray[np.int64]
     """Rows of a block, in order."""
     Part = tuple["PacketBlock", int, Shown]
+    Matcher = Callable[["PacketBlock"], NDArray[np.bool_]]
+    """Function from a block to a mask of the packets that match."""
 
 _SMALL: Final = 16_384
 """Blocks of a live capture are joined up to this many packets."""
@@ -357,3 +363,111 @@ def _name(context: Context, route: int, msg_id: int, spacecraft: int) -> str:
     if msg_id != NO_MSG_ID and route != NO_ROUTE:
         return context.of(spacecraft).mission.routes[route].topic
     return context.name(msg_id) if msg_id != NO_MSG_ID else ""
+
+
+_HEX: Final = re.compile(r"0x((?:[0-9a-fA-F]{2}[ :]?)+)")
+_LOWER: Final = np.array([ord(chr(code).lower()) if code < 128 else code for code in range(256)], np.uint8)
+
+
+def matcher(text: str, context: Context, begin_ns: int | None) -> Matcher:
+    """Return the test for a search.
+
+    Args:
+        text: a comparison of the filter language; bytes, e.g. ``0x0b0c``; else a text to search in topics, in
+            names of packets and findings, and in the packets' bytes, ignoring case.
+        begin_ns: time of the first packet.
+    """
+    try:
+        # A single word would also be a filter (packets that have that field); a search treats it as text.
+        where = None if isinstance(parse_filter(text), Presence) else Where(text, context, begin_ns)
+    except WhereError:
+        where = None
+    if where is not None:
+        return lambda block: where.mask(block.batch, block.columns)
+    digits = _HEX.fullmatch(text.strip())
+    if digits:
+        octets = bytes.fromhex(re.sub("[ :]", "", digits[1]))
+        return lambda block: _holding(block, block.batch.data, octets)
+    word = text.strip().lower()
+    return lambda block: (
+        _rows_named(block, word, context) | _holding(block, _LOWER[block.batch.data], word.encode())
+    )
+
+
+def next_number(
+    parts: Sequence[Part],
+    matches: Matcher,
+    after: int,
+    *,
+    back: bool = False,
+    given_up: Callable[[], bool] = lambda: False,
+) -> int | None:
+    """Return the number of the next packet that matches, continuing at the other end; None if none does.
+
+    Args:
+        parts: result of ``Store.parts``.
+        matches: the test.
+        after: the row to start after; it is tested last.
+        given_up: called between blocks; the search ends when it returns true.
+    """
+    start = next(
+        (place for place, (_, first, selection) in enumerate(parts) if first + len(selection) > after), 0
+    )
+    step = -1 if back else 1
+    # The block in which the search starts is tested twice: first the rows ahead, at the end the others.
+    for turn in range(len(parts) + 1 if parts else 0):
+        if given_up():
+            return None
+        block, first, selection = parts[(start + step * turn) % len(parts)]
+        candidates = np.asarray(selection)
+        candidates = candidates[matches(block)[candidates]]
+        if turn == 0:
+            rows = first + np.searchsorted(np.asarray(selection), candidates)
+            candidates = candidates[rows < after] if back else candidates[rows > after]
+        if len(candidates):
+            return int(block.batch.number[candidates[-1 if back else 0]])
+    return None
+
+
+def _holding(block: PacketBlock, data: NDArray[np.uint8], octets: bytes) -> NDArray[np.bool_]:
+    """Return which payloads contain these bytes."""
+    batch = block.batch
+    hit = np.zeros(len(batch), bool)
+    if not octets:
+        return hit
+    text = data.tobytes()
+    places = []
+    at = text.find(octets)
+    while at >= 0:
+        places.append(at)
+        at = text.find(octets, at + 1)
+    order = np.argsort(batch.offset, kind="stable")
+    positions = np.array(places, np.int64)
+    owner = np.searchsorted(batch.offset[order], positions, side="right") - 1
+    positions, rows = positions[owner >= 0], order[owner[owner >= 0]]
+    hit[rows[positions + len(octets) <= batch.offset[rows] + batch.length[rows]]] = True
+    return hit
+
+
+def _rows_named(block: PacketBlock, word: str, context: Context) -> NDArray[np.bool_]:
+    """Return which packets have a name that contains a word."""
+    columns = block.columns
+    hit = np.isin(columns.link, [int(link) for link in (*table.links(), OTHER) if word in link.label])
+    bits = sum(int(item) for item in Finding if word in item.label)
+    if bits:
+        hit |= (columns.findings & np.uint32(bits)) != 0
+    kinds = [kind for kind, name in MSG_TYPE_NAMES.items() if word in name.lower()]
+    hit |= np.isin(columns.sbn_msg_type, kinds)
+    for number, rows in by_value(columns.spacecraft):
+        own = columns.msg_id[rows]
+        msg_ids = [item for item in np.unique(own).tolist() if item != NO_MSG_ID]
+        hit[rows] |= np.isin(own, [item for item in msg_ids if word in _field_name(item, context.of(number))])
+    return hit
+
+
+def _field_name(msg_id: int, context: Context) -> str:
+    route = int(context.any_route_of[msg_id])
+    topic = f"{context.mission.routes[route].topic} {context.mission.routes[route].type}" * (
+        route != NO_ROUTE
+    )
+    return f"0x{msg_id:04x} {context.name(msg_id)} {topic}".lower()

@@ -26,7 +26,7 @@ from edoras_tools.decode.filters.filter import fields
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.lines import line_of
 from edoras_tools.model import NO_FINDINGS, Finding
-from edoras_tools.pipelines.capture.fields import column_texts, is_number
+from edoras_tools.pipelines.capture.sniff import column_texts, is_number
 from edoras_tools.render.capture.packet_list import COLUMNS, PacketList
 from edoras_tools.render.severity import EXPLANATIONS, NOTABLE, Level
 from edoras_tools.render.terminal.text import clean
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.tui.data.store import Store
     from edoras_tools.decode.context import Context
-    from edoras_tools.pipelines.capture.fields import Column
+    from edoras_tools.pipelines.capture.sniff import Column
 
 _WHEEL_LINES = 3
 

@@ -9,8 +9,8 @@ from typing import Annotated
 from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.main import Command, command_group
+from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import tell
 from edoras_tools.io.formats.table import READ
 

@@ -10,6 +10,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Schema
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.mcap.chunks import chunk_records
 from edoras_tools.io.formats.mcap.file import (
     INDEX_ENTRY,
     INDEX_HEAD,
@@ -19,7 +20,6 @@ from edoras_tools.io.formats.mcap.file import (
     RECORD_HEAD,
 )
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse, walk
-from edoras_tools.io.formats.mcap.unpack import chunk_records
 from edoras_tools.io.topics.rows import MAGIC, RECORD, RECORD_BYTES, RECORD_PREFIX_BYTES
 from edoras_tools.wire.arrays.window import read_at
 

@@ -26,6 +26,7 @@ from msgspec.structs import replace
 
 from edoras_tools import __version__, model
 from edoras_tools.errors import CaptureError, NoDatagramsError, OnFailure, WireError, os_errors
+from edoras_tools.io.formats.mcap.chunks import chunk_records
 from edoras_tools.io.formats.mcap.file import (
     CHUNK_HEAD_BYTES,
     CHUNK_INDEX,
@@ -38,11 +39,10 @@ from edoras_tools.io.formats.mcap.file import (
     RECORD_HEAD,
 )
 from edoras_tools.io.formats.mcap.messages import scanned
-from edoras_tools.io.formats.mcap.unpack import chunk_records
 from edoras_tools.io.formats.table import TOPIC_READERS
 from edoras_tools.io.frames.frame_batch import FrameBatch, frames_at, joined_frames, packed_frames
 from edoras_tools.io.frames.linklayer import FrameSource
-from edoras_tools.io.topics.cfe import FAULTS_TOPIC, fault_of
+from edoras_tools.io.topics.cfe import FAULTS_TOPIC, HOST_TOPIC, fault_of, host_counters_of
 from edoras_tools.io.topics.messages import DATAGRAM
 from edoras_tools.io.topics.rows import (
     CDR_LE_WORD,
@@ -51,7 +51,6 @@ from edoras_tools.io.topics.rows import (
     MAGIC,
     OUTAGE_METADATA_NAME,
 )
-from edoras_tools.io.topics.statistics import HOST_TOPIC, host_counters_of
 from edoras_tools.links.table import links
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
@@ -64,7 +63,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io import Choice
-    from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.sessions.faults.kinds import Fault
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 T = TypeVar("T")

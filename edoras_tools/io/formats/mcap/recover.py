@@ -44,7 +44,7 @@ from msgspec.structs import replace
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, os_errors
-from edoras_tools.io.formats.mcap.chunks import CHUNK_BYTES
+from edoras_tools.io.formats.mcap.chunks import CHUNK_BYTES, Proof
 from edoras_tools.io.formats.mcap.file import (
     MESSAGE_HEAD,
     RECORD_HEAD,
@@ -63,10 +63,14 @@ from edoras_tools.io.formats.mcap.recovery.numbering import (
     renumbered,
 )
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes, Walked, walk
-from edoras_tools.io.formats.mcap.recovery.report import FilePart, LostStretch, Recovery
+from edoras_tools.io.formats.mcap.recovery.report import (
+    FilePart,
+    FoundSummary,
+    LostStretch,
+    Recovery,
+    summaries,
+)
 from edoras_tools.io.formats.mcap.recovery.scan import Piece, Scan
-from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary, summaries
-from edoras_tools.io.formats.mcap.unpack import Proof
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
 from edoras_tools.io.outputs import NewFile
 from edoras_tools.io.topics.rows import MAGIC

@@ -16,9 +16,8 @@ from edoras_tools.io.formats.mcap.chunks import ChunkPress, ChunkWriter
 from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks
 from edoras_tools.io.outputs import part_path
 from edoras_tools.io.processes import Workers, writer_killed
-from edoras_tools.io.topics.cfe import fault_messages
+from edoras_tools.io.topics.cfe import fault_messages, host_messages
 from edoras_tools.io.topics.rows import COUNTS_METADATA_NAME, OUTAGE_METADATA_NAME
-from edoras_tools.io.topics.statistics import host_messages
 from edoras_tools.io.topics.streams import (
     FAULTS,
     HOST_COUNTERS,
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.ros import TypeStore
-    from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.sessions.faults.kinds import Fault
 
 METADATA_NAME = "edoras"
 """The metadata record of a complete recording."""

@@ -20,7 +20,7 @@ from edoras_tools.decode import Options
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import table
 from edoras_tools.mission import Route
-from edoras_tools.pipelines.sending.topics import Encoder
+from edoras_tools.pipelines.sending.replay import Encoder
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire import cfe

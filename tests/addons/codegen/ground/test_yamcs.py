@@ -12,7 +12,7 @@ from waiting import HOST, PATIENCE_S, Program, free_ports, until
 from yamcs_server import HERE, WHY, api, asked, yamcs
 
 from edoras_tools.addons.codegen.writing import describe_packets
-from edoras_tools.pipelines.sending.topics import Encoder
+from edoras_tools.pipelines.sending.replay import Encoder
 from edoras_tools.wire import cfe
 
 INSTANCE = """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from edoras_tools.addons.databases.documents import Notes, SheetError, parse_document
+from edoras_tools.addons.databases.placement import Notes, SheetError, parse_document
 from edoras_tools.addons.databases.xtce.systems import read_systems
 from edoras_tools.addons.databases.xtce.types import Declarations, number
 from edoras_tools.structs.files import type_text

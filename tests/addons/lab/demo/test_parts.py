@@ -12,8 +12,17 @@ from hypothesis import strategies as st
 from waiting import PATIENCE_S, until
 
 from edoras_tools.addons.lab.demo.local_graph import open_graph
-from edoras_tools.addons.lab.demo.nodes import CallScheduler, Leg, RobotState, Trace, commands
-from edoras_tools.addons.lab.demo.scene import free_ports, lanes_of, profile, write_missions
+from edoras_tools.addons.lab.demo.nodes import (
+    CallScheduler,
+    Leg,
+    RobotState,
+    Trace,
+    commands,
+    free_ports,
+    lanes_of,
+    profile,
+    write_missions,
+)
 from edoras_tools.addons.lab.emulator import MISSIONS, WireDatagram
 from edoras_tools.cfs.profile import Ports
 from edoras_tools.errors import CaptureError

@@ -1,4 +1,4 @@
-"""cFE Executive Services: the applications that run, and how they end and start.
+"""cFE Executive Services: the applications that run, and how they end and start; Table Services for them.
 
 Rules, as in the flight code:
 
@@ -7,6 +7,10 @@ Rules, as in the flight code:
 2. A scan follows the command at once. An application that has left its loop by then is cleaned up; any other
    one has several seconds to leave it, and is cleaned up after them in any case.
 3. Cleaning up closes pipes and sockets with their contents. A restart then starts it under a new number.
+4. A load of a table fills a working buffer. Until it is activated, it may be repeated, validated and aborted.
+5. An activated load waits until its application manages the table. Telemetry Output never does: its load
+   stays pending, and no other load is accepted until it is aborted. SBN manages its table on command.
+6. A load ends with its application.
 
 ``CORE`` has cFE's own five applications: their names, pipes, MsgIds and the events that a link shows.
 """
@@ -18,7 +22,8 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import msgspec
 
-from edoras_tools.cfs import event_services, executive_services, software_bus
+from edoras_tools.addons.lab.emulator.services.events import Event
+from edoras_tools.cfs import event_services, executive_services, software_bus, table_services
 from edoras_tools.cfs import executive_services as facts
 from edoras_tools.cfs.event_services import EventText, EventType
 
@@ -268,3 +273,71 @@ CORE: Final = (
     CoreApp("CFE_TBL", "TBL_CMD_PIPE", 0x1804, 0x180C, 0x0804, 10, 51),
 )
 """The five applications in the order in which they start."""
+
+
+class TableServices:
+    """The waiting loads. The contents of tables are those of the profile, whatever is loaded.
+
+    Args:
+        executive: applications that run; their tables are registered.
+    """
+
+    def __init__(self, executive: ExecutiveServices) -> None:
+        self._executive = executive
+        self._loads: dict[str, tuple[int, bool]] = {}
+
+    def command(self, function_code: int, payload: bytes) -> Event | None:
+        """Process a command of the right length; return its event, None for an activation, which is silent.
+
+        Args:
+            function_code: one of ``table_services.CODES``.
+        """
+        name = (
+            payload[2 * (function_code == table_services.VALIDATE) :]
+            .split(b"\0")[0]
+            .decode("ascii", "replace")
+        )
+        table = table_services.TABLE_OF.get(name, "") if function_code == table_services.LOAD else name
+        if not table:
+            return Event.of(table_services.NO_FILE, file=name)
+        number = self._owner(table)
+        if not number:
+            return Event.of(table_services.NO_TABLE, table=table)
+        waits, pending = self._waiting(table)
+        if function_code == table_services.LOAD:
+            if pending:
+                return Event.of(table_services.STILL_PENDING, table=table)
+            self._loads[table] = number, False
+            return Event.of(table_services.LOADED, file=name, table=table)
+        if function_code == table_services.VALIDATE:
+            inactive = not any(payload[:2])
+            return Event.of(
+                table_services.NO_INACTIVE_BUFFER if inactive and not waits else table_services.ASSUMED_VALID,
+                table=table,
+            )
+        if function_code == table_services.ABORT_LOAD:
+            self._loads.pop(table, None)
+            return Event.of(table_services.ABORTED if waits else table_services.NOT_ABORTED, table=table)
+        if not waits:
+            return Event.of(table_services.NOT_ACTIVATED, table=table)
+        self._loads[table] = number, True
+        return None
+
+    def take(self, table: str) -> bool:
+        """Let an application manage its table; return whether it got a new one."""
+        image = self._waiting(table)[1]
+        if image:
+            del self._loads[table]
+        return image
+
+    def _owner(self, table: str) -> int:
+        """Return the AppID of the application that registered a table; 0 if none has."""
+        application = self._executive.applications.get(table.partition(".")[0])
+        owns = table in table_services.TABLE_OF.values() and application is not None and application.runs
+        return application.number if owns and application else 0
+
+    def _waiting(self, table: str) -> tuple[bool, bool]:
+        """Return whether a table has a load, and whether the load is activated."""
+        number, pending = self._loads.get(table, (0, False))
+        waits = bool(number) and number == self._owner(table)
+        return waits, waits and pending

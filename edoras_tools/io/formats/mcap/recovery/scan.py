@@ -22,6 +22,7 @@ import msgspec
 import numpy as np
 from mcap.opcode import Opcode
 
+from edoras_tools.io.formats.mcap.chunks import COMPRESSIONS, Proof, frame_at, inflate, unpack_chunk
 from edoras_tools.io.formats.mcap.file import (
     CHUNK_HEAD_BYTES,
     INDEX_ENTRY,
@@ -34,14 +35,13 @@ from edoras_tools.io.formats.mcap.file import (
     chunk_head,
 )
 from edoras_tools.io.formats.mcap.recovery.records import Entries, FileBytes, Walked, parse, walk
-from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, frame_at, inflate, unpack_chunk
 from edoras_tools.io.topics.rows import MAGIC
 from edoras_tools.wire.arrays.sums import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary
+    from edoras_tools.io.formats.mcap.recovery.report import FoundSummary
 
 _PLACES: Final = re.compile(
     rb"(?s)(?=[\x01-\x0f](?!\x00{8}[\x01-\x0f\x80-\xff]\x00{8}).{4}\x00{4}"

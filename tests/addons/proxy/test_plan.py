@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.addons.proxy.faults import StreamFaults
+from edoras_tools.addons.proxy.plan import StreamFaults
 from edoras_tools.errors import ConfigError
 from edoras_tools.sessions.faults.rules import parse_rule
 

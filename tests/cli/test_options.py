@@ -7,8 +7,7 @@ from typing import Annotated, NamedTuple
 import typer
 from typer import Option
 
-from edoras_tools.cli.declare import grouped, headed
-from edoras_tools.cli.options import duration
+from edoras_tools.cli.options import duration, grouped, headed
 
 
 class Inner(NamedTuple):

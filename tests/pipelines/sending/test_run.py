@@ -10,17 +10,16 @@ from mcap.reader import make_reader
 from places import SAMPLES
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.net.transmit import SendStatistics
-from edoras_tools.io.net.wire import Arrival
+from edoras_tools.io.net.transmit import Arrival, SendStatistics
 from edoras_tools.links.bare import CI, TO
 from edoras_tools.mission import Mission
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.capture.record import Target
 from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedule
-from edoras_tools.pipelines.sending.recording import SentRecording
 from edoras_tools.pipelines.sending.responses import Responses
+from edoras_tools.pipelines.sending.run import SentRecording
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.sessions.faults.fault import Fault
+from edoras_tools.sessions.faults.kinds import Fault
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.sessions.pacing import Pacing
 from edoras_tools.wire import cfe
@@ -113,7 +112,7 @@ def test_faults_are_recorded_as_what_they_are(bench, tmp_path):
 
 
 def test_much_is_written_before_the_end(bench, tmp_path, monkeypatch):
-    monkeypatch.setattr("edoras_tools.pipelines.sending.recording._MOST", 3)
+    monkeypatch.setattr("edoras_tools.pipelines.sending.run._MOST", 3)
     recording = SentRecording(FakeWire(), Target(tmp_path / "x.pcap"), bench)
     for payload in COMMANDS:
         recording.put(payload)

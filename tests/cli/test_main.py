@@ -12,7 +12,7 @@ import pytest
 import typer
 from places import ROOT
 
-from edoras_tools.cli import main, usage
+from edoras_tools.cli import main
 from edoras_tools.cli.options import OLD_NAMES
 
 ENTRIES, NAMES = 552, 145
@@ -43,7 +43,7 @@ def shown(monkeypatch):
     def lines(path, *, whole=False):
         monkeypatch.setenv("COLUMNS", str(COLUMNS))
         command, context = TREE[path]
-        monkeypatch.setitem(context.meta, usage.WHOLE, whole)
+        monkeypatch.setitem(context.meta, main.WHOLE, whole)
         return command.get_help(context).splitlines()
 
     return lines
@@ -89,7 +89,7 @@ def test_each_command_of_the_list_has_one_line(shown):
     lines = shown("edoras")
     for name in main.COMMANDS:
         command, _ = TREE[f"edoras {name}"]
-        assert any(line.endswith(f"  {usage.first_line(command)}") for line in lines), name
+        assert any(line.endswith(f"  {main.first_line(command)}") for line in lines), name
 
 
 def test_what_is_only_named_says_where_it_is_explained(shown):

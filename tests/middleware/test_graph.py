@@ -10,7 +10,7 @@ import pytest
 from edoras_tools.addons.lab.demo.local_graph import LocalGraph
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import open_graph
-from edoras_tools.middleware.opening import middleware, usual, usual_domain
+from edoras_tools.middleware.graph import middleware, usual, usual_domain
 from edoras_tools.ros import TypeStore
 
 

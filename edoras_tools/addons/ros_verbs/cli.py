@@ -1,37 +1,133 @@
-"""``edoras echo``, ``bw``, ``delay``, ``topic``, and ``hz`` of a graph: like the verbs of ``ros2 topic``.
+"""``edoras echo``, ``bw``, ``delay``, ``topic``, and ``hz`` of a graph; ``edoras observe`` and ``play``.
 
-Their input is a graph, unless a file or live traffic is named.
+The verbs of ``ros2 topic`` have a graph as their input, unless a file or live traffic is named. ``observe``
+counts what publishers and subscriptions of a graph exchange; ``play`` publishes a recording in one.
+
+``echo`` prints messages as ``ros2 topic echo`` does: YAML or CSV, long values cut. A float32 number is
+printed with the digits of the equal double, as rclpy prints it.
 """
 
 from __future__ import annotations
 
 import sys
+from collections import deque
+from contextlib import closing
 from pathlib import Path
 from time import monotonic_ns
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
-from msgspec.structs import replace
-from typer import Argument, BadParameter, Option
+from msgspec.structs import asdict, replace
+from typer import Argument, BadParameter, Exit, Option
 
-from edoras_tools.addons.ros_verbs.echo import TextOptions
-from edoras_tools.cli import options
+from edoras_tools.cli import options, recordings
 from edoras_tools.cli.bridge import RosOptions
-from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.inputs import FileOptions, InputOptions, LiveOptions, open_input
 from edoras_tools.cli.main import command_group
-from edoras_tools.cli.output import print_json, tell
+from edoras_tools.cli.options import grouped
+from edoras_tools.cli.output import INTERRUPTED, LOST, finish, print_json, say, tell
+from edoras_tools.cli.replay import pair
+from edoras_tools.cli.sending import factor, loops
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.io.formats.table import READ_PACKED
+from edoras_tools.ros.types.schema import MessageField, Shape
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.addons.ros_verbs.endpoints import GraphEndpoint
     from edoras_tools.addons.ros_verbs.messages import Kind, MessageBlock
+    from edoras_tools.addons.ros_verbs.playing import PlayRequest
     from edoras_tools.addons.ros_verbs.source import GraphRequest
     from edoras_tools.io import Source
     from edoras_tools.middleware.graph import Qos
     from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.ros import TypeStore
+
+_USUAL_LENGTH: Final = 128
+_ELLIPSIS: Final = "..."
+_ROSIDL_NAMES: Final = {
+    "float64": "double",
+    "float32": "float",
+    "bool": "boolean",
+    "byte": "octet",
+    "char": "uint8",
+}
+"""Names of element types in the output of ``--no-arr``."""
+
+
+class TextOptions(NamedTuple):
+    """Form and length of a printed message."""
+
+    field: Annotated[str | None, Option(help="Only this part, e.g. pose.position.")] = None
+    csv: Annotated[bool, Option("--csv", help="Values alone, with commas.")] = False
+    full_length: Annotated[bool, Option("--full-length", "-f", help="Long values whole.")] = False
+    truncate_length: Annotated[
+        int | None, Option("--truncate-length", "-l", parser=options.count, help="Cut them here; 128.")
+    ] = None
+    no_arr: Annotated[bool, Option("--no-arr", help="Name arrays, without values.")] = False
+    no_str: Annotated[bool, Option("--no-str", help="Give the length of strings alone.")] = False
+    flow_style: Annotated[bool, Option("--flow-style", help="YAML in one line.")] = False
+    raw: Annotated[bool, Option("--raw", help="The bytes, as Python writes them.")] = False
+    message_info: Annotated[
+        bool, Option("--include-message-info", help="Also times, and the publisher's number.")
+    ] = False
+
+    def text(self, types: TypeStore, type_name: str, cdr: bytes) -> str:
+        """Return a message as text, without a separator.
+
+        Raises:
+            ConfigError: the type has no such field.
+            WireError: the message does not fit its type.
+        """
+        import yaml
+
+        value: Any = types.decode(type_name, cdr)
+        kind = type_name
+        for name in filter(None, (self.field or "").split(".")):
+            fields = {item.name: item for item in types.fields(kind)} if isinstance(value, dict) else {}
+            if name not in fields:
+                hint = f"; there are {', '.join(fields)}" if fields else ""
+                raise ConfigError(f"--field {self.field}: {kind} has no field {name!r}{hint}")
+            value, kind = value[name], fields[name].type
+        prepared = self._prepared(types, kind, value)
+        if self.csv:
+            return ",".join(_cells(prepared)) + "\n"
+        text: str = yaml.dump(
+            prepared, allow_unicode=True, sort_keys=False, width=1 << 30, default_flow_style=self.flow_style
+        )
+        return text if isinstance(prepared, dict | list) else text.removesuffix("...\n")
+
+    def _prepared(self, types: TypeStore, kind: str, value: Any) -> Any:
+        """Return a value for YAML, cut if it is long."""
+        most = None if self.full_length else self.truncate_length or _USUAL_LENGTH
+        if isinstance(value, dict):
+            return {item.name: self._member(types, item, value[item.name]) for item in types.fields(kind)}
+        if isinstance(value, str) and self.no_str:
+            return f"<string length: <{len(value)}>>"
+        if isinstance(value, str):
+            return value if len(cut := value[:most]) == len(value) else cut + _ELLIPSIS
+        if isinstance(value, list | bytes):
+            some = [self._prepared(types, kind, item) for item in value[:most]]
+            return some + [_ELLIPSIS] * (len(some) < len(value))
+        return value
+
+    def _member(self, types: TypeStore, item: MessageField, value: Any) -> Any:
+        if not self.no_arr or item.shape is Shape.SCALAR:
+            return self._prepared(types, item.type, value)
+        kind = _ROSIDL_NAMES.get(item.type, item.type)
+        if item.shape is Shape.ARRAY:
+            return f"<array type: {kind}[{len(value)}]>"
+        bound = f"[{item.size}]" if item.size else ""
+        return f"<sequence type: {kind}{bound}, length: {len(value)}>"
+
+
+def _cells(value: Any) -> Iterator[str]:
+    """Yield the values of a message, one for each cell of CSV."""
+    if isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _cells(item)
+    else:
+        yield str(value)
 
 
 class Words(NamedTuple):
@@ -92,7 +188,7 @@ class SourceOptions(NamedTuple):
     def request(self, topics: Sequence[str], qos: QosOptions = QosOptions()) -> GraphRequest:
         """Return the request for a graph."""
         from edoras_tools.addons.ros_verbs.source import GraphRequest
-        from edoras_tools.middleware.opening import usual, usual_domain
+        from edoras_tools.middleware.graph import usual, usual_domain
 
         ros, domain, more = self.graph
         domain = usual_domain() if domain is None else domain
@@ -344,3 +440,156 @@ def _topics(words: Words, source: SourceOptions, decoding: options.DecodingOptio
         counts = {"publishers": len(texts) or (1 if is_published else None), "subscriptions": None}
         rows.append({"topic": item.name, "type": item.type, **counts, "details": details})
     return rows
+
+
+@grouped
+def observe(
+    *,
+    topics: Annotated[
+        list[str] | None, Argument(metavar="[TOPIC]...", help="Topics, waited for; else all there are.")
+    ] = None,
+    graph: RosOptions,
+    qos: QosOptions,
+    duration: options.Duration = None,
+    output: recordings.Output = None,
+    force: recordings.Force = False,
+    printing: options.PrintOptions,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Count what ROS 2 nodes exchange.
+
+    By publisher: messages, numbers, those missed, delay; and whose quality of service does not match.
+    A recording is a witness for the doctor: doctor CAPTURE --bag FILE. Exit code 3: messages were missed.
+    """
+    from edoras_tools.addons.ros_verbs.source import open_source
+    from edoras_tools.pipelines.capture.record import record
+    from edoras_tools.pipelines.reading import Limits, reading
+
+    words, report = Words.of(topics), None
+    if words.files:
+        raise ConfigError(f"{words.files[0]}: observe looks at a graph; a topic begins with /")
+    target = recordings.recording_target(output, force=force)
+    source, bench = open_source(SourceOptions(graph=graph).request(words.topics, qos), decoding.settings())
+    if not printing.quiet:
+        say(f"observing {', '.join(source.topics)} ({source.info.name}); Ctrl-C ends")
+    began, limits = monotonic_ns(), Limits(duration_ns=duration or 0)
+    if target is not None:
+        report = record(source, bench, target, limits=limits, by_route=False)
+    else:
+        with reading(source, bench, limits=limits) as loop:
+            deque(loop, maxlen=0)
+    summaries = source.summaries()
+    if printing.json:
+        seconds, outputs = (monotonic_ns() - began) / 1e9, report.outputs if report else ()
+        whole = {"graph": source.info.name, "seconds": round(seconds, 3), "topics": summaries}
+        print_json({**whole, "outputs": [str(path) for path in outputs]})
+    elif not printing.quiet:
+        sys.stdout.write("".join(f"{line}\n" for item in summaries for line in _lines(item)))
+    if report is not None:
+        finish(report, live=True)
+    if any(item["lost"] or any(one["missed"] for one in item["publishers"]) for item in summaries):
+        raise Exit(LOST)
+
+
+def _lines(topic: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of a topic and its endpoints, for people."""
+    lost = "" if topic["lost"] is None else f": the middleware lost {topic['lost']:,}"
+    yield f"{topic['topic']}  {topic['type']}{lost}"
+    for item in topic["publishers"]:
+        delay, numbers = item["delay_us"], "no numbers"
+        if item["first_sequence"] is not None:
+            numbers = f"{item['first_sequence']:,} to {item['last_sequence']:,}, {item['missed']:,} missed"
+        parts = [f"{item['received']:,} received", numbers, "left" if item["left"] else ""]
+        if delay["p50"] is not None:
+            parts.append(f"delay p50 {delay['p50'] / 1000:.2f} ms, p99 {delay['p99'] / 1000:.2f} ms")
+        yield f"  publisher     {_name(item)}  {'; '.join(filter(None, parts))}"
+    for item in topic["subscriptions"]:
+        apart = "; ".join(f"does not match {text}" for text in item["incompatible"])
+        yield f"  subscription  {_name(item)}  {apart or ('observes' if item['observer'] else 'matches')}"
+
+
+def _name(item: Mapping[str, Any]) -> str:
+    policies = f"{item['reliability']}, {item['durability']}" if "reliability" in item else "unknown"
+    return f"{item['node'] or item['gid'] or 'of several':<20}  {policies}"
+
+
+_DELAY_NS = 5_000_000_000
+
+
+class PlayOptions(NamedTuple):
+    """The played part of a recording, and the settings of playing."""
+
+    topic: Annotated[list[str] | None, Option(help="Only topics that match, e.g. '/robot_*'.")] = None
+    remap: Annotated[list[Any] | None, Option(parser=pair, metavar="A:=B", help="Publish A as B.")] = None
+    times: options.TimeOptions = options.TimeOptions()
+    speed: Annotated[float | None, Option(parser=factor, help="Factor; default 1.")] = None
+    clock: Annotated[
+        float | None, Option(parser=factor, metavar="[=HZ]", help="Also publish its time, at 40 Hz.")
+    ] = None
+    loop: Annotated[int | None, Option(parser=loops, help="How often; default 1; 0: no end.")] = None
+    paused: Annotated[bool, Option("--paused", help="Paused at first: n next, space, q quits.")] = False
+    delay: Annotated[
+        int | None, Option(parser=options.duration, help="Wait for subscriptions at most; 5s.")
+    ] = None
+
+    def request(self) -> PlayRequest:
+        """Return these options in the form that pipelines take."""
+        from edoras_tools.addons.ros_verbs.playing import PlayRequest
+
+        passes, delay = 1 if self.loop is None else self.loop, _DELAY_NS if self.delay is None else self.delay
+        topics, renamed, period = tuple(self.topic or ()), dict(self.remap or ()), self.times.period()
+        speed, clock = self.speed or 1.0, self.clock or 0.0
+        return PlayRequest(topics, renamed, period, speed, clock, passes, self.paused, delay)
+
+
+@grouped
+def play(
+    *,
+    files: Annotated[list[Path], Argument(metavar="FILE...", help=f"{READ_PACKED}.")],
+    graph: RosOptions,
+    how: PlayOptions,
+    printing: options.PrintOptions,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Publish a recording's messages in ROS 2.
+
+    With the quality of service that their publishers had, at the times of the recording, kept as replay
+    keeps them.
+    """
+    from edoras_tools.addons.ros_verbs import playing
+    from edoras_tools.middleware.graph import open_graph, usual, usual_domain
+    from edoras_tools.pipelines.interrupt import Keys
+    from edoras_tools.pipelines.messages import open_inputs
+    from edoras_tools.render.capture.watch import Followed
+    from edoras_tools.render.sending.status import send_status
+
+    (json, quiet), (ros, domain, more), request = printing, graph, how.request()
+    ros, domain = ros or usual(), usual_domain() if domain is None else domain
+    source, bench = open_inputs(files, decoding.settings())
+    with closing(Followed(source, quiet=quiet or json)) as recording:
+        loaded = playing.load_messages(recording, bench, request)
+    name = f"{ros}, domain {domain}"
+    node = open_graph(ros, bench.types, "edoras_play", domain=domain, options=dict(more or ()))
+    if not (quiet or json):
+        say(f"playing {len(loaded.out):,} messages on {len(loaded.topics)} topics ({name}); Ctrl-C ends")
+    keys = Keys() if request.paused or (sys.stdin is not None and sys.stdin.isatty()) else None
+    total = len(loaded.out) * request.passes or None
+    with send_status(total, quiet=quiet or json, keys=bool(keys)) as watcher:
+        report = playing.play(loaded, node, request, bench.mission, name=name, keys=keys, watcher=watcher)
+    summary = report.summary()
+    if json:
+        topics = [{"topic": item.topic, "type": item.type, **asdict(item.qos)} for item in loaded.topics]
+        names = "sent", "rate_achieved_hz", "duration_s", "lateness_us", "errors", "notes", "interrupted"
+        figures = {key: summary[key] for key in names}
+        print_json({"graph": name, "total": report.total, **figures, "topics": topics})
+    elif not quiet:
+        late = " us, ".join(f"{key} {value}" for key, value in summary["lateness_us"].items())
+        sys.stdout.write(
+            f"published {report.sent:,} messages in {summary['duration_s']:.1f} s, late by {late} us\n"
+        )
+    errors = (f"{count:,} not published: {why}" for why, count in report.errors.items())
+    tell(*summary["notes"], *errors)
+    if report.failure is not None:
+        raise report.failure
+    if report.errors or (report.signalled and report.total):
+        raise Exit(LOST if report.errors else INTERRUPTED)

@@ -1,1 +1,0 @@
-"""The commands ``sim``, ``demo`` and ``sweep``."""

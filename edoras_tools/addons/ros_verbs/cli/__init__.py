@@ -1,1 +1,0 @@
-"""The commands: one file for those that ``ros2 topic`` has, one for each other."""

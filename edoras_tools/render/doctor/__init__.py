@@ -1,1 +1,0 @@
-"""Views of a diagnosis: on the terminal and as a page."""

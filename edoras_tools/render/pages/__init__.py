@@ -1,1 +1,0 @@
-"""What self-contained pages are made of: charts as inline SVG, cards, style."""
