@@ -131,6 +131,14 @@ def shipped(kind: str) -> dict[str, Addition]:
     }
 
 
+def addon_ports() -> dict[str, tuple[int, ...]]:
+    """Return the usual UDP ports of the links of add-ons that are there, by label."""
+    from edoras_tools.addons import LINK_PORTS
+
+    links = shipped("links")
+    return {label: ports for label, ports in LINK_PORTS.items() if label in links and not links[label].absent}
+
+
 def installed(kind: str) -> list[Addition]:
     """Return the additions of a kind by installed packages, sorted by name."""
     if kind not in _kinds(tuple(sys.path)):

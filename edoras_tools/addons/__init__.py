@@ -234,3 +234,5 @@ ADDONS: Final = (
     ),
 )
 """The add-ons that ship."""
+LINK_PORTS: Final = {"cfdp": (5111, 5222), "fprime": (50000, 50001)}
+"""Usual UDP ports of their links, which ``edoras host`` names without loading the links."""

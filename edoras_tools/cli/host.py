@@ -8,9 +8,11 @@ import time
 import typer
 from msgspec.structs import asdict
 
+from edoras_tools import doors
 from edoras_tools.cli import options
 from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import LOST, print_json
+from edoras_tools.links import usual_ports
 
 
 @grouped
@@ -25,11 +27,7 @@ def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> No
     from edoras_tools.io.host import advice, read_host, steal
     from edoras_tools.render.capture.host import host_lines
 
-    context = decoding.settings().context()
-    links = {
-        port: "/".join(link.label for link in context.claimants[context.claim[port]])
-        for port in context.capture_ports()
-    }
+    links = _ports(decoding)
     counters = read_host(links, time.time_ns())
     hints, share = list(advice(counters)), steal(counters)
     if json:
@@ -39,3 +37,14 @@ def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> No
         sys.stdout.writelines(f"{line}\n" for line in host_lines(counters, links, share, hints))
     if any(item.drops for item in counters.sockets):
         raise typer.Exit(LOST)
+
+
+def _ports(decoding: options.DecodingOptions) -> dict[int, str]:
+    """Return the UDP ports of the links, each with the labels of its links; load links only if needed."""
+    if decoding == options.DecodingOptions() and not doors.installed("links"):
+        return usual_ports()
+    context = decoding.settings().context()
+    return {
+        port: "/".join(link.label for link in context.claimants[context.claim[port]])
+        for port in context.capture_ports()
+    }

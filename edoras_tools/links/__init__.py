@@ -1,12 +1,14 @@
 """The links: one file each, one row each in the table below; see docs/links.md.
 
-This file imports nothing: help texts name the links without loading them. The links themselves are in
-:mod:`edoras_tools.links.table`.
+This file imports no link: help texts name the links, and ``edoras host`` their ports, without loading them.
+The links themselves are in :mod:`edoras_tools.links.table`.
 """
 
 from __future__ import annotations
 
 from typing import Final
+
+from edoras_tools.doors import addon_ports
 
 ROWS: Final = {
     "ci": "edoras_tools.links.bare:CI",
@@ -18,3 +20,20 @@ ROWS: Final = {
     "icmp": "edoras_tools.links.icmp:ICMP",
 }
 """Locations of the built-in links; other packages add theirs by entry points."""
+
+PORTS: Final = {
+    "ci": (1234, 1235, 1236, 1237),
+    "to": (1235,),
+    "sbn": (2234, 2235, 2236),
+    "robot": (8080, 8585),
+}
+"""Usual UDP ports of the links; those of add-ons are in their table."""
+
+
+def usual_ports() -> dict[int, str]:
+    """Return the labels of the links that each UDP port has if nothing names another one, joined by ``/``."""
+    labels: dict[int, list[str]] = {}
+    for label, ports in (PORTS | addon_ports()).items():
+        for port in ports:
+            labels.setdefault(port, []).append(label)
+    return {port: "/".join(labels[port]) for port in sorted(labels)}

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from edoras_tools.cfs.command_ingest import CI_BUFFER
 from edoras_tools.cfs.edoras_app import BRIDGE_BUFFER
+from edoras_tools.links import PORTS
 from edoras_tools.links.protocol import CERTAIN, Form, LinkProtocol, Seen
 from edoras_tools.model import Finding, Transport
 from edoras_tools.wire.layout import Field, Layout
@@ -32,7 +33,7 @@ class CommandIngestLink(LinkProtocol):
     label = "ci"
     colour = "cyan"
     doc = "ground to cFS, one space packet a datagram (Command Ingest)"
-    transport = Transport(ports=(1234, 1235, 1236, 1237))
+    transport = Transport(ports=PORTS["ci"])
     to_cfs = True
     packets = True
     bridge = "ground"
@@ -52,7 +53,7 @@ class TelemetryOutputLink(LinkProtocol):
     label = "to"
     colour = "green"
     doc = "cFS to ground, one space packet a datagram (Telemetry Output)"
-    transport = Transport(ports=(1235,), first="server")
+    transport = Transport(ports=PORTS["to"], first="server")
     from_cfs = True
     packets = True
     bridge = "ground"
@@ -64,8 +65,7 @@ class TelemetryOutputLink(LinkProtocol):
 TO: Final = TelemetryOutputLink()
 
 
-CFS_PORT: Final = 8080
-ROBOT_PORT: Final = 8585
+CFS_PORT, ROBOT_PORT = PORTS["robot"]
 
 
 def _doubles(name: str, letters: str, doc: str) -> list[Field]:
@@ -107,7 +107,7 @@ class RobotLink(LinkProtocol):
     label = "robot"
     colour = "yellow"
     doc = "between a flight app and its robot, bare doubles over UDP"
-    transport = Transport(ports=(CFS_PORT, ROBOT_PORT), first="either")
+    transport = Transport(ports=PORTS["robot"], first="either")
     to_cfs = True
     from_cfs = True
     last_hop = True

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs.edoras_app import BRIDGE_LENGTH_MODULUS
+from edoras_tools.links import PORTS
 from edoras_tools.links.doors import NOT_A_MESSAGE, NOT_YET, Framing, prefixed
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.doors import Reading, Site
     from edoras_tools.wire.layout import Layout
 
-BRIDGE_PORT: Final = 2236
+BRIDGE_PORT: Final = PORTS["sbn"][-1]
 """The port of the demos' flight bridge."""
 _WINDOW: Final = 64
 """Bytes that hold a header, and a subscription's $Id and count."""
@@ -90,7 +91,7 @@ class SoftwareBusNetworkLink(LinkProtocol):
     label = "sbn"
     colour = "magenta"
     doc = "between Software Bus Network peers"
-    transport = Transport("either", (2234, 2235, BRIDGE_PORT), first="either")
+    transport = Transport("either", PORTS["sbn"], first="either")
     framing = SoftwareBusNetworkFraming()
     to_cfs = True
     from_cfs = True

@@ -8,9 +8,17 @@ import pytest
 from namespace import inside
 from waiting import Program
 
+from edoras_tools.decode import Context
 from edoras_tools.io.formats.mcap.reader import McapSource
+from edoras_tools.links import usual_ports
 
 SENT = 300
+
+
+def test_the_usual_ports_are_those_of_the_links():
+    context = Context()
+    links = {port: context.claimants[context.claim[port]] for port in context.capture_ports()}
+    assert usual_ports() == {port: "/".join(link.label for link in item) for port, item in links.items()}
 
 
 def slow_reader():

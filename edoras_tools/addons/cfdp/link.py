@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 import numpy as np
 
-from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen
+from edoras_tools.addons import LINK_PORTS
+from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, LinkSending, Located, Seen
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16_rows
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import LinkEvidence, OwnTopics, Reading, Site, TopicSpace
-    from edoras_tools.links.protocol import LinkSending
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 
@@ -366,7 +366,7 @@ class FileDeliveryLink(LinkProtocol):
     label = "cfdp"
     colour = "bright_blue"
     doc = "between CFDP entities, one protocol data unit a datagram (file delivery)"
-    transport = Transport(ports=(5111, 5222), first="either")
+    transport = Transport(ports=LINK_PORTS["cfdp"], first="either")
     to_cfs = True
     from_cfs = True
     bridge = "transfer"

@@ -18,8 +18,9 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.links.doors import Framing, prefixed
-from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen
+from edoras_tools.addons import LINK_PORTS
+from edoras_tools.links.doors import Framing, LinkEvidence, Reading, Site, prefixed
+from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, LinkSending, Located, Seen
 from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch, Transport
 from edoras_tools.wire import ccsds
 from edoras_tools.wire import transfer_frames as headers
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.doors import LinkEvidence, Reading, Site
-    from edoras_tools.links.protocol import LinkSending
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 
@@ -388,7 +387,7 @@ class GroundDataLink(LinkProtocol):
     label = "fprime"
     colour = "magenta"
     doc = "between F Prime and its ground data system (GDS), one frame a datagram"
-    transport = Transport("either", (50000, 50001), first="either")
+    transport = Transport("either", LINK_PORTS["fprime"], first="either")
     framing = GroundDataFraming()
     to_cfs = True
     from_cfs = True
