@@ -10,7 +10,7 @@ from typer import BadParameter, Option
 
 from edoras_tools import doors
 from edoras_tools.cli import recordings
-from edoras_tools.cli.options import headed
+from edoras_tools.cli.options import PrintOptions, headed
 from edoras_tools.cli.output import LOST, Metrics, lost_outputs, measured, place, print_json, say, tell
 from edoras_tools.errors import EdorasError
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from rich.console import Console, Group
 
-    from edoras_tools.cli.options import PrintOptions
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.pipelines.workbench import Workbench

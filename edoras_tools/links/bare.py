@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 from edoras_tools.cfs.command_ingest import CI_BUFFER
 from edoras_tools.cfs.edoras_app import BRIDGE_BUFFER
 from edoras_tools.links import PORTS
-from edoras_tools.links.protocol import CERTAIN, Form, LinkProtocol, Seen
+from edoras_tools.links.protocol import CERTAIN, Form, LinkProtocol, LinkSending, Seen
 from edoras_tools.model import Finding, Transport
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
     from edoras_tools.links.doors import Site
-    from edoras_tools.links.protocol import LinkSending
 
 
 class CommandIngestLink(LinkProtocol):

@@ -26,7 +26,7 @@ import msgspec
 import numpy as np
 
 from edoras_tools.errors import TruncatedError
-from edoras_tools.model import Datagram, Finding, Layer, LayerField, RosMessage
+from edoras_tools.model import Columns, Datagram, Finding, Layer, LayerField, PacketBatch, RosMessage
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
     from edoras_tools.wire.layout import Layout
 

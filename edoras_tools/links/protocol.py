@@ -21,7 +21,7 @@ import numpy as np
 
 from edoras_tools import doors
 from edoras_tools.errors import ConfigError
-from edoras_tools.model import Datagram, Decoded, Finding, Link, PacketBatch
+from edoras_tools.model import Columns, Datagram, Decoded, Endpoint, Finding, Link, PacketBatch
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.layout import Field, Layout
 
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
         TopicSpace,
         Unwrapper,
     )
-    from edoras_tools.model import Columns, Endpoint
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 _NEVER: Final = 2**63 - 1

@@ -15,7 +15,7 @@ import numpy as np
 
 from edoras_tools.cfs.edoras_app import BRIDGE_LENGTH_MODULUS
 from edoras_tools.links import PORTS
-from edoras_tools.links.doors import NOT_A_MESSAGE, NOT_YET, Framing, prefixed
+from edoras_tools.links.doors import NOT_A_MESSAGE, NOT_YET, Framing, Reading, Site, prefixed
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds, sbn
@@ -25,7 +25,6 @@ from edoras_tools.wire.arrays.window import gather
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.links.doors import Reading, Site
     from edoras_tools.wire.layout import Layout
 
 BRIDGE_PORT: Final = PORTS["sbn"][-1]

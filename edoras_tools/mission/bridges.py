@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.table import carrying
 from edoras_tools.mission import model
-from edoras_tools.mission.parameters import Fields, suggestion
+from edoras_tools.mission.parameters import Fields, NodeParameters, suggestion
 from edoras_tools.mission.tree import Mistakes, ScalarNode, printable
 from edoras_tools.wire import cfe
 from edoras_tools.wire.ccsds import VERSION_1, MsgIds
@@ -23,8 +23,6 @@ from edoras_tools.wire.envelope import EnvelopeFormat
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-
-    from edoras_tools.mission.parameters import NodeParameters
 
     CheckType = Callable[[str], str | None]
 

@@ -34,7 +34,7 @@ from edoras_tools.model import OTHER, Columns, Finding, PacketBatch
 from edoras_tools.pipelines.interrupt import interrupted, interruptible
 from edoras_tools.pipelines.selection import Period, Selection, outside
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, by_value
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from edoras_tools.links.doors import OwnRows
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.sequence import SequenceCounts
-    from edoras_tools.wire.arrays.order import Mask
 
 _ENDING_NS: Final = SECOND // 4
 """Time after Ctrl-C in which arrived packets are still shown; the rest is only counted."""

@@ -22,7 +22,7 @@ from edoras_tools.structs.messages import HEADER_FIELDS, parts
 from edoras_tools.structs.shapes import SHIPPED, Key, Member, Struct, StructLayout
 from edoras_tools.structs.transcode import HEAD, MOST_VALUES, Counter, StructPlan
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.structs import Structs
-    from edoras_tools.wire.arrays.order import Places
 
 
 class StructPayloads(NamedTuple):

@@ -16,8 +16,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, Key, StructLayout, commanded, packets
-from edoras_tools.wire.arrays.order import Mask, Octets, changes, order_by
+from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, Key, LayoutEntry, StructLayout, commanded, packets
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, changes, order_by
 from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
     from edoras_tools.ros.types.schema import Definition
     from edoras_tools.structs.bindings import Bindings, Bound, Held, StructPayloads
-    from edoras_tools.structs.shapes import LayoutEntry
-    from edoras_tools.wire.arrays.order import Integers
 
 _NONE: Final = 3
 """Keys after the last entry: for an unknown entry, for bytes that are no entry, and ``NO_MSG_ID``."""

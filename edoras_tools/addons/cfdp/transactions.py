@@ -31,7 +31,7 @@ import numpy as np
 from edoras_tools.addons.cfdp import link as cfdp
 from edoras_tools.addons.cfdp.link import CFDP, holds_pdu
 from edoras_tools.io.topics.rows import RECORD, Messages, whole_messages
-from edoras_tools.links.doors import LinkEvidence
+from edoras_tools.links.doors import LinkEvidence, TopicSpace
 from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.wire.arrays.order import Integers, Octets, Places, numbered
 from edoras_tools.wire.arrays.sums import FileCrc
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.doors import TopicSpace
     from edoras_tools.mission import Mission, StoredTopic
     from edoras_tools.model import Columns, PacketBatch
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.addons.codegen.generation import MARK, STARTUP
+from edoras_tools.addons.codegen.generation import MARK, STARTUP, Generated
 from edoras_tools.addons.codegen.ground.cosmos import cosmos
 from edoras_tools.addons.codegen.ground.packets import PacketItem, route_packet, struct_packet
 from edoras_tools.addons.codegen.ground.xtce import xtce
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from edoras_tools.addons.codegen.generation import Generated
     from edoras_tools.addons.codegen.plan import Message
     from edoras_tools.pipelines.workbench import Workbench
 

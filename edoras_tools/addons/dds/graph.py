@@ -10,7 +10,7 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-from cyclonedds.core import DDSException
+from cyclonedds.core import DDSException, Entity, ReadCondition
 from cyclonedds.pub import DataWriter, Publisher
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader, Subscriber
@@ -23,16 +23,13 @@ from edoras_tools.addons.dds.endpoints import BLOCKING_MS, CountedWriter, TopicR
 from edoras_tools.addons.dds.messages import DdsTypes, padded, trimmed, writer_of
 from edoras_tools.addons.dds.peers import Discovered, OwnEndpoint, Session, user_data
 from edoras_tools.errors import ConfigError, WireError
-from edoras_tools.middleware.graph import check_name, dds_name, node_name
+from edoras_tools.middleware.graph import TopicState, check_name, dds_name, node_name
 from edoras_tools.ros.type_hash import type_hash
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from cyclonedds.core import Entity, ReadCondition
-
     from edoras_tools.middleware import graph
-    from edoras_tools.middleware.graph import TopicState
     from edoras_tools.ros import TypeStore
 
 _FOREVER: Final = duration(infinite=True)

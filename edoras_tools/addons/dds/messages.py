@@ -14,7 +14,7 @@ two low bits of the options (DDS-XTypes 1.3, 7.6.3.1.2). Not all writers set the
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclonedds.core import DDSException, InstanceState, SampleState, ViewState
@@ -27,8 +27,6 @@ from edoras_tools.middleware.graph import dds_name
 from edoras_tools.ros.types.schema import PLACEHOLDER, MessageField, Shape, full_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from cyclonedds.pub import DataWriter
     from cyclonedds.sub import DataReader
 

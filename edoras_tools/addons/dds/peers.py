@@ -22,7 +22,7 @@ from cyclonedds.builtin import (
     BuiltinTopicDcpsSubscription,
     DcpsEndpoint,
 )
-from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCondition, WaitSet
+from cyclonedds.core import DDSException, Entity, GuardCondition, InstanceState, ReadCondition, WaitSet
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.qos import Policy, Qos
 
@@ -39,8 +39,6 @@ from edoras_tools.ros.type_hash import HASH_VERSION, type_hash
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from uuid import UUID
-
-    from cyclonedds.core import Entity
 
     Owned = TypeVar("Owned", bound=Entity)
 

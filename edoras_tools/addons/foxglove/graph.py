@@ -21,13 +21,12 @@ from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.net.sockets import reach_note
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.io.topics.streams import Topic
-from edoras_tools.middleware.graph import unknown_options
+from edoras_tools.middleware.graph import Qos, TopicState, unknown_options
 from edoras_tools.model import Endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from edoras_tools.middleware.graph import Qos, TopicState
     from edoras_tools.ros import TypeStore
 
 _OPTIONS: Final = {"host": "127.0.0.1", "port": "8765", "origins": "", "token": ""}

@@ -21,7 +21,7 @@ from edoras_tools.addons.fprime.link import TIME_BYTES, VALUES_LAYER, PacketPlac
 from edoras_tools.model import Finding, Layer, LayerField, RosMessage
 from edoras_tools.structs.bindings import Bound, Encoded, StructPayloads, headed
 from edoras_tools.structs.messages import parts
-from edoras_tools.structs.shapes import ENTRY_KEY, Struct, StructLayout
+from edoras_tools.structs.shapes import ENTRY_KEY, Key, Member, Struct, StructLayout
 from edoras_tools.structs.transcode import HEAD, StructPlan
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value
 from edoras_tools.wire.arrays.window import copy_rows, gather, read_at
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.doors import Reading
     from edoras_tools.structs import Structs
-    from edoras_tools.structs.shapes import Key, Member
 
 _ID_BYTES: Final = np.array([4, 4, 4, 0, 2])
 """Size of an ID by packet type, bytes; 0 for types without entries in a dictionary."""

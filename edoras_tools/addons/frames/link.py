@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.links.doors import Framing, prefixed
-from edoras_tools.links.protocol import BatchRows, LinkProtocol, Seen
+from edoras_tools.links.doors import Framing, Reading, Site, Unwrapper, prefixed
+from edoras_tools.links.protocol import BatchRows, LinkProtocol, LinkSending, Seen
 from edoras_tools.model import Datagram, Decoded, Finding, LayerField, Link, PacketBatch
 from edoras_tools.wire import transfer_frames as headers
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.doors import Reading, Site, Unwrapper
-    from edoras_tools.links.protocol import LinkSending
     from edoras_tools.wire.layout import Layout
 
 _TM_FLAGS: Final = headers.TM.by_name["secondary_header_flag"].start

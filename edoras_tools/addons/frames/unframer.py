@@ -35,7 +35,7 @@ from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
 from edoras_tools.wire import ccsds
 from edoras_tools.wire import transfer_frames as headers
-from edoras_tools.wire.arrays.order import Integers, Mask, by_value, numbered
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value, numbered
 from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16_rows
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 from edoras_tools.wire.transfer_frames import LATE, FrameFormat, count_modulus
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Octets
 
 MOST_NOTES: Final = 8
 """Most channels in the notes."""

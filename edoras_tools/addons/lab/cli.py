@@ -19,7 +19,7 @@ from typer import Argument, BadParameter, Exit, Option
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings, sending
 from edoras_tools.cli.inputs import InputOptions, open_input
-from edoras_tools.cli.options import SCENARIOS, Scenario, grouped, headed
+from edoras_tools.cli.options import SCENARIOS, PrintOptions, Scenario, grouped, headed
 from edoras_tools.cli.output import (
     INTERRUPTED,
     LOST,
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from edoras_tools.addons.lab.emulator import Scenario as ScenarioName
     from edoras_tools.addons.lab.sweep.plan import SweepPlan
     from edoras_tools.cli.doctor import TaskOptions
-    from edoras_tools.cli.options import PrintOptions
     from edoras_tools.mission import Route
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.pipelines.sending.options import SendOptions

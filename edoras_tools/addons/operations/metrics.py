@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 import threading
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from json import dumps
 from typing import TYPE_CHECKING, Any, Final
@@ -22,7 +22,6 @@ from edoras_tools.errors import os_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from contextlib import AbstractContextManager
 
     from typing_extensions import Self
 

@@ -20,7 +20,7 @@ from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.older import StrEnum
 from edoras_tools.pipelines.export.sources import LOST_TOPIC, TopicSource, open_topics
 from edoras_tools.pipelines.export.tables import TableForm, chosen_topics, fits_field
-from edoras_tools.pipelines.selection import PATTERN_SIGNS, fits_topic
+from edoras_tools.pipelines.selection import PATTERN_SIGNS, Period, fits_topic
 from edoras_tools.render.plot.figure import (
     GREY,
     EventMark,
@@ -31,7 +31,7 @@ from edoras_tools.render.plot.figure import (
     bar_seconds,
     extremes,
 )
-from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.ros.cdr.columns import Ragged, TopicBlock
 from edoras_tools.words import did_you_mean, listed, plural
 
 if TYPE_CHECKING:
@@ -42,10 +42,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.formats.columns import TableColumn
     from edoras_tools.pipelines.doctor.scope import Scope
-    from edoras_tools.pipelines.selection import Period
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress
-    from edoras_tools.ros.cdr.columns import TopicBlock
 
 _INDEX: Final = re.compile(r"\[(\d+)\]")
 _NUMBERS: Final = "biuf"

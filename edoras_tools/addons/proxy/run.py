@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.addons.proxy.clients import Clients, ProxyClient
-from edoras_tools.addons.proxy.plan import FaultStage, Outbox
+from edoras_tools.addons.proxy.plan import FaultStage, Outbox, ProxyPlan
 from edoras_tools.io.net.buffer import SLOTS, SPARE, make_buffer
 from edoras_tools.io.net.forward import Direction
 from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound, resolve
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.addons.proxy.plan import ProxyPlan
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.render.terminal.text import Watcher
     from edoras_tools.sessions.faults.kinds import Fault

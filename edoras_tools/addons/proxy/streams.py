@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from edoras_tools.addons.proxy.plan import StreamFaults
+from edoras_tools.addons.proxy.plan import ProxyPlan, StreamFaults
 from edoras_tools.errors import os_errors
 from edoras_tools.io.net.sockets import local_endpoint
 from edoras_tools.links.doors import NOT_A_MESSAGE
@@ -34,7 +34,6 @@ from edoras_tools.links.table import protocol
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
-    from edoras_tools.addons.proxy.plan import ProxyPlan
     from edoras_tools.model import Endpoint
 
 _AT_ONCE: Final = 1 << 16

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.addons.racs2 import wire as racs2
-from edoras_tools.links.doors import Framing, StreamState
-from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen
+from edoras_tools.links.doors import Framing, OwnTopics, Reading, Site, StreamState, TopicSpace
+from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, LinkSending, Located, Seen
 from edoras_tools.model import Decoded, LayerField, PacketBatch, Transport
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.window import gather
@@ -18,8 +18,6 @@ from edoras_tools.wire.layout import Field, Layout
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from edoras_tools.links.doors import OwnTopics, Reading, Site, TopicSpace
-    from edoras_tools.links.protocol import LinkSending
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
 
 _WORDS: Final = Layout(

@@ -20,7 +20,7 @@ from edoras_tools.addons.ros_verbs.endpoints import recorded_qos
 from edoras_tools.addons.ros_verbs.messages import OWN_NAMES, TopicReader
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.net.transmit import SPIN_NS, Arrival, SendStatistics, precise_timing
-from edoras_tools.io.topics.streams import QOS_METADATA
+from edoras_tools.io.topics.streams import QOS_METADATA, Topic
 from edoras_tools.middleware.graph import Qos
 from edoras_tools.model import OTHER, Endpoint
 from edoras_tools.pipelines.bridge.plan import qos_of
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from edoras_tools.io import Source
-    from edoras_tools.io.topics.streams import Topic
     from edoras_tools.middleware import Graph
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.interrupt import Keys

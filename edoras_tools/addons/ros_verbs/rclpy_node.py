@@ -7,14 +7,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import node_name, unknown_options
+from edoras_tools.middleware.graph import Qos, node_name, unknown_options
 from edoras_tools.middleware.rclpy import RclpyGraph, qos_profile, rclpy_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from edoras_tools.addons.ros_verbs.endpoints import Heard
-    from edoras_tools.middleware.graph import Qos
     from edoras_tools.ros import TypeStore
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen
+from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, LinkSending, Located, Seen
 from edoras_tools.model import Decoded, PacketBatch, Transport
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
         Site,
         TopicSpace,
     )
-    from edoras_tools.links.protocol import LinkSending
     from edoras_tools.wire.arrays.order import Integers, Places
     from edoras_tools.wire.layout import Layout
 

@@ -25,9 +25,9 @@ from edoras_tools.decode.filters.rows import (
     ValueKind,
 )
 from edoras_tools.io.topics.rows import APART, RECORD, Messages, whole_messages
-from edoras_tools.links.doors import MOST_ENDPOINTS, Endpoints, KnownSamples
+from edoras_tools.links.doors import MOST_ENDPOINTS, Endpoints, KnownSamples, TopicSpace
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
-from edoras_tools.wire.arrays.order import Integers, Mask, by_value
+from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 from edoras_tools.wire.envelope import CDR_LE, ENCAPSULATION
 from edoras_tools.words import listed, plural
@@ -35,10 +35,8 @@ from edoras_tools.words import listed, plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.links.doors import TopicSpace
     from edoras_tools.model import Columns, Decoded, PacketBatch
     from edoras_tools.ros import TypeStore
-    from edoras_tools.wire.arrays.order import Octets, Places
 
 
 def known_samples(

@@ -26,7 +26,7 @@ import numpy as np
 
 from edoras_tools.addons.runs.check import TO_END
 from edoras_tools.addons.runs.expectations import LOSS_KEYS, Unit
-from edoras_tools.addons.runs.run import Run
+from edoras_tools.addons.runs.run import FieldValues, Run, TopicValues
 from edoras_tools.intervals import MEAN_CONFIDENCE, MeanInterval
 from edoras_tools.pipelines.workbench import Workbench, open_files
 from edoras_tools.units import SECOND
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.addons.runs.observation import Figures
-    from edoras_tools.addons.runs.run import FieldValues, TopicValues
 
 _DIGITS: Final = 15
 """Most decimals of a number; with more, it is written with an exponent."""

@@ -24,7 +24,7 @@ from edoras_tools.pipelines.capture.info import Counting
 from edoras_tools.pipelines.doctor.doctor import Findings, Pace, examine
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.reading import ReadLoop, reading
-from edoras_tools.pipelines.selection import PATTERN_SIGNS, PacketKinds, find_packets
+from edoras_tools.pipelines.selection import PATTERN_SIGNS, PacketKinds, Selection, find_packets
 from edoras_tools.structs.shapes import Key
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from edoras_tools.links.doors import SampleStream
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.capture.ledger import Account, Ledger
-    from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Progress
 

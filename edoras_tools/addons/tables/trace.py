@@ -6,14 +6,13 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.io.formats.cfe import marker_name, read_cfe_file
+from edoras_tools.io.formats.cfe import CfeFile, marker_name, read_cfe_file
 from edoras_tools.io.outputs import check_new, write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from edoras_tools.io.formats.cfe import CfeFile
 
 _MICROSECOND = 1000.0
 

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from rich.text import Text
 
-from edoras_tools.addons.trace.tracer import MessageTrace
+from edoras_tools.addons.trace.tracer import MessageTrace, TraceStep
 from edoras_tools.addons.trace.tracing import TraceRequest, Tracing
 from edoras_tools.render import pages, units
 from edoras_tools.render.capture.sequence import mermaid_text
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from edoras_tools.addons.trace.rounds import HopRate, Rounds, Timing, TopicRates
-    from edoras_tools.addons.trace.tracer import TraceStep
     from edoras_tools.decode import Context
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.render.pages import Made

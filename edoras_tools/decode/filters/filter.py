@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from difflib import get_close_matches
 from itertools import groupby
@@ -24,18 +24,15 @@ from msgspec.structs import replace
 
 from edoras_tools.decode.filters import syntax
 from edoras_tools.decode.filters.names import Names, Unknown
-from edoras_tools.decode.filters.rows import ColumnRows, PacketRows, Series, ValueKind
+from edoras_tools.decode.filters.rows import ColumnRows, FilterField, PacketRows, Series, ValueKind
 from edoras_tools.decode.filters.syntax import Comparison, Value, ValueRange
 from edoras_tools.decode.spacecraft import split_topic
 from edoras_tools.older import UTC
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.decode.filters.rows import FilterField
     from edoras_tools.model import Columns, Decoded, PacketBatch
     from edoras_tools.wire.arrays.order import Mask
 

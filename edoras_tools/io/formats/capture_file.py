@@ -16,7 +16,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io import Sink
 from edoras_tools.io.frames.linklayer import FrameSource
 from edoras_tools.io.outputs import OutputFile, output_name, part_path
-from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
+from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from edoras_tools.io import RecordingOptions, Room
     from edoras_tools.io.formats.stream import Window
     from edoras_tools.io.frames.frame_batch import FrameBatch
-    from edoras_tools.model import Columns
     from edoras_tools.wire.arrays.order import Octets
 
 

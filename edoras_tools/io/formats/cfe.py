@@ -25,7 +25,7 @@ from edoras_tools.cfs.time_services import START_S
 from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.capture_file import RecordSource
 from edoras_tools.io.frames.chain import walk_records
-from edoras_tools.io.frames.frame_batch import FramePage, ends_of
+from edoras_tools.io.frames.frame_batch import FrameBatch, FramePage, ends_of
 from edoras_tools.links.table import STORED
 from edoras_tools.model import Endpoint, Peer, SourceInfo
 from edoras_tools.units import SECOND
@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.io.formats.stream import Window
-    from edoras_tools.io.frames.frame_batch import FrameBatch
     from edoras_tools.wire.arrays.order import Integers, Octets, Places
     from edoras_tools.wire.layout import Layout
 

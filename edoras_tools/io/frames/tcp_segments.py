@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 
-from edoras_tools.io.frames.frame_batch import internet_checksum, put_words, words_of
+from edoras_tools.io.frames.frame_batch import FrameBatch, internet_checksum, put_words, words_of
 from edoras_tools.io.frames.network import TCP, IpPayloads
 from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather, read_at, word_sums
@@ -15,7 +15,6 @@ from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather, read_at,
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.io.frames.frame_batch import FrameBatch
 
 TCP_BYTES: Final = 20
 """Bytes of a header without options."""

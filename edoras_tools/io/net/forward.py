@@ -9,14 +9,13 @@ import msgspec
 import numpy as np
 
 from edoras_tools.io.net.buffer import SLOTS, SPARE, DatagramBuffer
-from edoras_tools.io.net.sockets import SendResult, send_one
+from edoras_tools.io.net.sockets import Address, SendResult, send_one
 from edoras_tools.sessions.pacing import Lateness
 
 if TYPE_CHECKING:
     import socket
     from collections.abc import Iterable
 
-    from edoras_tools.io.net.sockets import Address
     from edoras_tools.wire.arrays.order import Integers
 
 _LATENCIES: Final = 4096

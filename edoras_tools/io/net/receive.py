@@ -11,7 +11,7 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError, OnFailure
 from edoras_tools.io.capture.device import Device, DeviceSource
-from edoras_tools.io.frames.frame_batch import ENDS, FramePage
+from edoras_tools.io.frames.frame_batch import ENDS, FrameBatch, FramePage
 from edoras_tools.io.net.buffer import SLOTS, make_buffer
 from edoras_tools.io.net.sockets import LINUX, kernel_drops, local_endpoint, open_bound, waiting_bytes
 from edoras_tools.model import Endpoint, SourceInfo
@@ -20,7 +20,6 @@ from edoras_tools.units import SECOND
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from edoras_tools.io.frames.frame_batch import FrameBatch
 
 _READ_BYTES: Final = 1 << 20
 """Approximate bytes of payloads per read, divided among the sockets."""

@@ -24,7 +24,7 @@ from edoras_tools.io.topics.rows import (
 )
 from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.ros.types.schema import full_name
-from edoras_tools.structs.bindings import payloads
+from edoras_tools.structs.bindings import Held, payloads
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import Integers, by_value
 from edoras_tools.wire.envelope import ENCAPSULATION
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission, Route
     from edoras_tools.ros import TypeStore
     from edoras_tools.structs import Structs
-    from edoras_tools.structs.bindings import Held
 
 NO_MESSAGE = Finding.CDR_INVALID | Finding.ENVELOPE_OVERRUN | Finding.TRUNCATED | Finding.CAPTURE_CUT
 """Findings of a datagram that contains no complete ROS message."""

@@ -32,7 +32,7 @@ from edoras_tools.io.processors import jobs_for
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.record import CaptureReport
 from edoras_tools.pipelines.reading import Limits, ReadLoop, reading, reads_by_heads
-from edoras_tools.pipelines.selection import fits_topic
+from edoras_tools.pipelines.selection import Selection, fits_topic
 from edoras_tools.structs.bindings import payloads
 from edoras_tools.wire.arrays.order import by_value
 
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from edoras_tools.decode import ColumnDecoder
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.model import Columns, PacketBatch
-    from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher
 

@@ -24,12 +24,12 @@ from msgspec.structs import replace
 from edoras_tools.diagnosis.evidence.copies import Repeats
 from edoras_tools.errors import ConfigError, EdorasError, os_errors
 from edoras_tools.io import RecordingOptions
-from edoras_tools.io.formats.capture_file import LISTENED, SplitCaptureSink
+from edoras_tools.io.formats.capture_file import LISTENED, CaptureFileSink, SplitCaptureSink
 from edoras_tools.io.formats.table import FILE_SUFFIXES, MCAP, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import FileSink, Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import Patience, in_the_way, refuse_existing, refuse_input, waiting_for_room
 from edoras_tools.io.processors import jobs_for
-from edoras_tools.model import Columns, PacketBatch, concatenate
+from edoras_tools.model import Columns, HostCounters, PacketBatch, concatenate
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.reading import Independence, Limits, ReadLoop, reading
 from edoras_tools.sessions.sequence import SequenceCounts
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.io import Sink, Source
-    from edoras_tools.io.formats.capture_file import CaptureFileSink
-    from edoras_tools.model import HostCounters
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.decode.filters.rows import PacketRows, Series, ValueKind
+from edoras_tools.decode.filters.rows import FilterField, PacketRows, Series, ValueKind
 from edoras_tools.errors import CaptureError
 from edoras_tools.pipelines.reading import Limits, selected_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from edoras_tools.decode.filters.rows import FilterField
     from edoras_tools.io import Source
     from edoras_tools.model import Decoded
     from edoras_tools.pipelines.selection import Selection

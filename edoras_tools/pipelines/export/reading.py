@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -30,8 +30,6 @@ from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
     from numpy.typing import NDArray
 
     Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]

@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.render.terminal.text import Progress
     from edoras_tools.ros import TypeStore
-    from edoras_tools.wire.arrays.order import Mask
 
     Made = tuple[str, int, Any]
     """Result for a block: its topic, its number of rows, and the value that ``Maker`` returned."""

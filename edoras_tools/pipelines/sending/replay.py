@@ -15,7 +15,7 @@ from edoras_tools.cfs import edoras_app
 from edoras_tools.errors import CaptureError, ConfigError, RouteError, WireError
 from edoras_tools.links.sbn import BRIDGE_PORT
 from edoras_tools.links.table import link
-from edoras_tools.model import NO_MSG_ID, Columns, Finding, Link, PacketBatch
+from edoras_tools.model import NO_MSG_ID, Columns, Finding, Link, PacketBatch, Peer
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.sending.options import (
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.io.formats.rosbag2.reader import Rosbag
     from edoras_tools.mission import Mission, Route
-    from edoras_tools.model import Peer
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.ros import TypeStore
     from edoras_tools.wire.arrays.order import Integers, Mask

@@ -6,9 +6,9 @@ In full, tree and bytes stand side by side where the terminal is wide enough.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice, zip_longest
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from edoras_tools.decode.lines import line_of
 from edoras_tools.decode.recorded import recorded_topic
@@ -21,9 +21,6 @@ from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.terminal import FILE_WIDTH
 from edoras_tools.render.terminal.text import ELLIPSIS, cells, clean, clip, fit, fit_right, plain_cells, wrap
 from edoras_tools.words import plural
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _MOST_ITEMS: Final = 64
 _MOST_BYTES: Final = 32

@@ -27,7 +27,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError
 from edoras_tools.model import NO_MSG_ID, Link
 from edoras_tools.sessions.faults.bytes import Chance, draw, draws, key_of, packet_offset, threshold
-from edoras_tools.sessions.faults.effects import Pending, Received, effect_of
+from edoras_tools.sessions.faults.effects import Effect, Pending, Received, effect_of
 from edoras_tools.sessions.faults.kinds import Fault
 from edoras_tools.wire import ccsds, sbn
 from edoras_tools.wire.ccsds import MSG_ID_BYTES, VERSION_1, MsgIds
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.sessions.faults.effects import Effect
     from edoras_tools.sessions.faults.rules import Rule
     from edoras_tools.wire.arrays.order import Integers, Mask, Octets
 

@@ -30,7 +30,7 @@ from edoras_tools.errors import EdorasError
 from edoras_tools.io.topics.rows import Messages, lay_out
 from edoras_tools.links import table
 from edoras_tools.links.table import link_of_label
-from edoras_tools.model import NO_MSG_ID, Columns, PacketBatch, SourceStatistics
+from edoras_tools.model import NO_MSG_ID, Columns, Link, PacketBatch, SourceStatistics
 from edoras_tools.pipelines.capture.record import ROW_BYTES, compact, join
 from edoras_tools.units import MILLISECOND, SECOND
 
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.examination import Diagnosis, Examination
     from edoras_tools.diagnosis.missing import Missing
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Link
     from edoras_tools.ros import TypeStore
 
 

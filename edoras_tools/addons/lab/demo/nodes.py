@@ -24,7 +24,7 @@ import msgspec
 from msgspec.structs import replace
 
 from edoras_tools import doors
-from edoras_tools.addons.lab.emulator import MISSIONS, Scenario
+from edoras_tools.addons.lab.emulator import MISSIONS, Scenario, WireDatagram
 from edoras_tools.addons.lab.emulator.bridges import operator_command
 from edoras_tools.addons.lab.emulator.robots import Arm, Robot, Rover
 from edoras_tools.addons.lab.emulator.routes import routes_of_kind
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from edoras_tools.addons.lab.emulator import WireDatagram
     from edoras_tools.mission import Bridge, Route
     from edoras_tools.ros import TypeStore
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from edoras_tools.addons.lab.proof import HOSTS, CaptureProof, ModelRun
@@ -20,8 +20,6 @@ from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-
-    from rich.console import RenderableType
 
 
 _ROWS: Final = 6

@@ -19,10 +19,10 @@ import msgspec
 import numpy as np
 
 from edoras_tools.decode.filters.filter import Where, fields
-from edoras_tools.decode.filters.rows import ColumnRows
+from edoras_tools.decode.filters.rows import ColumnRows, FilterField
 from edoras_tools.decode.filters.syntax import Presence, WhereError, parse_filter
 from edoras_tools.links import table
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Finding
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Columns, Datagram, Finding, PacketBatch
 from edoras_tools.pipelines.capture.record import ROW_BYTES, join
 from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.decode.filters.rows import FilterField
-    from edoras_tools.model import Columns, Datagram, PacketBatch
 
     Shown = range | NDArray[np.int64]
     """Rows of a block, in order."""

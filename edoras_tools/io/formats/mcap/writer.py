@@ -14,7 +14,7 @@ from edoras_tools.errors import CaptureError, OnFailure
 from edoras_tools.io import RecordingOptions, Sink
 from edoras_tools.io.formats.mcap.chunks import ChunkPress, ChunkWriter
 from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks
-from edoras_tools.io.outputs import part_path
+from edoras_tools.io.outputs import OutputFile, part_path
 from edoras_tools.io.processes import Workers, writer_killed
 from edoras_tools.io.topics.cfe import fault_messages, host_messages
 from edoras_tools.io.topics.rows import COUNTS_METADATA_NAME, OUTAGE_METADATA_NAME
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.io import Room
-    from edoras_tools.io.outputs import OutputFile
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.ros import TypeStore

@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, ChunkIndex, Footer, MetadataIndex, Schema, Statistics
 
 from edoras_tools.io.formats.mcap.file import RECORD_HEAD
-from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse
+from edoras_tools.io.formats.mcap.recovery.records import FileBytes, Walked, parse
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
 from edoras_tools.io.topics.rows import MAGIC
 from edoras_tools.mission.tree import printable
@@ -24,7 +24,6 @@ from edoras_tools.wire.arrays.sums import crc32
 
 if TYPE_CHECKING:
     from edoras_tools.io.formats.mcap.recovery.numbering import Definitions
-    from edoras_tools.io.formats.mcap.recovery.records import Walked
 
 _FOOTER: Final = re.compile(re.escape(b"\x02\x14" + bytes(7)))
 _DATA_END: Final = re.compile(re.escape(b"\x0f\x04" + bytes(7)))
