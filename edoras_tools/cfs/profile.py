@@ -113,7 +113,7 @@ class SimProfile(msgspec.Struct, frozen=True):
         generator_msg_id: MsgId of the telemetry generator's commands; 0 without a generator.
         big_endian: 1: counters and events are big-endian.
         headers: headers of packets on the links. MsgIds of this profile are those of version 1 even if these
-            headers have version 2; ``wire.msg_id`` converts them.
+            headers have version 2; ``wire.ccsds`` converts them.
         time: format of mission time in telemetry; its epoch, if set, is the clock's from the start.
         boot_ns: time from the start of the processor until all applications run.
         app_start_ns: time from the start of an application until it runs.
