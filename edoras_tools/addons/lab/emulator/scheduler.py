@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.profile import SimProfile
 
+    Task = Generator["Receive | Sleep | SleepUntil | Work", Any, None]
+
 
 class Waitable(Protocol):
     """An object that a task can wait for: a pipe, a socket."""
@@ -63,10 +65,6 @@ class Work(msgspec.Struct, frozen=True):
     """Use a processor for about this many ns, then let other tasks run."""
 
     ns: int
-
-
-if TYPE_CHECKING:
-    Task = Generator[Receive | Sleep | SleepUntil | Work, Any, None]
 
 
 class Running(msgspec.Struct, eq=False):
