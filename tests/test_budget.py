@@ -39,14 +39,14 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(56_855, 150, 58_000),
-    "lines with code, all": Limit(90_865, 150, 84_000),  # with what is still to come
-    "files": Limit(501, 10, 450),
-    "files below 170 lines, of 1,000": Limit(333, 10, 500),  # a median of 170 lines or more
+    "lines with code, core": Limit(56_669, 150, 58_000),
+    "lines with code, all": Limit(90_465, 150, 84_000),  # with what is still to come
+    "files": Limit(450, 10, 450),
+    "files below 170 lines, of 1,000": Limit(251, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
-    "files that record runs through": Limit(101, 2, 80),
-    "files that sniff --where runs through": Limit(100, 2, 80),
-    "modules that host loads": Limit(90, 2, 40),
+    "files that record runs through": Limit(97, 2, 80),
+    "files that sniff --where runs through": Limit(97, 2, 80),
+    "modules that host loads": Limit(34, 2, 40),
     "bare participles among 1,000 names": Limit(0.7, 1, 3),
     "functions of complexity over 25": Limit(0, 0, 0),
 }
