@@ -1259,6 +1259,14 @@ def frames_cut_to_64_bytes(items):
     return mutations.changed(items, "cut to 64", 7)
 
 
+def test_a_peer_may_have_heard_what_came_before_its_next_datagram_was_due(tmp_path):
+    """In frames that are cut, no ICMP error tells when its port was closed."""
+    items = frames_cut_to_64_bytes(mutations.frames(FOLDER / "one_of_two_peers_off.pcap.zst"))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    proven = found.lost + found.unaccounted
+    assert proven <= RANGES["one_of_two_peers_off"] <= proven + found.uncertain <= 24
+
+
 def test_an_application_that_sends_anything_on_did_not_fail_to_start(tmp_path):
     """Where 30 % of the frames lack, values of one MsgId seem to come out as another's for a while."""
     items = mutations.frames(FOLDER / "application_restarted.pcap.zst")

@@ -3,9 +3,10 @@
 Ways out and SBN peers:
 
 1. Telemetry that is missing while its way out was closed was not sent.
-2. A peer that cFS gave up for its silence received nothing since its last datagram: messages to it are lost.
+2. A peer that cFS gave up for its silence received nothing since its next datagram was due: messages to it
+   are lost. It may have received messages sent just before.
 3. A peer that restarted earlier received nothing from when its next datagram was due until it subscribed
-   again. It may have received messages sent just before.
+   again.
 4. A peer that is silent when the capture ends may still run: messages to it since are unaccounted for.
 
 Ports that ICMP errors show as closed or unreachable:
@@ -289,15 +290,16 @@ def unheard(case: Case) -> dict[Stream, Unheard]:
             item = by_stream.setdefault(stream, Unheard(connection.peer))
             times = stream.time_ns
             for silence in silences:
-                since_ns, until_ns = silence.start_ns + case.unsteady_ns, silence.until_ns - case.unsteady_ns
+                since_ns = silence.start_ns + case.unsteady_ns
+                until_ns = silence.sent_until_ns - case.unsteady_ns
                 inside = np.flatnonzero((times > since_ns) & (times < until_ns)).tolist()
                 if silence.given_up_ns:
-                    # What is sent long after that goes to a peer that is back, seen or not.
-                    inside = inside[: np.searchsorted(times[inside], silence.given_up_ns + _STOPS_NS)]
-                    # It may have received messages until an ICMP error says that its port was closed. A peer
-                    # that stood still reads later what its socket holds, and did so where it answers all.
+                    # It may have received messages until an ICMP error says that its port was closed, or its
+                    # next datagram was due. A peer that stood still reads later what its socket holds, and
+                    # did so where it answers all.
                     shut = (row for row in inside if closed[stream.rows[row]])
-                    first = next(shut, len(times) if silence.stood_still else 0)
+                    due = int(np.searchsorted(times, silence.due_ns))
+                    first = next(shut, len(times) if silence.stood_still else due)
                     item.lost += [row for row in inside if row >= first]
                     if len(connection.sent_in(silence)) > silence.answers:
                         item.uncertain += sum(row < first for row in inside)

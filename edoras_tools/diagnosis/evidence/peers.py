@@ -76,6 +76,7 @@ class PeerSilence(NamedTuple):
     Attributes:
         start_ns: time of its last datagram before the silence.
         until_ns: time of its next one, or the end of the capture.
+        due_ns: time at which its next one was due: it may have received messages until then.
         given_up_ns: when the observer timed the peer out; 0 if it did not.
         stood_still: whether the peer went on without a new subscription, or answered what it had been sent
             meanwhile, so that it had not restarted.
@@ -84,9 +85,15 @@ class PeerSilence(NamedTuple):
 
     start_ns: int
     until_ns: int
+    due_ns: int
     given_up_ns: int
     stood_still: bool
     answers: int
+
+    @property
+    def sent_until_ns(self) -> int:
+        """Time until which it was sent messages: later ones went to a peer that was back, seen or not."""
+        return min(self.until_ns, self.given_up_ns + _STILL_NS if self.given_up_ns else _NEVER)
 
 
 class PeerRestart(NamedTuple):
@@ -114,6 +121,7 @@ class Connection(msgspec.Struct):
         peer: identity of the peer, as ``66:3``.
         observer: identity of the cFS that sees it.
         changes: states of the peer, in order of time.
+        heard_ns: i64, capture times of its datagrams to the observer.
         sent_ns: i64, capture times of application messages that the observer sent to it.
         restarts: restarts of the peer before a time-out, in order.
         late: time of a change, ns, to the number of answers then to what the peer had been sent before.
@@ -122,6 +130,7 @@ class Connection(msgspec.Struct):
     peer: str
     observer: str
     changes: list[PeerChange]
+    heard_ns: Integers
     sent_ns: Integers
     restarts: list[PeerRestart]
     late: dict[int, int]
@@ -137,13 +146,14 @@ class Connection(msgspec.Struct):
             given_up_ns = later[0].time_ns if later and later[0].state == "timed_out" else 0
             answers = self.late.get(back.time_ns, 0)
             still = back.why.startswith("its ") and back.why not in _BEGAN
-            silence = PeerSilence(change.time_ns, back.time_ns, given_up_ns, still, answers)
+            due_ns = change.time_ns + _usual_ns(self.heard_ns[self.heard_ns <= change.time_ns])
+            silence = PeerSilence(change.time_ns, back.time_ns, due_ns, given_up_ns, still, answers)
             still |= answers > max(_LEAST_ROWS, len(self.sent_in(silence)) // 2)
             yield silence._replace(stood_still=still)
 
     def sent_in(self, silence: PeerSilence) -> Integers:
         """Return the times, i64 ns, of application messages that were sent to it in a silence."""
-        return self.sent_ns[(self.sent_ns > silence.start_ns) & (self.sent_ns < silence.until_ns)]
+        return self.sent_ns[(self.sent_ns > silence.start_ns) & (self.sent_ns < silence.sent_until_ns)]
 
     def as_json(self) -> dict[str, Any]:
         """Return the connection in the shape of ``doctor --json``."""
@@ -230,8 +240,8 @@ class Network:
                 changes = [item for item in changes if item.why != UNSEEN or spoke(item.time_ns)]
                 restarts = [item for item in _restarts(rows, heard, sent, changes) if spoke(item.last_ns)]
                 late = {item.time_ns: _late_answers(rows, heard, sent, item.time_ns) for item in changes}
-                ends = peer[0], observer[0]
-                self.connections[peer, observer] = Connection(*ends, changes, app_ns, restarts, late)
+                of = peer[0], observer[0], changes, rows.time_ns[heard], app_ns
+                self.connections[peer, observer] = Connection(*of, restarts, late)
 
     def _changes(
         self, rows: Rows, heard: Places, first: int, end_ns: int, farewells: list[tuple[int, int]]
@@ -363,6 +373,12 @@ def _with_unseen(changes: list[PeerChange], rows: Rows, sent: Places, app: Place
     return out
 
 
+def _usual_ns(times: Integers) -> int:
+    """Return the usual time between two datagrams of a peer, ns: few take longer; 0 if there are not two."""
+    steps = np.diff(times)
+    return int(np.quantile(steps, 0.95)) if len(steps) else 0
+
+
 def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]) -> list[PeerRestart]:
     """Return the restarts of a peer (rule 5).
 
@@ -373,7 +389,7 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
     if len(steps) < _LEAST_STEPS or rows.streamed[heard].any():
         return []
     kinds, times, sent_ns = rows.sbn_msg_type[heard], rows.time_ns[heard], rows.time_ns[sent]
-    usual_ns = int(np.quantile(steps, 0.95))
+    usual_ns = _usual_ns(times)
     subs = np.flatnonzero(kinds == sbn.MsgType.SUB)
     subscribes = times[subs]
     # Subscriptions within a quarter of a second begin together; a bridge repeats them every few seconds.

@@ -96,8 +96,7 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
     until, sent = silent.until_ns, connection.sent_in(silent)
     out_ns = silent.given_up_ns
     last_ns = int(sent[-1]) if len(sent) else 0
-    speaks_ns = silent.start_ns + (case.profile.sbn_heartbeat_s + 1) * SECOND
-    early = int((sent <= speaks_ns).sum())
+    early = int((sent < silent.due_ns).sum())
     ends = facts.TIMED_OUT.phrase, facts.DISCONNECTED.phrase
     away_s = (until - silent.start_ns) / SECOND
     returned = f"back after {away_s:.1f} s" if until < case.end_ns else "not back in this capture"
@@ -113,7 +112,7 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
         f"last datagram of {connection.peer} at {case.at(silent.start_ns)}",
         f"{connection.observer} sent it {plural(len(sent), 'message')} after that",
         f"the last of them at {case.at(last_ns)}: then it had given the peer up" if last_ns else "",
-        f"{early:,} of them until {case.at(speaks_ns)}, when a heartbeat was due: it may have heard some"
+        f"it may have heard the first {early:,}: its next was due at {case.at(silent.due_ns)}"
         if early
         else "",
         *(
@@ -122,7 +121,7 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
             if connection.peer in record.message and _has(record, ends)
         ),
         place=("sbn", f"SBN peer {connection.peer}"),
-        lost=None if silent.stood_still else len(sent) or None,
+        lost=None if silent.stood_still else len(sent) - early or None,
         of=len(sent) or None,
         # It is lost until the peer is given up, however long it stays away.
         span=(silent.start_ns, min(max(out_ns, last_ns), until)),
