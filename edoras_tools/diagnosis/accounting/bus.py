@@ -22,12 +22,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from edoras_tools.cfs import executive_services, queues, sbn, telemetry_output
+from edoras_tools.cfs import queues
 from edoras_tools.diagnosis.accounting.claims import FAR_NS, Claim, Rank, claimed_alike, settle
 from edoras_tools.diagnosis.accounting.closed import (
     closed_at,
     containing,
-    enables_ns,
     perhaps_removed,
     routes_cut,
     unexplained_silences,
@@ -44,7 +43,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 )
 from edoras_tools.diagnosis.accounting.pipes import pressed
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reasons_for
+from edoras_tools.diagnosis.evidence.timeline.table import Way, reasons_for
 from edoras_tools.diagnosis.matching.streams import Span, Stream, full_rounds
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.model import Finding
@@ -379,29 +378,14 @@ class Telemetry:
         for cut in routes_cut(case, stream):
             if cut.overlaps(span.start_ns, span.end_ns):
                 return "route", case.pipe_of(stream), cut.change.witness
-        if stream.link.peers:
-            return self._ended_with_sbn(part)
-        if stream.is_housekeeping or not stream.link.only_from_cfs:
-            return None
-        for command in case.payloads.about_apps(executive_services.STOP_APP):
-            if command.app not in telemetry_output.NAMES or command.time_ns <= span.start_ns - TAIL_NS:
-                continue
-            # A restarted TO sends to nobody until it is enabled. If no enable is captured, the capture is not
-            # complete enough to tell.
-            if any(command.time_ns < enabled_ns < span.end_ns for enabled_ns in enables_ns(case)):
-                text = f"packet {case.rows.number[command.row]} told ES to stop {command.app}"
-                return "stopped", command.app, text
-        return None
-
-    def _ended_with_sbn(self, part: Part) -> tuple[LossKind, str, str] | None:
-        """Return a stop of SBN as the cause, for messages to a peer that are followed nowhere else."""
-        case, span = self._case, part.span
-        if case.upstream(part.stream) is None and not any(hop.out is part.stream for hop in case.hops):
-            way = Way(part.stream.msg_id, part.stream.link, case.system(part.stream))
-            for stop, text in reasons_for(case.timeline, way, span.start_ns, span.end_ns, case.at):
-                if stop.change.subject == StateOwner("app", sbn.NAME):
-                    return "stopped", sbn.NAME, text
-        return None
+        if stream.link.peers:  # else these messages are followed elsewhere
+            alone = case.upstream(stream) is None and not any(hop.out is stream for hop in case.hops)
+        else:
+            alone = stream.link.only_from_cfs and not stream.is_housekeeping
+        way = Way(stream.msg_id, stream.link, case.system(stream))
+        reasons = reasons_for(case.timeline, way, span.start_ns, span.end_ns, case.at) if alone else ()
+        stops = ((stop.change.subject, text) for stop, text in reasons if stop.change.state == "stopped")
+        return next((("stopped", owner.name, text) for owner, text in stops if owner.kind == "app"), None)
 
     def _make_closed_losses(self, part: Part) -> None:
         """Turn a closed part into losses: all of it if the closing lost it, else those that were counted."""
@@ -523,8 +507,7 @@ class Telemetry:
             part.evidence.append(f"the first fragments of {cut:,} of them came, and no later ones")
             self._lose(part, "fragments", cut, of, "high")
             rest -= cut
-        hop = self._case.upstream(part.stream)
-        if rest <= 0 or (hop is not None and hop.is_copy):  # a copy of a command may be lost before the bus
+        if rest <= 0:
             return
         is_counted = part.owner in self._counts
         if part.kinds and not is_counted:
