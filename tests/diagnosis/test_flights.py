@@ -810,6 +810,29 @@ def two_places(tmp_path, apart_ms, gone=range(0)):
     return truth.examined(mutations.write(tmp_path / f"{apart_ms}.pcap", items))
 
 
+def test_a_place_that_captures_longer_shows_no_clock_that_was_set(tmp_path):
+    items = mutations.frames(FOLDER / "sender_that_counts.pcap.zst")
+    second = [item._replace(time_ns=item.time_ns + 5 * SECOND) for item in items]
+    both = sorted([*items[:-40], *second], key=lambda item: item.time_ns)
+    found = truth.examined(mutations.write(tmp_path / "longer.pcap", both))
+    assert not [item for item in found.verdicts if item.rule == "clock_jump"]
+    assert (found.lost, found.uncertain) == (17, 0)
+
+
+def test_two_places_of_one_clock_are_two_also_where_some_come_late(tmp_path):
+    items = mutations.frames(FOLDER / "sender_that_counts.pcap.zst")
+    down = [at for at, item in enumerate(items) if mutations.is_to(item.data, 1235)]
+    late = dict.fromkeys(down[60:64], 60_000_000)
+    second = [
+        item._replace(time_ns=item.time_ns + late.get(at, 200_000))
+        for at, item in enumerate(items)
+        if at not in down[70:110]
+    ]
+    both = sorted([*items, *second], key=lambda item: item.time_ns)
+    found = truth.examined(mutations.write(tmp_path / "late.pcap", both))
+    assert (found.lost, found.uncertain) == (17, 40)
+
+
 @pytest.mark.parametrize("apart_ms", [-2300, 5, 137, 5000])
 def test_two_places_in_one_file_are_one_capture_whatever_their_clocks(tmp_path, apart_ms):
     found = two_places(tmp_path, apart_ms, range(50, 90))

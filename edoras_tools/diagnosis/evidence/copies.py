@@ -85,7 +85,7 @@ class Copies(NamedTuple):
         duplicate: bool (n,), there twice at one place: the network or the capture doubled it.
         at_once: bool (n,), captured at the same time as the equal one before it.
         alone: bool (n,), captured at only one of two places that are merged into one file.
-        behind_ns: i64 (n,), for ``alone`` of the second place, by how much its clock is ahead; else 0.
+        behind_ns: i64 (n,), if only the second place has it, by how much its clock is ahead; else 0.
     """
 
     copy: Mask
@@ -133,27 +133,24 @@ def find_copies(
         return out
     # A group is a run of equal datagrams, each near the one before it.
     group = np.concatenate(([0], np.cumsum(~near)))
-    again = order[1:][near]
     out.at_once[order[1:]] = near & (step == 0)
-    elsewhere = np.zeros(count, bool)
+    elsewhere, repeated = np.zeros((2, count), bool)
     elsewhere[order[1:]] = near & (far[1:] | (tap[order][1:] != tap[order][:-1]))
-    repeated = np.zeros(count, bool)
-    repeated[again] = True
+    repeated[order[1:][near]] = True
     group_size = np.ones(count, np.int64)
     group_size[order] = np.bincount(group)[group]
     if two_places:
         # Before the first common datagram, and after the last, one place may not have captured yet.
-        pair = far if far.any() else same
-        inside = (time_ns > when[pair].min()) & (time_ns < when[np.append(pair[1:], False)].max())
+        inside = (time_ns > when[same].min()) & (time_ns < when[np.append(same[1:], False)].max())
         both = np.isin(conversation, np.unique(conversation[order[same]]))
-        out.alone[:] = (group_size == 1) & (identification != 0) & both & inside
-        if (at := np.flatnonzero(far[1:])).size:
-            apart_ns = int(np.median((when[1:] - when[:-1])[at]))
+        single = (group_size == 1) & (identification != 0) & both
+        out.alone[:] = single & inside
+        if (apart_ns := int(np.median(step[same[1:]]))) > _WITHIN_NS:
             # Neighbours in identification were sent at about the same time: so the nearer clock is its own.
-            place = conversation.astype(np.int64) << 16 | identification
+            at, place = np.flatnonzero(far[1:]), conversation.astype(np.int64) << 16 | identification
             pairs = order[at[np.argsort(place[order[at]])]]
             off_ns = time_ns - np.interp(place, place[pairs], time_ns[pairs].astype(np.float64))
-            out.behind_ns[out.alone & (np.abs(off_ns - apart_ns) < np.abs(off_ns))] = apart_ns
+            out.behind_ns[single & (np.abs(off_ns - apart_ns) < np.abs(off_ns))] = apart_ns
     bare, mostly = identification == 0, _NEARLY_ALL
     if _of_most(conversation, np.flatnonzero(repeated & bare), np.flatnonzero(bare & ~repeated)):
         mostly = _MOSTLY  # the capture doubles all datagrams that it does not miss
@@ -170,8 +167,7 @@ def find_copies(
             steady |= len(sizes) >= _LEAST_GROUPS and share >= (_STEADY if has_id else mostly)
             copied = np.ones(len(twice), bool) if steady else elsewhere[twice]
             out.copy[twice[copied]] = True
-            if has_id:
-                out.duplicate[twice[~copied]] = True
+            out.duplicate[twice[~copied & has_id]] = True
     return out
 
 
