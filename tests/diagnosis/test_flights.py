@@ -955,6 +955,14 @@ def test_two_captures_of_a_far_link_are_one():
     assert not found.superseded
 
 
+def test_copies_by_a_network_hide_no_loss_between_two_captures():
+    """The ground side has every command; some the flight side has twice."""
+    found = together("short_breaks_ground", "short_breaks_flight")
+    causes = by_cause(found)
+    assert (causes["network"], causes["after"]) == (44, 60)
+    assert found.lost + found.unaccounted <= 136 <= found.lost + found.unaccounted + found.uncertain
+
+
 def test_of_what_is_lost_behind_a_network_that_doubles_some_may_be_copies():
     found = examined("doubled_uplink")
     assert found.lost == 11

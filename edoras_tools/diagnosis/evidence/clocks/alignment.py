@@ -461,13 +461,10 @@ def lost_between(first: Side, second: Side, shift: Alignment) -> tuple[tuple[Pla
     """
     sides = first.rows, second.rows
     times = sides[0].time_ns, shift.line.set_back(sides[1].time_ns)
-    both = [
-        np.isin(rows.number, numbers) for rows, numbers in zip(sides, (shift.here, shift.shared), strict=True)
-    ]
+    both = [np.isin(rows.number, own) for rows, own in zip(sides, (shift.here, shift.shared), strict=True)]
     shared = [np.flatnonzero(mask) for mask in both]
-    none = np.zeros(0, np.intp)
     if len(shared[0]) != len(shared[1]) or any(rows.has(Finding.CAPTURE_CUT).any() for rows in sides):
-        return (none, True), (none, True)
+        return ((np.zeros(0, np.intp), True),) * 2
     # Equal datagrams are paired in order of time.
     ours, theirs = (
         own[np.lexsort((when[own], rows.bytes_print[own]))]
@@ -483,13 +480,13 @@ def lost_between(first: Side, second: Side, shift: Alignment) -> tuple[tuple[Pla
         inside = (times[side] > begin_ns + SECOND) & (times[side] < end_ns - SECOND)
         inside &= ~rows.streamed & ~rows.undelivered
         to, back = (inside & np.isin(rows.way(), leads[side][end]) for end in (side, 1 - side))
-        lacking = to & ~both[side] & ~np.isin(prints[side], prints[1 - side])
+        missed = ~both[side] & ~np.isin(prints[side], prints[1 - side])  # and not a copy by the network
+        lacking = to & missed
         chance = (1 - lacking.sum() / max(to.sum(), 1)) ** back.sum()
-        proven = both[side][back].all() and chance < _BY_CHANCE
+        proven = not missed[back].any() and chance < _BY_CHANCE
         # If most datagrams are missing, the other capture was not meant to have them all.
-        out.append(
-            (np.flatnonzero(lacking) if proven or 2 * lacking.sum() < to.sum() else none, bool(proven))
-        )
+        lacking &= proven or 2 * lacking.sum() < to.sum()
+        out.append((np.flatnonzero(lacking), bool(proven)))
     return tuple(out)
 
 
