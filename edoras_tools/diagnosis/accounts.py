@@ -42,7 +42,7 @@ def _row(case: Case, stream: Stream, way: LedgerWay) -> dict[str, Any]:
     rows, own = case.rows, stream.rows
     route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
     source = route or case.own_struct(stream.msg_id)
-    times = rows.time_ns[own]
+    times, onward = rows.time_ns[own], [hop for hop in case.hops if hop.into is stream]
     to_cfs = route.to_cfs if route else stream.is_command
     clean_hz, told_by = clean_rate(case, stream)
     rounds, tasks = comb(times), (case.profile.to_wake_ns, case.profile.sbn_wake_ns)
@@ -75,9 +75,7 @@ def _row(case: Case, stream: Stream, way: LedgerWay) -> dict[str, Any]:
         "bytes_max": int(rows.length[own].max()),
         "comb_ms": round(rounds.period_ns / 1e6, 1) if is_task else None,
         "delay": _json(_delay(case, stream)),
-        "to_robot": next(
-            (_json(hop.latency) for hop in case.hops if hop.into is stream and hop.out.link.last_hop), None
-        ),
+        "to_robot": next((_json(hop.latency) for hop in onward if hop.out.link.last_hop), None),
         "crossings": [_crossing(case, hop) for hop in case.hops if hop.out is stream],
     }
 

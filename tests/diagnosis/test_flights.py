@@ -167,6 +167,8 @@ RANGES = {
     "housekeeping_to_a_peer": 160,
     "overload_of_a_dead_bridge": 570,
     "restarted_at_once": 241,
+    "stopped_between_bursts": 223,
+    "clock_that_lags": 103,
 }
 
 
@@ -961,6 +963,13 @@ def test_copies_by_a_network_hide_no_loss_between_two_captures():
     causes = by_cause(found)
     assert (causes["network"], causes["after"]) == (44, 60)
     assert found.lost + found.unaccounted <= 136 <= found.lost + found.unaccounted + found.uncertain
+
+
+def test_who_sends_slowly_to_an_application_that_is_stopped_fills_its_pipe():
+    """It takes four of one MsgId, and nobody reads it for the five seconds that its end takes."""
+    causes = by_cause(examined("stopped_between_bursts"))
+    assert causes["stopped"] >= 32
+    assert "unknown" not in causes
 
 
 def test_of_what_is_lost_behind_a_network_that_doubles_some_may_be_copies():

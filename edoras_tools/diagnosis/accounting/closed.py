@@ -765,9 +765,11 @@ class Stops:
         for fate in (item for item in self._fates if item.undecidable is not None):
             stream, marked = fate.stream, np.flatnonzero(fate.open & (fate.stop >= 0))
             since_ns = int(stream.time_ns[marked].min(initial=NEVER))
-            of = Counter[Stream | None]()
-            for item in (*losses, *telemetry):
-                of[item.stream] += item.lost * (item.instance != NOBODY and item.end_ns > since_ns)
+            later, of = stream.time_ns > since_ns, Counter[Stream | None]()
+            counts = (item for item in (*losses, *telemetry) if item.instance != NOBODY)
+            for item in (item for item in counts if item.end_ns > since_ns):
+                most = later[item.among.rows].sum() if item.stream is stream and item.among else item.lost
+                of[item.stream] += int(min(item.lost, most))
             # A count soon after that may be of a message sent before; a later one is of one of these.
             tracks = [track for at, track in self._case.tracks.items() if self._case.goes_to(stream, at)]
             soon, late = (
@@ -797,6 +799,7 @@ class Stops:
         several = sum(item is fate or len(item.stream) >= _FEW for item in alike) > 1  # no single commands
         if not (surely or several or len({item.app for item in own}) > 1):
             surely = list(own)
+        fate.stops = surely
         for item in surely:
             lacking = np.flatnonzero(fate.open & (times > item.ended_ns) & (times < item.asked_ns))
             if fate.claim(lacking):

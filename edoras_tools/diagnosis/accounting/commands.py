@@ -824,7 +824,6 @@ def _take_back_in_holes(case: Case, telemetry: Telemetry) -> None:
         if loss.kind not in COUNTERS and among is not None and among.missing is not None:
             inside = containing(among.stream, among.rows, case.possible_holes)
             _take_back(telemetry, loss, min(loss.lost, int(among.missing[inside].sum())))
-    telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
 
 
 def _take_back(telemetry: Telemetry, loss: Loss, number: int) -> None:

@@ -25,6 +25,7 @@ from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
+    from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Span, Stream
@@ -192,6 +193,7 @@ class Fate:
         refused: rule to the number of messages that cFS refused for what they contain.
         undecidable: bool (rows,), it was sent after the capture could no longer show its fate; None for none.
         undecidable_since: fact from which on that is so, as text.
+        stops: outages of the application that surely reads them, if its way out is not captured.
         followed: number of those that a counter has as lost, and none that was sent before them.
         reached: number of messages that came out, if cut frames hide which ones; else None.
         commanded: number of commands to Telemetry Output that 0x880 counts; None if unknown.
@@ -216,6 +218,7 @@ class Fate:
     counted_in_stop: Counter[int] = field(default_factory=Counter)
     undecidable: Mask | None = None
     undecidable_since: str = ""
+    stops: Sequence[Outage] = ()
     followed: int = 0
     reached: int | None = None
     commanded: int | None = None

@@ -412,9 +412,15 @@ class _Candidate(msgspec.Struct, frozen=True):
 def _not_seen(item: _Candidate, hop: Hop) -> _Candidate:
     """Return a candidate less the messages whose fate is seen: between the first and last to leave."""
     times, out_ns = hop.into.time_ns, hop.out.time_ns
-    beyond = hop.absent & ((times < out_ns[0]) | (times > out_ns[-1]))
-    spans = [replace(span, count=int(beyond[span.rows].sum()), missing=0) for span in item.spans]
-    return replace(item, spans=[span for span in spans if span.count], queue=None)
+    return _only(item, times, hop.absent & ((times < out_ns[0]) | (times > out_ns[-1])))
+
+
+def _only(item: _Candidate, times: Integers, rows: Mask) -> _Candidate:
+    """Return a candidate with some of its messages, of a pipe that nobody read in time."""
+    parts = [np.flatnonzero(rows[span.rows]) + span.first for span in item.spans]
+    ends = [(part, *part[[0, -1]].tolist()) for part in parts if len(part)]
+    spans = [Span(at, last, int(times[at]), int(times[last]), len(part), 0) for part, at, last in ends]
+    return replace(item, spans=spans, queue=None)
 
 
 class Leftover:
@@ -612,8 +618,8 @@ class Leftover:
             times = counts.span([second])
             own = [(index, item) for index, item in enumerate(candidates) if item.events or not old[second]]
             active = tuple((index, spans) for index, item in own if (spans := item.active(*times)))
-            pipe = candidates[active[0][0]].pipe if len(active) == 1 else ""
-            groups.setdefault((self._ended(instance, times[0], pipe), active), []).append(second)
+            ended = self._ended(instance, times[0], candidates[active[0][0]]) if len(active) == 1 else None
+            groups.setdefault((ended, active), []).append(second)
         for (_, active_), seconds in groups.items():
             number, times = int(rest[seconds].sum()), counts.span(seconds)
             rivals = [candidates[index] for index, _ in active_]
@@ -697,10 +703,10 @@ class Leftover:
         fate = self._fates.get(stream)
         visible &= fate is None or fate.undecidable is None
         queue = queues.application_pipe(case.profile) if visible else None
-        late = [item for item in ingests if item.waiting or item.older_until_ns or item.lost]
+        late = [item for item in ingests if item.waiting or item.older_until_ns]
         times, reads = self._came_ns(stream), case.profile.ci_datagrams_per_wake
         crowded = more_at_once(times, case.profile.ci_wake_ns, reads)  # datagrams wait in CI's socket
-        counted_ns = DRAINS_NS if late or crowded or not ingests else LATE_NS
+        counted_ns = DRAINS_NS if late or full or crowded or not ingests else LATE_NS
         return _Candidate(
             stream.msg_id, pipe, stream, stream, spans, since_ns, sender, report, times, queue, counted_ns
         )
@@ -725,6 +731,9 @@ class Leftover:
             if stream.link.only_to_cfs and not (fate and fate.seen):
                 if more_at_once(times, application.round_ns, application.usual_limit):
                     yield self._candidate(stream, APP)
+                elif fate is not None and fate.stops:  # its pipe fills while nobody reads it
+                    stops = [(item.start_ns, item.ended_ns) for item in fate.stops]
+                    yield _only(self._candidate(stream, APP), times, overlapping(times, times, stops))
             elif stream.link.peers and stream.msg_id in msg_ids and case.goes_to(stream, instance):
                 over = more_at_once(times, output.round_ns, output.limit(stream.msg_id))
                 if over and case.owner(stream) != instance:
@@ -756,18 +765,19 @@ class Leftover:
         loss.evidence, loss.rivals = [text], tuple(sorted(rivals))
         self._losses.append(loss)
 
-    def _ended(self, instance: int, time_ns: int, pipe: str) -> Outage | None:
-        """Return the outage in whose time nobody read the pipe of an application, if there is one."""
-        system = self._case.instances.systems[instance]
-        own = (item for item in self._case.outages if item.system == system and item.reads(pipe))
-        return next((item for item in own if item.start_ns <= time_ns < item.ended_ns), None)
+    def _ended(self, instance: int, time_ns: int, of: _Candidate) -> Outage | None:
+        """Return the outage in whose time nobody read the pipe of a candidate, if there is one."""
+        system, fate = self._case.instances.systems[instance], self._fates.get(of.stream)
+        own = (item for item in self._case.outages if item.system == system)
+        mine = (item for item in own if item.reads(of.pipe) or (fate is not None and item in fate.stops))
+        return next((item for item in mine if item.start_ns <= time_ns < item.ended_ns), None)
 
     def _make_loss(
         self, item: _Candidate, spans: range, at: tuple[int, PipeKind], number: int, times: tuple[int, int]
     ) -> None:
         instance, kind = at
         cut = item.spans[spans[-1]] if item.spans else None
-        among, ended = None, self._ended(instance, times[0], item.pipe) if cut is not None else None
+        among, ended = None, self._ended(instance, times[0], item) if cut is not None else None
         if cut is not None and item.stream is not None:  # the messages of the span without a fate
             rows, fate = np.arange(cut.first, cut.last + 1), self._fates.get(item.stream)
             if fate is not None and fate.undecidable is not None and len(spans) == 1:

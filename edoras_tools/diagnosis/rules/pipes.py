@@ -142,11 +142,8 @@ def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
 
     Name the MsgId that fills the pipe, and what else went down with it.
     """
-    full = [
-        item
-        for item in case.losses
-        if item.kind == "overflow" and item.hop == telemetry_output.PIPE and not item.closed
-    ]
+    open_ = (item for item in case.losses if item.kind == "overflow" and not item.closed)
+    full = [item for item in open_ if item.hop == telemetry_output.PIPE]
     # The routes have a verdict each; without any, what lost most.
     routes = [item for item in full if _is_route(item)] or sorted(full, key=lambda item: -item.lost)[:1]
     others = [item for item in full if item not in routes]
