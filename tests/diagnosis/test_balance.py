@@ -145,9 +145,10 @@ def test_every_loss_is_in_the_balance(name, diagnosis):
 
 # By the console of n5 the application took 201 and then 261: 59 were lost there. 202 was sent less than a
 # round before the event of its end, as far as that tells, and 260 just after the command to start it again.
-# In n3 one more was sent between the last sign of cFS and the next one that was due.
+# In n3 one more was sent between the last sign of cFS and the next one that was due, and in n5 one within a
+# second of the command to restart CI, which may read on for so long.
 @pytest.mark.parametrize(
-    ("name", "lost"), [("n3_cfs_restart", 38 - 1), ("n5_app_restarts", 28 + 57 + 48 + 22)]
+    ("name", "lost"), [("n3_cfs_restart", 38 - 1), ("n5_app_restarts", 28 - 1 + 57 + 48 + 22)]
 )
 def test_outages_are_counted_where_the_robot_is_not_in_the_capture(name, lost):
     bench = Settings(configs=[]).workbench()

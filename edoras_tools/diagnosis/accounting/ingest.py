@@ -62,8 +62,9 @@ _APART_NS: Final = SECOND // 4
 """How much the delay of a steady network varies."""
 _LATE_NS: Final = 2 * SECOND
 _ONE_NS: Final = 15 * SECOND
-_ENDS_NS: Final = 750 * MILLISECOND
-"""An application runs on for up to a second and a half after it is commanded to stop; half of that."""
+_ENDS_NS: Final = 750 * MILLISECOND, SECOND
+"""An application runs on for this long after it is commanded to stop: usually, and at most; the latter
+counts where nothing shows what it still received."""
 _HELD_NS: Final = 2 * SECOND
 """How long an application, and the link behind it, may keep a message that is not sent on at once."""
 DRAINS_NS: Final = 15 * SECOND
@@ -210,10 +211,12 @@ def ingests(case: Case) -> list[Ingest]:
                 is_less = more >= min(account.not_captured, lost) - late.not_captured
                 if is_less and (more == lost > 0 or late.not_captured < account.not_captured):
                     even = late if counter.stood or counter.has_output else counter.of_steady_delay(account)
-                    is_so = even.lost_by("network") and not even.not_captured
                     # How many waited when CI ended depends on the delay.
                     waited = max(0, account.lost_by(*_OUTAGES) - late.lost_by(*_OUTAGES))
-                    account = even if is_so else replace(late, unsure=account.unsure + waited)
+                    more = min(more, late.waiting) * (not counter.has_output)  # under way, or lost
+                    late = replace(late, waiting=late.waiting - more, unread=max(0, late.unread - more))
+                    late.unsure = account.unsure + waited + more
+                    account = even if even.lost_by("network") and not even.not_captured else late
                 elif counter.stood and more > 0:
                     account = replace(late, unsure=account.unsure + more)
             account.concede_copies(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
@@ -498,7 +501,7 @@ class _Counted:
                 stops_ns = self._commanded_ns(self._own[-1].seen_ns - SECOND, item.ended_ns)
                 since_ns = max(stops_ns, default=(item.ended_ns, 0))[0]
                 if stops_ns and (self._arrived is None or not self._all_out):
-                    surely_ns = min(since_ns + _ENDS_NS, item.ended_ns)
+                    surely_ns = min(since_ns + _ENDS_NS[1], item.ended_ns)
                     account.unsure += int(self._sent_until(surely_ns) - self._sent_until(since_ns))
                     since_ns = surely_ns
                 if unread := int((self._sent_ns > since_ns).sum()):
@@ -512,11 +515,11 @@ class _Counted:
 
     def _commanded_ns(self, start_ns: int, end_ns: int) -> list[tuple[int, int]]:
         """Return for each command that ends CI until when CI may have read, and when it was sent."""
-        case, names = self._case, command_ingest.NAMES
-        about = case.payloads.about_apps(*executive_services.ENDS_APP)
-        times = [item.time_ns for item in about if item.app in names]
-        ends_ns = {item.start_ns: item.ended_ns for item in self._outages()}
-        until = ((min(when + _ENDS_NS, ends_ns.get(when, end_ns)), when) for when in times)
+        about = self._case.payloads.about_apps(*executive_services.ENDS_APP)
+        times = [item.time_ns for item in about if item.app in command_ingest.NAMES]
+        ends = {item.start_ns: item.ended_ns for item in self._outages()}
+        runs = _ENDS_NS[self._arrived is None]
+        until = ((min(when + runs, ends.get(when, end_ns)), when) for when in times)
         return [item for item in until if start_ns < item[0] < end_ns]
 
     def _sent_until(self, time_ns: Any) -> Places:
@@ -541,9 +544,12 @@ class _Counted:
         steps, own_steps = (np.diff(times, prepend=times[0]) for times in (seen_ns, self._made[part]))
         least = np.minimum(steps, own_steps)  # a count may come late, and a clock may be set
         busy = read > _BUSY * self._most * np.maximum(1.0, least / wake_ns)
-        # If it read fewer than one wake-up can, the socket was empty after the last wake-up; else earlier.
+        # If it read fewer than one wake-up can, the socket was empty after the last wake-up. Else it read as
+        # many as it can at each since it was empty; if the count comes later than usual, it may have stood
+        # still.
         oldest = np.minimum(seen_ns - self._profile.to_wake_ns, self._made[part]) - wake_ns - _SLACK_NS
-        oldest -= np.where(read < self._most, 0, steps)
+        waited_ns = read // self._most * wake_ns + np.maximum(0, steps - np.median(steps).astype(np.int64))
+        oldest -= np.where(read < self._most, 0, np.minimum(waited_ns, steps))
         out_ns, sent_ns = self._read_ns
         # A busy CI has read the datagrams that came out, and perhaps no others; a count may be made a round
         # of Telemetry Output sooner than its time stamp says.
@@ -776,10 +782,8 @@ class BeforeCi:
 
     def concede(self, telemetry: Sequence[Loss]) -> None:
         """Make datagrams uncertain that counts lack, if the network loses some, either way."""
-        accounts = self._case.ingests
-        if any(item.lost_by("network") for item in accounts) or any(
-            item.kind == "after" for item in telemetry
-        ):
+        accounts, is_lossy = self._case.ingests, any(item.kind == "after" for item in telemetry)
+        if is_lossy or any(item.lost_by("network") for item in accounts):
             for account in accounts:
                 self._make_uncertain([(fate, fate.open) for fate in self._to(account)], account.lacking)
 
