@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence
 
     from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.diagnosis.accounting.losses import Loss
+    from edoras_tools.diagnosis.accounting.losses import Loss, Outage
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, PipeKind, ReportedLoss, Track
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
     from edoras_tools.diagnosis.matching.streams import Comb, Reset, Span, Stream
@@ -733,7 +733,7 @@ class Case:
             text = text.replace(usual, other)
         return text
 
-    def end_of(self, item: closed.Outage) -> str:
+    def end_of(self, item: Outage) -> str:
         """Return when an application ended: ``at 2.0 s``, or between which times where no command tells."""
         start, end = self.at(item.start_ns), self.at(item.ended_ns)
         return f"between {start} and {end}" if item.witness.startswith("event") else f"at {start}"

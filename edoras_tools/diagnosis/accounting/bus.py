@@ -384,8 +384,12 @@ class Telemetry:
             alone = stream.link.only_from_cfs and not stream.is_housekeeping
         way = Way(stream.msg_id, stream.link, case.system(stream))
         reasons = reasons_for(case.timeline, way, span.start_ns, span.end_ns, case.at) if alone else ()
-        stops = ((stop.change.subject, text) for stop, text in reasons if stop.change.state == "stopped")
-        return next((("stopped", owner.name, text) for owner, text in stops if owner.kind == "app"), None)
+        for stop, text in reasons:
+            owner, state = stop.change.subject, stop.change.state
+            # After a restart Telemetry Output is silent until it is enabled: that is told by itself.
+            if owner.kind == "app" and (stream.link.peers or state == "stopped"):
+                return "stopped", owner.name, text
+        return None
 
     def _make_closed_losses(self, part: Part) -> None:
         """Turn a closed part into losses: all of it if the closing lost it, else those that were counted."""

@@ -36,7 +36,7 @@ from __future__ import annotations
 
 from collections import Counter
 from operator import itemgetter
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -53,6 +53,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     Fate,
     Loss,
     LossKind,
+    Outage,
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, StateSpan, Way, reasons_for
@@ -403,34 +404,6 @@ _SILENT_STEPS: Final = 3
 """An application that sends nothing on for this many of its longest steps did not run."""
 _FASTER: Final = 1.25
 """If messages come faster than rounds by this factor, newer ones supersede older ones."""
-
-
-class Outage(NamedTuple):
-    """A time in which an application did not run. Capture times in ns.
-
-    Attributes:
-        app: its name.
-        start_ns: the command to stop it, or the event that it stopped.
-        end_ns: the event that it started again; None if there is none.
-        ended_ns: from this time on it surely received nothing.
-        asked_ns: until this time it surely received nothing: then it was commanded to start; else ``NEVER``.
-        witness: commands and events that show it.
-        system: number of its cFS.
-        restarted: whether it was restarted; else it was stopped.
-    """
-
-    app: str
-    start_ns: int
-    end_ns: int | None
-    ended_ns: int
-    asked_ns: int
-    witness: str
-    system: int
-    restarted: bool = False
-
-    def reads(self, pipe: str) -> bool:
-        """Return whether a pipe is the application's, by its name, as EDORAS_APP_PIPE."""
-        return pipe.startswith(f"{self.app}_")
 
 
 _OVERLAP_NS: Final = 3 * SECOND

@@ -35,7 +35,7 @@ from msgspec.structs import replace
 from edoras_tools.cfs import command_ingest, executive_services
 from edoras_tools.decode.conversations import ConversationKind
 from edoras_tools.diagnosis.accounting.claims import shares
-from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, Fate, Loss
+from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, Fate, Loss, Outage
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.units import MILLISECOND, SECOND
@@ -44,7 +44,6 @@ from edoras_tools.wire.arrays.order import Integers, Mask, Places, changes, dist
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
 
-    from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
 

@@ -25,7 +25,6 @@ from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
-    from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Span, Stream
@@ -174,6 +173,34 @@ EndAtApp = Literal["passed_on", "superseded", "unaccounted", "uncertain", "misse
 """
 End = EndAtCi | EndOnBus | EndAtApp
 """The ends of messages into cFS that belong to no loss: at CI, on the bus, or at the application."""
+
+
+class Outage(NamedTuple):
+    """A time in which an application did not run. Capture times in ns.
+
+    Attributes:
+        app: its name.
+        start_ns: the command to stop it, or the event that it stopped.
+        end_ns: the event that it started again; None if there is none.
+        ended_ns: from this time on it surely received nothing.
+        asked_ns: until this time it surely received nothing: then it was commanded to start; else ``NEVER``.
+        witness: commands and events that show it.
+        system: number of its cFS.
+        restarted: whether it was restarted; else it was stopped.
+    """
+
+    app: str
+    start_ns: int
+    end_ns: int | None
+    ended_ns: int
+    asked_ns: int
+    witness: str
+    system: int
+    restarted: bool = False
+
+    def reads(self, pipe: str) -> bool:
+        """Return whether a pipe is the application's, by its name, as EDORAS_APP_PIPE."""
+        return pipe.startswith(f"{self.app}_")
 
 
 @dataclass(slots=True)

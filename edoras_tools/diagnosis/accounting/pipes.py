@@ -37,7 +37,6 @@ from edoras_tools.diagnosis.accounting.claims import (
     settle,
     take_back,
 )
-from edoras_tools.diagnosis.accounting.closed import Outage
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
@@ -50,6 +49,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     Among,
     Fate,
     Loss,
+    Outage,
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner

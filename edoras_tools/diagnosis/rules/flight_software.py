@@ -14,7 +14,7 @@ from edoras_tools.cfs.executive_services import RESTART
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
 from edoras_tools.diagnosis.accounting.closed import boots
-from edoras_tools.diagnosis.accounting.losses import LEAD_NS, Loss
+from edoras_tools.diagnosis.accounting.losses import LEAD_NS, Loss, Outage
 from edoras_tools.diagnosis.advice import LET_RUN
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
@@ -34,7 +34,6 @@ from edoras_tools.words import listed, plural
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
     from edoras_tools.wire.arrays.order import Integers

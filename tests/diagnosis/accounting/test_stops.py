@@ -14,7 +14,7 @@ from edoras_tools.addons.lab.emulator.account import LOST, socket
 from edoras_tools.cfs import executive_services as es
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.diagnosis.accounting.closed import Outage
+from edoras_tools.diagnosis.accounting.losses import Outage
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.bare import ROBOT_PORT
