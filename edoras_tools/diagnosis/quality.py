@@ -541,7 +541,10 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
     if not len(long):
         return [], []
     long = np.sort(long[np.argsort(-steps[long], kind="stable")[:_MOST]])
-    streams = _counted_streams(rows)
+    counted = np.flatnonzero(rows.counted & rows.on(lambda link: link.from_cfs))
+    keys = (rows.link, rows.source, rows.destination, rows.processor_id, rows.msg_id)
+    _, which = numbered(*(key[counted].astype(np.int64) for key in keys))
+    streams = [counted[members] for _, members in by_value(which)]
     commands = rows.time_ns[rows.on(lambda link: link.only_to_cfs)]
     network = np.flatnonzero(rows.on(lambda link: link.peers))
     peers = [rows.time_ns[own] for _, own in groups(rows.sbn_sender(), network)]
@@ -553,14 +556,6 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
         if packets >= _LEAST_STREAMS and (most or gap[1] - gap[0] >= _LEAST_NS):
             holes[not (others and most)].append(gap)
     return holes[0], holes[1]
-
-
-def _counted_streams(rows: Rows) -> list[Places]:
-    """Return the rows of each stream from cFS with sequence counts."""
-    own = np.flatnonzero(rows.counted & rows.on(lambda link: link.from_cfs))
-    keys = (rows.link, rows.source, rows.destination, rows.processor_id, rows.msg_id)
-    _, which = numbered(*(key[own].astype(np.int64) for key in keys))
-    return [own[members] for _, members in by_value(which)]
 
 
 def _steady(times: Integers, start_ns: int, end_ns: int) -> bool:

@@ -753,6 +753,20 @@ def test_a_changed_flight_proves_no_more_than_was_lost(tmp_path, name, change):
     assert truth.sums(result) == []
 
 
+@pytest.mark.each(2)
+@pytest.mark.quick("9--300", "11-300")
+@pytest.mark.parametrize("seconds", [-300, 300])
+@pytest.mark.parametrize("seed", [0, 5, 9, 11])
+def test_a_clock_that_was_set_is_no_restart_where_two_msgids_alone_have_counts(tmp_path, seed, seconds):
+    items = mutations.frames(FOLDER / "sbn_stopped_flight_side.pcap.zst")
+    change = mutations.stepped(seconds * 10**9)
+    items = change(items, random.Random(seed))
+    result = truth.diagnosed(mutations.write(tmp_path / "x.pcap", items))
+    assert truth.bounds(result) == (81, 0)
+    assert truth.causes(result) == FLIGHTS["sbn_stopped_flight_side"][1]
+    assert {item["rule"] for item in result["verdicts"]} & {"clock_jump", "cfs_restart"} == {"clock_jump"}
+
+
 LATE = mutations.late(200_000_000, 1234)
 HURT = [
     ("damaged_commands", mutations.without_one(1234)),

@@ -258,9 +258,8 @@ def _ends(case: Case, stream: Stream) -> int:
 
 def _silent_unusually_long(stream: Stream, before: Integers, length: int) -> bool:
     """Tell whether what came irregularly is silent for longer than ever before; housekeeping may be."""
-    if stream.is_housekeeping or len(before) < _LEAST:
-        return False
-    return length > max(_LONG_NS, _IRREGULAR * int(np.diff(before).max()))
+    enough = not stream.is_housekeeping and len(before) >= _LEAST
+    return enough and length > max(_LONG_NS, _IRREGULAR * int(np.diff(before).max()))
 
 
 def _explained(case: Case, silence: Silence) -> bool:

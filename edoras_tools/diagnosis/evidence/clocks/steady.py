@@ -258,20 +258,25 @@ def _taken_up(
 ) -> list[int]:
     """Return the earlier instances whose sequence counts an instance mostly continues.
 
+    Two counts or one must both go on, from higher than a boot begins.
+
     Args:
         last: result of ``_places``.
         begin: first counts of the instance.
         end: place of the instance in time.
     """
-    common, matches = (np.zeros(end, np.intp) for _ in range(2))
+    common, matches, high = (np.zeros(end, np.intp) for _ in range(3))
     for item, count in begin.items():
         if item in last:
             places, lasts = last[item]
             places = places[: np.searchsorted(places, end)]
             step = (count - lasts[: len(places)]) % _MODULUS
             common[places] += 1
-            matches[places] += (step > 0) & (step <= _NEXT)
-    return np.flatnonzero((common > 2) & (matches > _MOST_GO_ON * common)).tolist()
+            goes_on = (step > 0) & (step <= _NEXT)
+            matches[places] += goes_on
+            high[places] += goes_on & (count > _NEXT)
+    enough = (common > 2) | ((common > 0) & (high == common))
+    return np.flatnonzero(enough & (matches > _MOST_GO_ON * common)).tolist()
 
 
 def _without(rows: Rows, jump: Jump, before: Mask) -> Rows:
