@@ -113,7 +113,7 @@ FLIGHTS = {
     "output_sent_elsewhere": (0, {}),
     "limits_one_three_seven": (140, {"limit": 140}),
     "telemetry_sent_as_commands": (19, {"limit": 19}),
-    "flood_of_a_stranger": (38, {"socket": 25, "limit": 9, "unaccounted": 4}),
+    "flood_of_a_stranger": (38, {"socket": 29, "limit": 9}),
     "captured_in_two_parts": (43, {"limit": 43}),
     "clock_set_and_back": (171, {"restart": 37, "restart_failed": 95, "stopped": 39}),
     "started_twice": (169, {"stopped": 169}),

@@ -11,12 +11,17 @@ from hypothesis import given, settings
 from scenarios import START_NS, Flight, examined, flights, fly, replayed, truth
 from truth import bounds, sums
 
+from edoras_tools.addons.lab.emulator import Simulation, messages
 from edoras_tools.addons.lab.emulator.account import LOST, socket
 from edoras_tools.addons.lab.emulator.apps import generator
+from edoras_tools.addons.lab.emulator.simulation import WireDatagram
 from edoras_tools.cfs import edoras_app
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.cfs.queues import QueueEnd
+from edoras_tools.model import Endpoint, Peer
+from edoras_tools.sessions.sbn import SbnConnection
 from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire import cfe, envelope, sbn
 
 CAUSES = {"limit", "socket"}
 HOPS = {edoras_app.PIPE, socket(SimProfile().ci_port)}
@@ -83,6 +88,71 @@ def test_what_a_full_socket_drops_is_told_once_ci_has_read_it(quiet, hertz):
     (row,) = (row for row in result["balance"] if row["hop"] == "CI" and row["msg_id"] == "0x1827")
     assert row["waiting"] <= simulation.cfs.profile.socket_queue
     assert proven < dropped <= proven + more
+
+
+def test_a_socket_that_overflows_while_ci_never_comes_to_rest_is_no_network():
+    """How many are lost shows only once CI has read what waits; by then the socket had long been full."""
+    commands = Flight("two-rovers", SimProfile(socket_queue=256, msg_max=10), 20.0, 1.0, 40, 16, ())
+    simulation, sent = fly(commands)
+    dropped = simulation.cfs.account.losses()[socket(1234), 0, QueueEnd.PIPE_OVERFLOW]
+    found = lost_by(examined(sent))
+    assert dropped > 300
+    assert found["network"] == 0
+    assert 0.95 * dropped < found["socket"] <= dropped
+
+
+def beside_a_second_peer(profile, hertz, state_hertz, *, send_hertz=0, wants=()):
+    """Return a flight of two rovers with a peer more, which sends 0x1827 and gets what it subscribes to."""
+    simulation = Simulation(
+        profile,
+        "two-rovers",
+        start_ns=START_NS,
+        command_rate_hz=hertz,
+        state_rate_hz=state_hertz,
+        command_count=int(hertz * 24),
+        with_account=True,
+    )
+    peer, own = SbnConnection(Peer(0x42, 2), wants, now=START_NS), Endpoint(profile.address, 2235)
+    first_ns, target = START_NS + 10_266 * MILLISECOND, simulation.cfs.sbn_endpoint
+    fed = []
+    for at in range(send_hertz * 16):
+        body = envelope.DEFAULT.emit(messages.twist(at / 9, 0.2))
+        packet = cfe.emit_command(0x1827, edoras_app.SET, body, sequence_flags=0)
+        fed.append((first_ns + at * SECOND // send_hertz, peer.frame(packet)))
+    subscribes = [sbn.emit_subscriptions([sbn.Subscription(item)]) for item in wants]
+    begin = [sbn.emit(sbn.MsgType.SUB, peer.own, item) for item in subscribes]
+    beats = [sbn.emit(sbn.MsgType.HEARTBEAT, peer.own, b"")] * 10
+    fed += [(START_NS + (4 + 3 * at) * SECOND, data) for at, data in enumerate([*begin, *beats])]
+    more = [WireDatagram(at, own, target, data) for at, data in sorted(fed)]
+    for item in more:
+        simulation.feed(item.time_ns, target, item.payload)
+    sent = [*simulation.run(START_NS + 40 * SECOND), *more]
+    return simulation, sorted(sent, key=lambda item: item.time_ns)
+
+
+@pytest.mark.each(2)
+@pytest.mark.parametrize("send_hertz", [4, 8])
+def test_what_comes_by_another_way_replaces_commands_too(send_hertz):
+    profile = SimProfile(ci_wake_ns=250 * MILLISECOND, seed=782)
+    simulation, sent = beside_a_second_peer(profile, 9.0, 1.0, send_hertz=send_hertz)
+    assert simulation.cfs.account.losses()[edoras_app.PIPE, 0x1827, QueueEnd.MSG_LIMIT] == 0
+    result = examined(sent)
+    assert bounds(result)[0] == 0
+    assert result["superseded"] > 100
+
+
+def test_full_rounds_alone_show_a_peers_limit_where_other_pipes_overflow():
+    profile = SimProfile(app_msg_limit=20, msg_max=20, sbn_msg_limit=2)
+    simulation, sent = beside_a_second_peer(profile, 14.0, 30.0, wants=(0x829,))
+    ends = simulation.cfs.account.losses()
+    over = ends["SBN_2_66_Pipe", 0x829, QueueEnd.MSG_LIMIT]
+    full = sum(number for (_, _, end), number in ends.items() if end is QueueEnd.PIPE_OVERFLOW)
+    result = examined(sent)
+    assert over > 300
+    assert full > 20
+    (row,) = (row for row in result["balance"] if row["hop"] == "SBN_2_66_Pipe" and row["msg_id"] == "0x0829")
+    assert 0.9 * over < row["lost_by"]["limit"] <= over
+    assert lost_by(result)["after"] == 0
 
 
 @pytest.mark.each(2)

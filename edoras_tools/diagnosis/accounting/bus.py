@@ -272,7 +272,9 @@ class Telemetry:
         """Return the gaps of a stream, with an empty one after its end if events name later losses."""
         case, missing = self._case, stream.missing - self._dropped(stream)
         made_ns = case.instances.made_ns[stream.rows] if stream.instance != NOBODY else stream.time_ns
-        at = np.flatnonzero(np.append(missing[:-1], self._named_behind(stream)))
+        events = (self._naming(stream, kind) for kind in COUNTERS)
+        later = any(own.last_ns >= stream.time_ns[-1] for own in events if own)
+        at = np.flatnonzero(np.append(missing[:-1], later))
         made_ns = np.append(made_ns, made_ns[-1])
         return _Gaps(stream, at, at, missing[at], made_ns[at] - _SLACK_NS, made_ns[at + 1] + _SLACK_NS)
 
@@ -304,7 +306,10 @@ class Telemetry:
         part.watched = 2 * part.outside <= part.missing
         # All that was in a peer's pipe is captured: if it was not full, it overflowed nothing.
         others = ("limit",) if part.kinds and part.stream.link.peers else (*COUNTERS,)[::-1]
-        if not part.kinds and part.stream.link.only_from_cfs and self._is_rare(part):
+        round_s = queues.telemetry_pipe(self._case.profile).round_ns / SECOND
+        # At most every second round had a message: that is over no limit of its MsgId.
+        rare = part.stream.link.only_from_cfs and 2 * part.span.offered_hz * round_s < _STEADY
+        if rare and not part.kinds:
             others = ("overflow",)
         kinds = tuple(dict.fromkeys((*part.kinds, *others)))
         rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, part.stream
@@ -312,11 +317,6 @@ class Telemetry:
             span, number = (int(low[members[0]]), int(high[members[0]])), int(gaps.number[members].sum())
             self.claims.append(Claim(key, *span, number, kinds, (part.owner,), rank, flow))
         self.parts.append(part)
-
-    def _is_rare(self, part: Part) -> bool:
-        """Return whether at most every second round had a message: that is over no limit of its MsgId."""
-        round_s = queues.telemetry_pipe(self._case.profile).round_ns / SECOND
-        return 2 * part.span.offered_hz * round_s < _STEADY
 
     def _dropped_unseen(self) -> None:
         """Count messages that a proxy dropped before a stream's first message or after its last."""
@@ -434,7 +434,7 @@ class Telemetry:
             # A full pipe proves nothing if its counter did not grow.
             if is_named or (grown[kind] and pressed(case, stream, span, kind, gaps, full=grown["overflow"])):
                 kinds.append((not is_named, kind))
-        if not kinds and part.owner not in self._counts and not via:
+        if not (kinds or via) and (grown["limit"] or part.owner not in self._counts):
             queue = (queues.peer_pipe if stream.link.peers else queues.telemetry_pipe)(case.profile)
             if least := full_rounds(stream.time_ns[span.rows], gaps[span.rows], queue.round_ns):
                 part.evidence.append(f"they are missing behind full rounds alone, of {least} or more")
@@ -466,11 +466,6 @@ class Telemetry:
             until_ns = made_ns + LEAD_NS + int(most * SECOND / max(part.span.offered_hz, 1))
             of = (part.owner,)
             self.claims.append(Claim(key, made_ns, until_ns, most, part.kinds, of, Rank.POSSIBLE, stream))
-
-    def _named_behind(self, stream: Stream) -> bool:
-        """Return whether events name a loss after the last message of a stream."""
-        last_ns, every = stream.time_ns[-1], (self._naming(stream, kind) for kind in COUNTERS)
-        return any(events.last_ns >= last_ns for events in every if events)
 
     def _ends(self, part: Part) -> bool:
         """Return whether a stream ends with a part, or one complete round after it."""
@@ -517,16 +512,14 @@ class Telemetry:
         if part.kinds and not is_counted:
             self._lose(part, part.kinds[0], rest, of, "high").uncounted = rest
         elif not is_counted and self._cut(part.stream):
-            ends, twice = self.ends[part.stream], min(rest, self._missing_at_output(part.stream))
+            # What is missing at Telemetry Output may be the same messages.
+            at_output = (item for item in self._case.streams if item.link.only_from_cfs)
+            also = sum(int(item.missing.sum()) for item in at_output if item.msg_id == part.stream.msg_id)
+            ends, twice = self.ends[part.stream], min(rest, also * part.stream.link.peers)
             ends["uncertain"] += twice
             ends["undecided"] += rest - twice
         else:
             self._unexplained(part, rest, of, grown=any(grown))
-
-    def _missing_at_output(self, stream: Stream) -> int:
-        """Return how many messages of an SBN stream are missing at Telemetry Output: they may be the same."""
-        alike = (item for item in self._case.streams if item.link.only_from_cfs and stream.link.peers)
-        return sum(int(item.missing.sum()) for item in alike if item.msg_id == stream.msg_id)
 
     def _unexplained(self, part: Part, number: int, of: int, *, grown: bool) -> None:
         """Make a loss of messages that no counter explains: behind cFS if nothing else can have lost them."""

@@ -416,7 +416,10 @@ class _Counted:
             lag_ns = int((self._seen[part] - self._sent_ns[last_read]).min())
             lost = _follow(account, run, lost, begin, room)
             if blind and before and account.losses and not busy[1:2].any():
-                account.unsure += max(0, before - self._surely_sent(int(emptied_ns[0])) + own[0].count)
+                # Before the capture the rate at its start is assumed, and the number sent is negative.
+                ahead_ns = int(emptied_ns[0]) - self._case.start_ns
+                surely = np.sign(ahead_ns) * self._sent_until(self._case.start_ns + abs(ahead_ns))
+                account.unsure += max(0, before - int(surely) + own[0].count)
             account.waiting = max(0, int(run.high[-1]) - lost)
             last, crowded = first, bool(busy[-1])
             idle = np.flatnonzero(drained[1:])
@@ -446,7 +449,10 @@ class _Counted:
         # A datagram sent by then that came out later had waited in the socket.
         read_ns = max([ended_ns, *(int(out[sent <= ended_ns].max(initial=0)) for sent, out in self._read)])
         commands = self._commanded_ns(sooner.seen_ns - SECOND, later.seen_ns)
-        cause, read = self._why_ended(first), self._most_read(self._own[last:first], read_ns)
+        stops = (item for item in self._outages() if not item.restarted and item.start_ns < later.seen_ns)
+        alone: Cause = "ci_stopped" if any((one.end_ns or 0) > sooner.seen_ns for one in stops) else "restart"
+        cause: Cause = "down" if self._restarts[first] else alone
+        read = self._most_read(self._own[last:first], read_ns)
         if not commands and self._arrived is None and sooner.instance == later.instance:
             # Nothing shows when it ended: it may have read on until it started again.
             surely = before + read
@@ -472,13 +478,6 @@ class _Counted:
             before += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
             ended_ns = until_ns
         return (cause, ended_ns), lost, before
-
-    def _why_ended(self, first: int) -> Cause:
-        """Return why it did not run for a time before a sample: it, or its cFS, was started again."""
-        sooner_ns, later_ns = self._seen[first - 1], self._seen[first]
-        stops = (item for item in self._outages() if not item.restarted and item.start_ns < later_ns)
-        ended: Cause = "ci_stopped" if any((item.end_ns or 0) > sooner_ns for item in stops) else "restart"
-        return "down" if self._restarts[first] else ended
 
     def _restarts_ns(self, start_ns: int, end_ns: int) -> list[int]:
         """Return the times of commands between two times that restart its cFS."""
@@ -523,14 +522,6 @@ class _Counted:
 
     def _sent_until(self, time_ns: Any) -> Places:
         return np.asarray(np.searchsorted(self._sent_ns, time_ns, "right"))
-
-    def _surely_sent(self, time_ns: int) -> int:
-        """Return how many datagrams were sent until a time.
-
-        Before the capture the rate at its start is assumed, and the number is negative.
-        """
-        ahead_ns = time_ns - self._case.start_ns
-        return int(np.sign(ahead_ns) * self._sent_until(self._case.start_ns + abs(ahead_ns)))
 
     def _emptied(self, part: slice) -> tuple[Integers, Mask]:
         """Return for each sample a time until which CI had read everything, i64 ns, and whether CI was busy.
@@ -675,11 +666,13 @@ class _Level(msgspec.Struct):
 
     Attributes:
         first: index of the first of them.
+        last: index of the first of them that shows ``low``.
         low: least number that fits all of them.
         high: greatest such number.
     """
 
     first: int
+    last: int
     low: int
     high: int
 
@@ -687,15 +680,16 @@ class _Level(msgspec.Struct):
 def _levels(run: _Run, lost: int, most: int) -> tuple[list[_Level], int]:
     """Divide a run into as few levels as possible; return them, and how many datagrams are not captured."""
     shown_less = 0
-    levels = [_Level(0, int(run.low[0]), min(int(run.high[0]), most))]
+    levels = [_Level(0, 0, int(run.low[0]), min(int(run.high[0]), most))]
     for at in range(len(run.low)):
         level = levels[-1]
         least, high = max(level.low, lost), int(run.high[at])
         shown_less = max(shown_less, least - high)
         low, high = int(run.low[at]) + shown_less, high + shown_less
         if low > level.high:
-            levels.append(_Level(at, low, high))
+            levels.append(_Level(at, at, low, high))
         else:
+            level.last = at if low > level.low else level.last
             level.low, level.high = max(level.low, low), min(level.high, high)
     return levels, shown_less
 
@@ -724,7 +718,7 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
             if level.first:
                 empty = np.flatnonzero(run.drained[: level.first])
                 last = int(empty[-1]) if len(empty) else 0
-                full = int(run.beyond[last : level.first + 1].max()) + shown_less > number
+                full = int(run.beyond[last : level.last + 1].max()) + shown_less > number
                 missing_first = int(run.high[: level.first].min())
                 early = not account.losses and run.blind and missing_first >= number
                 cause = "socket" if full else "network"
@@ -732,7 +726,10 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
                 if early and {cause, begin[0]} == {"network"}:
                     account.unsure += number - lost  # or CI read them, and has restarted since
                     lost = number
-            until_ns = int(run.seen[level.first])
+            # By then an idle CI lacks all of them.
+            part = slice(level.first, level.last + 1)
+            lacks = run.drained[part] & (run.high[part] + shown_less >= number)
+            until_ns = int(run.seen[level.first + lacks.argmax() if lacks.any() else level.last])
             if number > lost:
                 account.add(Before(cause, number - lost, min(since_ns, until_ns), until_ns))
         lost = number
@@ -907,9 +904,8 @@ class BeforeCi:
         """Make losses before CI of messages that did not come out and that CI cannot have read (rule 9)."""
         fates = [fate for fate in self._to(account) if fate.seen]
         outs = {hop.out: hop.out for fate in fates for hop in fate.hops}.values()
-        if not account.not_captured or not all(out.link.last_hop for out in outs):
-            return
-        if self._case.quality.missing:
+        all_out = all(out.link.last_hop for out in outs)
+        if not account.not_captured or not all_out or self._case.quality.missing:
             return  # datagrams that CI counted beyond these may be those that the capture missed
         until_ns = account.last_ns - _HELD_NS  # its last count has all that came out by then
         came_out = sum(int((out.time_ns <= until_ns).sum()) for out in outs)

@@ -378,17 +378,18 @@ def _newer(case: Case, hops: list[Hop], absent: Mask, times: Integers) -> Mask:
     out = np.zeros(len(times), bool)
     if not _keep_newest(hops):
         return out
-    came = np.flatnonzero(np.logical_or.reduce([hop.arrived for hop in hops]))
-    rows = np.flatnonzero(absent)
-    behind = np.searchsorted(came, rows)
-    rows, behind = rows[behind < len(came)], behind[behind < len(came)]
+    # What reaches the application by another way replaces these messages too.
+    ways = [hop for hop in case.hops if hop.out in {item.out for item in hops}]
+    both = [(hop.into.time_ns[hop.in_rows], hop.out.time_ns[hop.out_rows]) for hop in ways]
+    came_ns, out_ns = np.concatenate(both, axis=1)
+    out_ns, came_ns = out_ns[np.argsort(came_ns, kind="stable")], np.sort(came_ns)
+    rows = np.flatnonzero(absent & (times <= came_ns[-1]))
+    behind = np.searchsorted(came_ns, times[rows])
     _, first = np.unique(behind, return_index=True)
     first_ns = times[rows[np.repeat(first, np.diff(np.append(first, len(rows))))]]
-    next_ns, out_ns = times[came[behind]], np.full(len(times), np.iinfo(np.int64).max)
-    for hop in hops:
-        out_ns[hop.in_rows] = hop.out.time_ns[hop.out_rows]
+    next_ns = came_ns[behind]
     # CI may have read messages of different times in one round: then they came out close together.
-    apart_ns = out_ns[came[behind]] - out_ns[came[behind - 1]]
+    apart_ns = out_ns[behind] - out_ns[behind - 1]
     out[rows] = (
         ((behind > 0) & (apart_ns >= 0) & (apart_ns <= 2 * WAITS_NS))
         | (next_ns - first_ns <= 2 * WAITS_NS)
