@@ -48,10 +48,9 @@ def _row(case: Case, stream: Stream, way: LedgerWay) -> dict[str, Any]:
     rounds, tasks = comb(times), (case.profile.to_wake_ns, case.profile.sbn_wake_ns)
     is_task = any(abs(rounds.period_ns - period) < period // _ROUND for period in tasks)
     lost = sum((Counter(row.lost) for row in way.rows()), Counter[str]())
+    behind = not (stream.link.only_to_cfs or (stream.link.peers and to_cfs))  # captured behind what loses it
     absent = lost[DAMAGED] + lost[PROXY_HOP]
-    absent -= sum(loss.lost for loss in case.losses_of(stream) if loss.kind == DAMAGED)  # behind the capture
-    if not (stream.link.only_to_cfs or (stream.link.peers and to_cfs)):  # it is captured behind what loses it
-        absent += sum(loss.lost for loss in case.losses_of(stream))
+    absent += sum(loss.lost * (behind - (loss.kind == DAMAGED)) for loss in case.losses_of(stream))
     return {
         "topic": source.topic if source else None,
         "type": source.type if source else None,

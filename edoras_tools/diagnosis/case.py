@@ -444,11 +444,13 @@ class Case:
 
     def follows(self, into: Stream, out: Stream) -> bool:
         """Return whether the cFS that receives ``into`` may be the one that sends ``out``."""
-        if self._of_another(into, out):
-            return False
+        hosts, arrives = self.instances.hosts, self.network.identity_of.get(into.receiver, "")
+        far = hosts[into.receiver] != hosts[out.sender]
+        if far and (into.link, arrives, int(hosts[out.sender])) in self._receiving:
+            return False  # it leaves from another address, which has a receiver like this one
         if into.link.only_to_cfs or out.link.last_hop:
             return True
-        arrives, leaves = self.network.identity_of.get(into.receiver, ""), self._leaves(out)
+        leaves = self._leaves(out)
         if arrives and leaves:
             return arrives == leaves
         return f"{into.processor[0]}:{into.processor[1]}" != leaves
@@ -462,19 +464,11 @@ class Case:
             if item.kind == "no_subscriber" and item.sender.startswith((*command_ingest.NAMES, "SBN"))
         }
 
-    def _of_another(self, into: Stream, out: Stream) -> bool:
-        """Return whether ``out`` leaves from another address, which has a receiver like that of ``into``."""
-        hosts, name = self.instances.hosts, self.network.identity_of.get
-        return (
-            hosts[into.receiver] != hosts[out.sender]
-            and (into.link, name(into.receiver), int(hosts[out.sender])) in self._receiving
-        )
-
     @cached_property
-    def _receiving(self) -> set[tuple[Link, str | None, int]]:
+    def _receiving(self) -> set[tuple[Link, str, int]]:
         """Link, SBN identity and number of the address of each receiver."""
         hosts, name = self.instances.hosts, self.network.identity_of.get
-        return {(item.link, name(item.receiver), int(hosts[item.receiver])) for item in self.streams}
+        return {(item.link, name(item.receiver, ""), int(hosts[item.receiver])) for item in self.streams}
 
     @cached_property
     def incomplete_ns(self) -> dict[tuple[Endpoint, int], list[int]]:

@@ -261,9 +261,7 @@ def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
     """Return the place of a loss in words, with the name of the pipe, application or peer."""
     hops = {item.hop for item in own if item.hop}
     hop = (" or ".join(sorted(hops - {APP} or hops)) or rows[0].hop).replace(APP, "the application's pipe")
-    if cause == "limit" and own:
-        return f"at {hop}"
-    if hop.startswith(RELAY_HOP):
+    if (cause == "limit" and own) or hop.startswith(RELAY_HOP):
         return f"at {hop}"
     if cause in {"limit", "overflow"}:
         return f"{cause_text(cause)}, {hop}"

@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.timeline.table import Change
     from edoras_tools.diagnosis.matching.crossing import Hop
 
 
@@ -209,7 +210,8 @@ def perhaps_removed(case: Case, stream: Stream, missing: Integers) -> Mask:
     """
     others = missing.sum() - missing
     share = (others + 1) / (len(stream) + others + 1)
-    return np.asarray(lacks_control(case, stream) & (len(stream) * share**missing < 1 - CONFIDENCE))
+    lacking = lacks_control(case, stream) or any(own.not_captured for own in case.ingests)
+    return np.asarray(lacking & (len(stream) * share**missing < 1 - CONFIDENCE))
 
 
 def _sent_by(case: Case, sender: int) -> Integers:
@@ -233,7 +235,24 @@ def silences_of(case: Case, sender: int) -> list[tuple[int, int]]:
     if owner != NOBODY:  # from its boot, or from the begin of the capture
         boot_ns = case.instances.items[owner].boot_ns(case.profile)
         sent_ns = np.append(max(boot_ns, int(case.rows.time_ns[0])), sent_ns)
-    return silences(sent_ns, enables_ns(case), case.profile.to_wake_ns, boot_ns)
+    spans = silences(sent_ns, enables_ns(case), case.profile.to_wake_ns, boot_ns)
+    # What enabled it again after a diversion may not be here: that it sends shows that as well.
+    long = np.flatnonzero(np.diff(sent_ns) > _SILENT_WAKES * case.profile.to_wake_ns)
+    every = zip(sent_ns[long].tolist(), sent_ns[long + 1].tolist(), strict=True)
+    return sorted({*spans, *(span for span in every if diversion(case, sender, *span))})
+
+
+def diversion(case: Case, sender: int, start_ns: int, end_ns: int) -> Change | None:
+    """Return the command that sent Telemetry Output elsewhere when it fell silent here, if it is here."""
+    system = case.instances.system(case.instances.owner(sender, start_ns))
+    places = {case.endpoints[item.receiver].address for item in case.streams if item.sender == sender}
+    before: object = None
+    for change in case.timeline.of(StateOwner("output"), system):
+        near = start_ns - _STOPS_NS < change.not_before_ns < end_ns - SECOND
+        if near and change.state == "enabled" and change.value not in {*places, before}:
+            return change
+        before = change.value  # it was sent there already, whatever the address is here
+    return None
 
 
 def silences(
@@ -758,6 +777,14 @@ class Stops:
                 losses.append(fate.loss(kind, rows, [text], hop=hop))
                 fate.claim(rows)
 
+    def _read(self, stream: Stream) -> Mask:
+        """Return which messages do not wait in CI's socket at its last count: bool (rows,)."""
+        read, sent_ns = np.ones(len(stream), bool), self._case.rows.time_ns
+        for account in self._case.ingests_at(stream.receiver):
+            sent = account.rows[sent_ns[account.rows] <= account.last_ns]
+            read &= ~np.isin(stream.rows, sent[len(sent) - account.waiting :])
+        return read
+
     def _unfollowed(self, fate: Fate, own: Sequence[Outage]) -> None:
         """Apply rules 9 and 10."""
         case, times = self._case, fate.stream.time_ns
@@ -773,12 +800,13 @@ class Stops:
         if not (surely or several or len({item.app for item in own}) > 1):
             surely = list(own)
         fate.stops = surely
+        read = self._read(fate.stream)
         for item in surely:
-            lacking = np.flatnonzero(fate.open & (times > item.ended_ns) & (times < item.asked_ns))
+            lacking = np.flatnonzero(fate.open & read & (times > item.ended_ns) & (times < item.asked_ns))
             if fate.claim(lacking):
                 self.losses.append(fate.loss("stopped", lacking, [item.witness], hop=item.app))
             begin, end = unanswered(case, item.app, item.system, item.start_ns)
-            marked = fate.open & (times > begin) & (times < end) & (not case.quality.lacks_answered)
+            marked = fate.open & read & (times > begin) & (times < end) & (not case.quality.lacks_answered)
             text = f"{item.witness}; no housekeeping of it came from {case.at(begin)} on"
             self.mark(fate, marked, "stopped" if item.end_ns is None else "restart_failed", item.app, text)
         first = min(own, key=lambda item: item.start_ns)

@@ -339,10 +339,13 @@ class Commands:
         came, into = hops[0].out_rows, hops[0].in_rows
         missing = np.append(np.diff(into) - 1, 0)
         least = full_rounds(hops[0].out.time_ns[came], missing, case.profile.ci_wake_ns)
-        if not least or (missing < 0).any() or self._fills_socket(fate):
-            return
+        times, socket = fate.stream.time_ns, queues.ci_socket(case.profile)
+        ahead = np.arange(len(times)) - (times - times[0]) * (socket.reads / socket.round_ns)
+        waiting = (ahead - np.minimum.accumulate(ahead)).max()
+        if not least or (missing < 0).any() or waiting > socket.depth:
+            return  # more datagrams wait for CI than its socket holds, or they came in another order
         counted_ns = [own.times[-1] for at, own in case.loss_counts.items() if case.goes_to(fate.stream, at)]
-        inside = fate.open & (fate.stream.time_ns > max(counted_ns, default=0))
+        inside = fate.open & (times > max(counted_ns, default=0))
         inside[: into[0]] = inside[into[-1] :] = False
         silent_ns = case.rows.time_ns[:-1][np.diff(case.rows.time_ns) > WAITS_NS]
         for at in np.unique(np.searchsorted(hops[0].out.time_ns[came], silent_ns, "right")).tolist():
@@ -354,12 +357,6 @@ class Commands:
         if fate.claim(lacking := np.flatnonzero(inside)):
             text = f"they did not come out behind full rounds alone, of {least} or more"
             self.losses.append(fate.loss("limit", lacking, [text], hop=APP))
-
-    def _fills_socket(self, fate: Fate) -> bool:
-        """Return whether more datagrams of a stream wait for CI than its socket holds."""
-        times, socket = fate.stream.time_ns, queues.ci_socket(self._case.profile)
-        ahead = np.arange(len(times)) - (times - times[0]) * (socket.reads / socket.round_ns)
-        return bool((ahead - np.minimum.accumulate(ahead)).max() > socket.depth)
 
     def _relayed(self, fates: Sequence[Fate]) -> None:
         """Make losses of messages that went into a relay and did not come out of its other, captured side."""

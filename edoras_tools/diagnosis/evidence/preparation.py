@@ -287,14 +287,11 @@ def _has_strangers(rows: Rows, payloads: Payloads, kind: NDArray[np.int8]) -> bo
     seconds = rows.time_ns[to_ci & (kind == _PLACE[ConversationKind.STRANGER])] // SECOND
     # Of a flood it reads a part, and its socket drops the rest.
     strange = int(np.minimum(np.unique(seconds, return_counts=True)[1], _READ_IN_A_SECOND).sum())
-    return 2 * (grown - _different(rows, to_ci & (kind == _PLACE[ConversationKind.CFS]))) >= strange
-
-
-def _different(rows: Rows, mask: Mask) -> int:
-    """Return the number of different datagrams among some rows: equal bytes and identification count once."""
-    own = np.flatnonzero(mask & (rows.identification != 0))
+    # Of those of bridges, equal bytes and identification count once.
+    bridges = to_ci & (kind == _PLACE[ConversationKind.CFS])
+    own = np.flatnonzero(bridges & (rows.identification != 0))
     first, _ = numbered(rows.bytes_print[own], rows.identification[own])
-    return int(mask.sum()) - len(own) + len(first)
+    return bool(2 * (grown - int(bridges.sum()) + len(own) - len(first)) >= strange)
 
 
 def _disordered(rows: Rows) -> int:

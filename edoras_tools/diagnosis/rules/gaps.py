@@ -65,7 +65,10 @@ def changed_values(case: Case) -> Iterator[Verdict]:
     Tell how many have changed, and how many always hold the same one. An application may change values on
     purpose; those of EDORAS do not.
     """
-    passes_on = _is_edoras(case)
+    names = [item.app for item in case.payloads.events]
+    names += [item.pipe for item in case.reported_losses]
+    names += [case.packet_name(stream.msg_id) for stream in case.streams if stream.link.only_from_cfs]
+    passes_on = next((name for name in names if name.startswith(_EDORAS)), "")
     for item in case.contents:
         same, other = len(item.constant), len(item.changed)
         if not same + other:
@@ -192,14 +195,6 @@ def _where(case: Case, item: WayContent) -> str:
 def _first(case: Case, members: Places) -> str:
     packets = listed([packet(case, int(row)) for row in members[:_FEW]])
     return f"{packets}{', and more' * (len(members) > _FEW)}"
-
-
-def _is_edoras(case: Case) -> str:
-    """Return the name of an EDORAS application, or of its pipe, in the capture; empty where it has none."""
-    names = [item.app for item in case.payloads.events]
-    names += [item.pipe for item in case.reported_losses]
-    names += [case.packet_name(stream.msg_id) for stream in case.streams if stream.link.only_from_cfs]
-    return next((name for name in names if name.startswith(_EDORAS)), "")
 
 
 _IN_A_ROW: Final = 8

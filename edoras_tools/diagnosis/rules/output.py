@@ -11,7 +11,8 @@ import numpy as np
 
 from edoras_tools.cfs import executive_services, telemetry_output
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
-from edoras_tools.diagnosis.evidence.timeline.table import Change, StateOwner
+from edoras_tools.diagnosis.accounting.closed import diversion
+from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
 from edoras_tools.diagnosis.rules.about import packet
 from edoras_tools.diagnosis.verdict import Severity, Verdict, security, verdict, warning
 from edoras_tools.links.bare import CI, ROBOT, TO
@@ -249,7 +250,7 @@ def _silent(case: Case) -> Iterator[Verdict]:
             if not number:
                 continue
             failed = case.socket_failure((start_ns, end_ns))
-            order = None if failed else _diversion(case, sender, start_ns, end_ns)
+            order = None if failed else diversion(case, sender, start_ns, end_ns)
             why = "its socket failed" if failed else "its socket failed, or it sent to another address"
             if order:
                 why = f"it sent to {order.value}, for which it was enabled at {case.at(order.not_before_ns)}"
@@ -267,17 +268,6 @@ def _silent(case: Case) -> Iterator[Verdict]:
                 f"Output drops what comes until it is enabled again: {case.inject(ENABLE_OUTPUT)}",
                 confidence="high" if failed or order else "medium",
             )
-
-
-def _diversion(case: Case, sender: int, start_ns: int, end_ns: int) -> Change | None:
-    """Return the command that sent Telemetry Output elsewhere when it fell silent here, if it is here."""
-    system = case.instances.system(case.instances.owner(sender, start_ns))
-    places = {case.endpoints[item.receiver].address for item in case.streams if item.sender == sender}
-    for change in case.timeline.of(StateOwner("output"), system):
-        near = start_ns - _WAIT_NS < change.not_before_ns < end_ns - SECOND
-        if near and change.state == "enabled" and change.value not in places:
-            return change
-    return None
 
 
 def _ended(case: Case) -> Iterator[Verdict]:
@@ -303,7 +293,7 @@ def _ended(case: Case) -> Iterator[Verdict]:
         if item.app in executive_services.SCHEDULERS and item.start_ns < last_ns and item.end_ns is None
     ]
     source = int(rows.source[np.flatnonzero(rows.link == TO)[-1]])
-    order = _diversion(case, case.instances.output(source), last_ns, case.end_ns + 2 * SECOND)
+    order = diversion(case, case.instances.output(source), last_ns, case.end_ns + 2 * SECOND)
     why = "no counter and no event tells what became of them"
     remedy = f"see whether cFS and Telemetry Output run, and enable it: {case.inject(ENABLE_OUTPUT)}"
     for item in stopped[-1:]:
