@@ -817,12 +817,12 @@ def _counted_but_missed(case: Case, losses: Sequence[Loss]) -> int:
 def _take_back_in_holes(case: Case, telemetry: Telemetry) -> None:
     """Take back losses in intervals in which nothing at all was captured."""
     for loss in telemetry.losses if case.possible_holes else ():
-        among = loss.among
-        if loss.kind not in COUNTERS and among is not None and among.missing is not None:
+        among, number = loss.among, loss.uncounted if loss.kind in COUNTERS else loss.lost
+        if number and among is not None and among.missing is not None:
             inside = containing(among.stream, among.rows, case.possible_holes)
-            _take_back(telemetry, loss, min(loss.lost, int(among.missing[inside].sum())))
+            _take_back(telemetry, loss, min(number, int(among.missing[inside].sum())))
 
 
 def _take_back(telemetry: Telemetry, loss: Loss, number: int) -> None:
-    loss.lost -= number
+    loss.lost, loss.uncounted = loss.lost - number, max(0, loss.uncounted - number)
     telemetry.ends[loss.stream]["uncertain"] += number
