@@ -101,6 +101,16 @@ def test_a_socket_that_overflows_while_ci_never_comes_to_rest_is_no_network():
     assert 0.95 * dropped < found["socket"] <= dropped
 
 
+def test_a_ci_that_reads_faster_than_assumed_lost_nothing_before_its_first_count():
+    """By the assumed rate it cannot have read all since the capture began, and in the end it has."""
+    profile = SimProfile(ci_wake_ns=250 * MILLISECOND, app_msg_limit=20)
+    _, sent = fly(Flight("two-rovers", profile, 20.0, 0.0, 33, 8, ()))
+    late = START_NS + 28 * SECOND
+    result = examined([item for item in sent if item.time_ns > late or item.payload[:2] != b"\x08\x84"])
+    assert lost_by(result)["network"] == 0
+    assert bounds(result)[0] == 0
+
+
 def beside_a_second_peer(profile, hertz, state_hertz, *, send_hertz=0, wants=()):
     """Return a flight of two rovers with a peer more, which sends 0x1827 and gets what it subscribes to."""
     simulation = Simulation(

@@ -400,7 +400,8 @@ class _Counted:
                     wakes = (own[0].made_ns - self._case.start_ns) // self._profile.ci_wake_ns
                     if count[end - 1] != sent[end - 1] and count[0] >= most * (wakes - 1):
                         account.older_until_ns = min(behind, self._first_out[0] or own[0].seen_ns + DRAINS_NS)
-                before = 0 if begin[0] == "down" else min(_older(low, high), self._most_older(end))
+                exact = low[0] <= 0 == high.min() == high[-1]  # in all it read just what the capture shows
+                before = min(_older(low, high), self._most_older(end)) * (begin[0] != "down" and not exact)
                 account.before = before
                 low[0] = min(low[0], max(before, high.min()))  # a datagram counted later was not lost
             drained = np.diff(count[part], prepend=count[first]) < most
@@ -719,8 +720,7 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
                 empty = np.flatnonzero(run.drained[: level.first])
                 last = int(empty[-1]) if len(empty) else 0
                 full = int(run.beyond[last : level.last + 1].max()) + shown_less > number
-                missing_first = int(run.high[: level.first].min())
-                early = not account.losses and run.blind and missing_first >= number
+                early = not account.losses and run.blind and run.high[: level.first].min() >= number
                 cause = "socket" if full else "network"
                 since_ns = int(run.seen[last])
                 if early and {cause, begin[0]} == {"network"}:
