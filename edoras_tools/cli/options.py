@@ -498,14 +498,12 @@ class DecodingOptions(NamedTuple):
             typer.BadParameter: its value cannot be read.
         """
         from edoras_tools.decode import Options
-        from edoras_tools.pipelines.workbench import Settings
+        from edoras_tools.pipelines.workbench import Settings, read_constants
 
         if not constants:
             _refuse_constants(self.constants)
         stated: dict[str, Any] = {}
         if constants and self.constants:
-            from edoras_tools.pipelines.constants import read_constants
-
             stated = read_constants(self.constants)
         now = self.merged()
         options = Options(

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from contextlib import ExitStack, closing, suppress
 from functools import cached_property, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from msgspec.structs import replace
 
 from edoras_tools.decode import Context, Options
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.mission import Mission
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.structs import Structs, shipped_structs
+from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
 
     from edoras_tools.decode import ColumnDecoder, Dissector
     from edoras_tools.io import Source
@@ -219,3 +220,36 @@ def open_files(paths: Sequence[Path]) -> Source:
         sources = [opened.enter_context(closing(open_file(path))) for path in paths]
         opened.pop_all()
     return merge_sources(sources)
+
+
+def read_constants(constants: Sequence[str]) -> dict[str, Any]:
+    """Return constants by name.
+
+    Args:
+        constants: ``NAME=VALUE`` each, whole numbers; ``to_limits=FILE`` and ``sbn_table=FILE``: images of
+            the tables of Telemetry Output and of SBN.
+
+    Raises:
+        ConfigError: there is no such constant, or it cannot have that value.
+        CaptureError: the table image cannot be read.
+    """
+    from edoras_tools.cfs.profile import SimProfile, constant_names
+    from edoras_tools.io.formats.cfe import message_limits, network_peers
+
+    tables = {"to_limits": message_limits, "sbn_table": network_peers}
+    names, changes = constant_names(), dict[str, Any]()
+    for text in constants:
+        name, _, value = text.partition("=")
+        if name in tables:
+            changes[name] = tables[name](Path(value))
+            continue
+        if name not in names:
+            hint = did_you_mean(name, sorted({*names, *tables}), 1)
+            hint = hint or f"there are {', '.join(sorted(names))}"
+            raise ConfigError(f"constant {name!r} is not known; {hint}")
+        try:
+            changes[name] = int(value, 0)
+        except ValueError:
+            raise ConfigError(f"constant {text!r}: {value!r} is not a whole number; write {name}=8") from None
+    SimProfile().stating(changes)
+    return changes

@@ -4,7 +4,7 @@ import pytest
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission import FlightSoftware
-from edoras_tools.pipelines.constants import read_constants
+from edoras_tools.pipelines.workbench import read_constants
 
 
 def test_constants_are_named():
