@@ -186,12 +186,12 @@ class Telemetry:
         """Return how many messages were sent to the receiver between each row and the next, i64 (rows,).
 
         The next message and those missing before it count; not those that cFS published for others while this
-        SBN peer was away.
+        SBN peer was away. Where the capture lacks what the peer sent, nothing shows that it was away.
         """
         counts = stream.missing + 1
         for part in self.parts:
-            routed = part.cause is None or part.cause[0] != "route"
-            if part.stream is stream and part.closed and stream.link.peers and routed:
+            away = not part.unexplained and (part.cause is None or part.cause[0] != "route")
+            if part.stream is stream and part.closed and stream.link.peers and away:
                 counts[part.span.first] = 1
         return counts
 
@@ -304,14 +304,12 @@ class Telemetry:
         low, high = gaps.low_ns, gaps.high_ns
         part.outside = int(gaps.number[(low <= counts.times[0]) | (high > counts.times[-1])].sum())
         part.watched = 2 * part.outside <= part.missing
-        # All that was in a peer's pipe is captured: if it was not full, it overflowed nothing.
-        others = ("limit",) if part.kinds and part.stream.link.peers else (*COUNTERS,)[::-1]
         round_s = queues.telemetry_pipe(self._case.profile).round_ns / SECOND
         # At most every second round had a message: that is over no limit of its MsgId.
         rare = part.stream.link.only_from_cfs and 2 * part.span.offered_hz * round_s < _STEADY
-        if rare and not part.kinds:
-            others = ("overflow",)
-        kinds = tuple(dict.fromkeys((*part.kinds, *others)))
+        # All that was in the pipe is captured: if it was not full, it overflowed nothing.
+        others = ("overflow",) if rare else (*COUNTERS,)[::-1]
+        kinds = tuple(dict.fromkeys((*part.kinds, "limit"))) if part.kinds else others
         rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, part.stream
         for members in claimed_alike([counts], low, high):
             span, number = (int(low[members[0]]), int(high[members[0]])), int(gaps.number[members].sum())
@@ -450,11 +448,14 @@ class Telemetry:
     def _tail(self, key: int) -> None:
         """Add a claim for messages that may be lost after the last one of a stream (rule 4)."""
         part, case = self.parts[key], self._case
-        stream = part.stream
-        into = case.rows.on(lambda link: link.to_cfs)
-        if not part.kinds or not self._ends(part) or not into.any():
+        stream, of = part.stream, (part.owner,)
+        if not (part.kinds and self._ends(part) and case.rows.on(lambda link: link.to_cfs).any()):
             return  # without the commands, the counts may be theirs
-        most = self._most_behind(part)
+        # One round more may be lost, as many as one loses.
+        gaps = stream.missing[:-1][part.span.rows]
+        most = int(gaps.max(initial=0))
+        if (gaps > 0).sum() < _FEW_ROUNDS:
+            most = max(most, int(0.7 * part.span.offered_hz + 2))
         for hop in case.hops:
             if hop.out is stream and hop.matched > _MOSTLY * len(stream):
                 # The stream is made of another one: no more are lost than went in after the last to come out.
@@ -464,7 +465,6 @@ class Telemetry:
             made_ns = int(case.instances.made_ns[stream.rows[-1]])
             # All of them were published by then if they went on at the same rate.
             until_ns = made_ns + LEAD_NS + int(most * SECOND / max(part.span.offered_hz, 1))
-            of = (part.owner,)
             self.claims.append(Claim(key, made_ns, until_ns, most, part.kinds, of, Rank.POSSIBLE, stream))
 
     def _ends(self, part: Part) -> bool:
@@ -475,12 +475,6 @@ class Telemetry:
         steps, next_ns = np.diff(times[span.rows]), times[span.last + 1]
         soon = next_ns - times[span.last] <= _SOON * steps.max(initial=0)
         return bool(soon and times[-1] - next_ns < self._case.profile.to_wake_ns)
-
-    def _most_behind(self, part: Part) -> int:
-        """Return how many messages can be lost after the last one of a stream: as many as one round loses."""
-        gaps = part.stream.missing[:-1][part.span.rows]
-        most = int(gaps.max(initial=0))
-        return most if (gaps > 0).sum() >= _FEW_ROUNDS else max(most, int(0.7 * part.span.offered_hz + 2))
 
     def _make_open_losses(self, part: Part) -> None:
         """Turn an open part into losses, by where its messages were lost."""
@@ -595,8 +589,7 @@ class Telemetry:
         times = part.among.times_ns
         if kind in COUNTERS and times[0] < span.end_ns:
             times = span.start_ns, span.end_ns
-        loss = Loss(kind, hop, number, *times, confidence, part.owner, stream.msg_id)
-        loss.stream, loss.span, loss.of, loss.among = stream, span, of, part.among
-        loss.evidence, loss.closed = list(part.evidence), part.closed
+        loss = Loss(kind, hop, number, *times, confidence, part.owner, stream.msg_id, stream, span, of)
+        loss.evidence, loss.closed, loss.among = list(part.evidence), part.closed, part.among
         self.losses.append(loss)
         return loss

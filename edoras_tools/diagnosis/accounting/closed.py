@@ -637,7 +637,7 @@ class Stops:
             for each in fate.hops:
                 way = Way(each.out.msg_id, each.out.link, system, peer=peer(each.out.receiver, ""))
                 ways.append((way, self._untaken(fate, each, _newest(fate, each, case.profile.sbn_wake_ns))))
-        times = stream.time_ns
+        times, gap = stream.time_ns, np.cumsum(fate.arrived)
         closed = [
             (_CLOSED[reason.span.change.subject.kind], reason, newest)
             for way, newest in ways
@@ -651,9 +651,11 @@ class Stops:
                 inside &= (times > span.start_lo - early_ns) & (times < getattr(span, until))
                 self._hold_one(fate, inside, newest)
                 inside &= fate.open
-                fate.newer |= inside & ~newest
+                # Between two that came out the others gave way, also behind the closing.
+                around = np.isin(gap, np.setdiff1d(gap[inside], [0, *gap[-1:]])) & (fate.stop < 0)
+                fate.newer |= (inside | (fate.open & around)) & ~newest
                 inside &= newest
-                fate.unread |= inside
+                fate.no_pipe |= inside
                 self.mark(fate, inside, kind, hop, text)
 
     def _untaken(self, fate: Fate, hop: Hop, newest: Mask) -> Mask:
@@ -697,10 +699,8 @@ class Stops:
 
     def _mark_unsent(self, fate: Fate) -> None:
         """Mark the messages that Telemetry Output was not to send (rule 12)."""
-        case, outs = self._case, [hop.out for hop in fate.hops]
-        if not all(out.link.only_from_cfs for out in outs):
-            return
-        times = fate.stream.time_ns
+        case, times = self._case, fate.stream.time_ns
+        outs = [hop.out for hop in fate.hops if hop.out.link.only_from_cfs]
         for start_ns, end_ns in sorted({span for out in outs for span in case.silences_of(out.sender)}):
             text = f"Telemetry Output sent nothing until it was enabled, {case.at(end_ns)}"
             inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
@@ -824,8 +824,7 @@ def _newest(fate: Fate, hop: Hop, wake_ns: int) -> Mask:
         hop: its way out.
         wake_ns: period in which SBN sends, which makes rounds look long and short in turn.
     """
-    out = hop.out
-    times, out_ns = fate.stream.time_ns, out.time_ns
+    times, out, out_ns = fate.stream.time_ns, hop.out, hop.out.time_ns
     steps = np.diff(out_ns) // (out.missing[:-1] + 1)
     steps = steps[steps <= 2 * np.median(steps)] if len(steps) > 1 else steps[:0]
     period = int(steps.sum() + wake_ns) // len(steps) if len(steps) else 0

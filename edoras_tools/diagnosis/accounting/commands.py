@@ -40,9 +40,10 @@ from edoras_tools.diagnosis.accounting.losses import (
     Fate,
     Loss,
     follow,
-    mark_superseded,
+    may_give_way,
 )
 from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes
+from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.streams import Stream, counted_gaps, full_rounds
 from edoras_tools.diagnosis.quality import CONFIDENCE, overlapping
 from edoras_tools.diagnosis.verdict import Verdict
@@ -233,9 +234,8 @@ class Commands:
         self.telemetry.ends[stream]["astray"] = len(perhaps)
         if len(rows):
             first_ns, last_ns = stream.time_ns[rows[[0, -1]]].tolist()
-            loss = Loss("after", BEHIND, len(rows), first_ns, last_ns, "high", msg_id=stream.msg_id)
-            loss.stream, loss.of = stream, len(stream)
-            loss.evidence, loss.among = [text], Among(stream, rows)
+            loss = Loss("after", BEHIND, len(rows), first_ns, last_ns, "high", NOBODY, stream.msg_id, stream)
+            loss.of, loss.evidence, loss.among = len(stream), [text], Among(stream, rows)
             self.losses.append(loss)
 
     @cached_property
@@ -297,14 +297,16 @@ class Commands:
             self._down(fate)
         elif fate.seen and stream.link.only_to_cfs:
             self._uncounted(fate, stops)
-        if fate.seen or all(stream.receiver != item.endpoint for item in case.ingests):
-            errors, unheard = case.unreachable, case.missed_by_peer(stream)
-            masks = (mask[stream.rows] for mask in (errors.closed, errors.uncertain))
-            closed, perhaps = (np.setdiff1d(np.flatnonzero(fate.open & own), unheard) for own in masks)
-            self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
-            if stream.link.only_to_cfs:
-                fate.ends["crowded"] += fate.claim(perhaps)
-        mark_superseded(case, fate)
+        counted_ns = max((item.last_ns for item in case.ingests_at(stream.receiver)), default=0)
+        behind = fate.open & (fate.seen | (stream.time_ns > counted_ns))
+        errors, unheard = case.unreachable, case.missed_by_peer(stream)
+        masks = (mask[stream.rows] for mask in (errors.closed, errors.uncertain))
+        closed, perhaps = (np.setdiff1d(np.flatnonzero(behind & own), unheard) for own in masks)
+        self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
+        if stream.link.only_to_cfs:
+            fate.ends["crowded"] += fate.claim(perhaps)
+        # Losses in front of the application are known now: it may have replaced others.
+        fate.newer |= may_give_way(case, fate.hops, fate.open, stream.time_ns)
 
     def _uncounted(self, fate: Fate, stops: Stops) -> None:
         """Mark messages that were sent while CI did not run, if no counts are around that.
@@ -381,8 +383,7 @@ class Commands:
     def _lose(self, fate: Fate, kind: LossKind, rows: Places, text: str) -> None:
         """Make a loss of messages that have no fate yet: before CI, or in SBN's socket."""
         if fate.claim(rows):
-            hop = SBN_SOCKET if fate.stream.link.peers else ""
-            self.losses.append(fate.loss(kind, rows, [text], hop=hop))
+            self.losses.append(fate.loss(kind, rows, [text], SBN_SOCKET if fate.stream.link.peers else ""))
 
     def refusals(self, item: Verdict) -> int:
         """Return how many messages were lost by a refusal, and by nothing else."""
@@ -520,7 +521,10 @@ class Commands:
             order = np.lexsort((open_, fate.newer[open_], behind))
             first = order[np.arange(len(behind)) - np.searchsorted(behind, behind) < room[behind]]
             fate.passed[open_[first]] = True
-            if self._case.unsteady_ns:  # or another one, sent a little sooner or later
+            # Where another application publishes this MsgId too, some of these may be its messages.
+            fate.no_pipe |= fate.passed & (hop.origin[hop.out_rows[0] :] >= 0).all() & (not fate.keeps_newest)
+            # Out of order, or with wrong times, it may be another one, sent a little sooner or later.
+            if self._case.unsteady_ns or self._case.is_far(fate.stream.receiver):
                 others = open_[~(fate.passed | fate.newer)[open_]]
                 fate.passed[others[: int(room.sum()) - len(first)]] = True
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True

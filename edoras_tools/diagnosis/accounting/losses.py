@@ -227,7 +227,7 @@ class Fate:
         passed: bool (rows,), it may have come out of the application and been lost behind it.
         strange: bool (rows,), it may be a message that came out without a match: equal, or with other values.
         edge: bool (rows,), it may have come out and been lost where no later count would show that.
-        unread: bool (rows,), SBN did not read it, from its socket or its pipe: so no pipe lost it.
+        no_pipe: bool (rows,), no pipe lost it: SBN did not read it, or it surely came out of the application.
         stop: i64 (rows,), index of the stop of an application in which it was sent; -1 for none.
         counted_in_stop: index of a stop to the messages that 0x803 counted, because nobody read the pipe.
     """
@@ -252,11 +252,11 @@ class Fate:
     passed: Mask = field(init=False)
     strange: Mask = field(init=False)
     edge: Mask = field(init=False)
-    unread: Mask = field(init=False)
+    no_pipe: Mask = field(init=False)
     stop: Integers = field(init=False)
 
     def __post_init__(self) -> None:
-        self.passed, self.strange, self.edge, self.unread = np.zeros((4, len(self.stream)), bool)
+        self.passed, self.strange, self.edge, self.no_pipe = np.zeros((4, len(self.stream)), bool)
         self.stop = np.full(len(self.stream), -1)
 
     @property
@@ -328,7 +328,7 @@ def follow(case: Case, stream: Stream) -> Fate:
     leaving_ns = _leaving(hops, times, delay)
     unseen = overlapping(*leaving_ns, case.all_holes) & open_ & bool(hops)
     waits |= unseen & case.overlaps_outage(*leaving_ns)
-    blind, newer = ~followed & ~arrived & bool(hops), _newer(case, hops, open_, times)
+    blind, newer = ~followed & ~arrived & bool(hops), may_give_way(case, hops, open_, times)
     return Fate(stream, hops, arrived, newer, open_ & ~waits, waits, blind, unseen)
 
 
@@ -358,12 +358,7 @@ def _longest(delays_ns: Integers) -> int:
     return min(int(np.quantile(delays_ns, 0.99)), 2 * int(delays_ns[-_LAST:].max()) + WAITS_NS)
 
 
-def mark_superseded(case: Case, fate: Fate) -> None:
-    """Mark messages that may also have been replaced, after losses in front of the application are known."""
-    fate.newer |= _newer(case, fate.hops, fate.open, fate.stream.time_ns)
-
-
-def _newer(case: Case, hops: list[Hop], absent: Mask, times: Integers) -> Mask:
+def may_give_way(case: Case, hops: list[Hop], absent: Mask, times: Integers) -> Mask:
     """Return which messages a later one may have replaced: bool (rows,).
 
     An application that keeps the newest message for SBN reads all that wait in one round. These may be the
@@ -378,18 +373,19 @@ def _newer(case: Case, hops: list[Hop], absent: Mask, times: Integers) -> Mask:
     out = np.zeros(len(times), bool)
     if not _keep_newest(hops):
         return out
-    # What reaches the application by another way replaces these messages too.
-    ways = [hop for hop in case.hops if hop.out in {item.out for item in hops}]
-    both = [(hop.into.time_ns[hop.in_rows], hop.out.time_ns[hop.out_rows]) for hop in ways]
-    came_ns, out_ns = np.concatenate(both, axis=1)
-    out_ns, came_ns = out_ns[np.argsort(came_ns, kind="stable")], np.sort(came_ns)
-    rows = np.flatnonzero(absent & (times <= came_ns[-1]))
+    # Messages of another link may replace these: the application has one handler for a MsgId.
+    outs, msg_id = {hop.out for hop in hops}, hops[0].into.msg_id
+    hops = [hop for hop in case.hops if hop.out in outs and hop.into.msg_id == msg_id]
+    came_ns = np.concatenate([hop.into.time_ns[hop.in_rows] for hop in hops])
+    out_ns = np.concatenate([hop.out.time_ns[hop.out_rows] for hop in hops])
+    order, rows = np.argsort(came_ns, kind="stable"), np.flatnonzero(absent)
+    came_ns, out_ns = came_ns[order], out_ns[order]
     behind = np.searchsorted(came_ns, times[rows])
+    rows, behind = rows[behind < len(order)], behind[behind < len(order)]
     _, first = np.unique(behind, return_index=True)
     first_ns = times[rows[np.repeat(first, np.diff(np.append(first, len(rows))))]]
-    next_ns = came_ns[behind]
     # CI may have read messages of different times in one round: then they came out close together.
-    apart_ns = out_ns[behind] - out_ns[behind - 1]
+    next_ns, apart_ns = came_ns[behind], out_ns[behind] - out_ns[behind - 1]
     out[rows] = (
         ((behind > 0) & (apart_ns >= 0) & (apart_ns <= 2 * WAITS_NS))
         | (next_ns - first_ns <= 2 * WAITS_NS)

@@ -3,7 +3,8 @@
 Rules:
 
 1. ``Pipes``: a message into cFS whose way out is captured and that did not come out may have been lost at its
-   application's pipe. It claims counts of 0x803 (``claims``).
+   application's pipe. It claims counts of 0x803 (``claims``), but not if it surely came out and was lost
+   behind the application.
 2. A pipe can have lost messages only where it was full: its output comes in full rounds and messages are
    missing beside them, or more messages were sent in a round than the pipe holds (``pressed``).
 3. ``Leftover``: a count that no missing message explains is of traffic whose way out is not captured. That is
@@ -108,10 +109,11 @@ def _standing(fate: Fate) -> tuple[Mask, ...]:
     come out; have no values to be recognised by; were sent into a stop; lie before the first that came out
     or after the last.
     """
-    into_stop = fate.open & (fate.stop >= 0) & ~fate.unread
+    into_stop = fate.open & (fate.stop >= 0) & ~fate.no_pipe
     others = fate.open & (fate.stop < 0)
     sure = others & ~fate.newer & ~fate.passed & ~fate.edge & ~fate.unseen & fate.seen
-    return sure, others & ~sure & ~fate.edge, fate.waits, fate.blind, into_stop, others & fate.edge
+    may = others & ~(sure | fate.edge | fate.no_pipe)
+    return sure, may, fate.waits, fate.blind, into_stop, others & fate.edge
 
 
 class _Own(msgspec.Struct):
