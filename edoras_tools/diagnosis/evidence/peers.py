@@ -46,7 +46,6 @@ _TO_CONNECTED: Final = sbn.MsgType.PROTO, sbn.MsgType.APP, sbn.MsgType.HEARTBEAT
 _NEVER: Final = np.iinfo(np.int64).max // 2
 _STILL_NS: Final = 3 * SECOND
 """Longest time for which an observer still sends after a time-out."""
-_ANSWERS_NS: Final = 500 * MILLISECOND
 _SHORT_NS: Final = 2 * SECOND
 _FACTOR: Final = 4
 _LEAST_STEPS: Final = 8
@@ -334,7 +333,7 @@ def _disconnect_spans(rows: Rows, sent: Places) -> list[tuple[int, int]]:
     spans: list[tuple[int, int]] = []
     for when in rows.time_ns[sent[goodbye]].tolist():
         at = int(np.searchsorted(others, when, "right"))
-        again = int(others[at]) - _ANSWERS_NS if at < len(others) else int(np.iinfo(np.int64).max)
+        again = int(others[at]) - 500 * MILLISECOND if at < len(others) else int(np.iinfo(np.int64).max)
         if not spans or when > spans[-1][1]:
             spans.append((when, again))
     return spans
@@ -420,8 +419,13 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
 
 
 def _late_answers(rows: Rows, heard: Places, sent: Places, back_ns: int) -> int:
-    """Return how many answers of a peer that is back are to what it had been sent before."""
-    answers = rows.time_ns[heard[rows.sbn_msg_type[heard] == sbn.MsgType.PROTO]]
-    ends = [(back_ns, back_ns + span_ns) for span_ns in (_ANSWERS_NS, _STILL_NS)]
-    both = (np.diff(np.searchsorted(times, ends), axis=1) for times in (answers, rows.time_ns[sent]))
-    return int(np.subtract(*both).max())
+    """Return how many answers of a peer that is back are to what it had been sent before.
+
+    The network may have kept them for as long as the peer was silent.
+    """
+    heard_ns, sent_ns = rows.time_ns[heard], rows.time_ns[sent]
+    silent_ns = back_ns - int(heard_ns[np.maximum(np.searchsorted(heard_ns, back_ns) - 1, 0)])
+    answers = heard_ns[rows.sbn_msg_type[heard] == sbn.MsgType.PROTO]
+    answers = answers[(answers >= back_ns) & (answers < back_ns + _STILL_NS + silent_ns)]
+    asked = np.searchsorted(sent_ns, answers, "right") - np.searchsorted(sent_ns, back_ns)
+    return int((np.arange(1, len(answers) + 1) - asked).max(initial=0))
