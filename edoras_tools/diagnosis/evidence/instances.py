@@ -199,9 +199,13 @@ class Instances:
         return rows.usual_sender(network)[0] if len(network) else ""
 
     def _when_made(self, rows: Rows) -> Integers:
-        """Return ``made_ns``: delays are measured from the quickest packet nearby, because clocks drift."""
+        """Return ``made_ns``: delays are measured from the quickest packet nearby, because clocks drift.
+
+        If a clock goes back though sequence counts go on, packets are taken to be made when they come.
+        """
         made_ns = rows.time_ns.copy()
-        for _, own in groups(self.of_row, np.flatnonzero(self.of_row != NOBODY)):
+        every = groups(self.of_row, np.flatnonzero(self.of_row != NOBODY))
+        for own in (own for _, own in every if not _goes_back(rows, own)):
             delay = rows.delay_ns(own)
             window = (rows.time_ns[own] - rows.time_ns[own].min()) // _BASELINE_NS
             # Only windows with packets: garbled times may lie centuries apart.
@@ -416,3 +420,16 @@ def _conflict(rows: Rows, members: Places) -> bool:
     different, _ = numbered(content, rows.packet_print[counters])
     counts = np.bincount(content[different])
     return int((counts > 1).sum()) > int((counts > 0).sum()) // 4
+
+
+def _goes_back(rows: Rows, own: Places) -> bool:
+    """Return whether a 0x803 of an instance has an earlier mission time than one with a lower sequence count.
+
+    Events do not show that: two tasks that report at once may be counted in the other order.
+    """
+    for _, part in groups(rows.source, own[rows.known_id[own] == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID]):
+        count, when = rows.sequence_count[part].astype(np.int64), rows.mission_time_ns[part]
+        steps, back = (count[1:] - count[:-1]) % MODULUS, when[1:] < when[:-1] - SECOND // 10
+        if (back & (steps > 0) & (steps < MODULUS // 2)).any():
+            return True
+    return False
