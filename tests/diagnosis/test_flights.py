@@ -137,6 +137,8 @@ FLIGHTS = {
     "bridge_of_another_id": (146, {"port_closed": 130, "sbn_peer_restart": 10, "limit": 6}),
     "sbn_alone": (206, {"limit": 146, "sbn_timeout": 44, "sbn_peer_restart": 16}),
     "socket_failed_unseen": (155, {"to_socket": 155}),
+    "processor_of_peers_restarted": (91, {"down": 50, "disabled": 17, "port_closed": 4, "limit": 20}),
+    "peers_flood_each_other": (4141, {"limit": 4062, "overflow": 75, "unknown": 4}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -170,6 +172,9 @@ RANGES = {
     "stopped_between_bursts": 223,
     "rare_housekeeping": 130,
     "clock_that_lags": 103,
+    "bursts_at_a_pipe_of_four": 280,
+    "commands_by_two_links": 55,
+    "peer_far_behind": 11,
 }
 
 
@@ -559,6 +564,8 @@ MOST = {
     "overload_of_a_dead_bridge": {0x82A: {"limit": 139, "sbn_peer_restart": 160, "port_closed": 16}},
     "peer_back_with_one_list": {0x1827: {"away": 48}, 0x1828: {"away": 34, "unsubscribed": 60}},
     "housekeeping_to_a_peer": {0x808: {}, 0x1828: {"restart": 16}},
+    "bursts_at_a_pipe_of_four": {0x828: {"limit": 95}, 0x829: {"limit": 5}, 0x1828: {}},
+    "commands_by_two_links": {0x1827: {"restart": 26, "limit": 8}, 0x1828: {"restart": 16}},
 }
 
 
@@ -589,6 +596,23 @@ def test_a_peer_that_did_not_subscribe_when_a_capture_began_lost_no_more_than_it
     items = mutations.part(0.3, 1)(mutations.frames(FOLDER / "unsubscribed.pcap.zst"), random)
     result = truth.diagnosed(mutations.write(tmp_path / "x.pcap", items), ())
     assert truth.bounds(result)[0] <= FLIGHTS["unsubscribed"][0] <= sum(truth.bounds(result))
+
+
+def test_what_came_out_and_was_lost_behind_the_application_was_not_lost_at_its_pipe():
+    rows = examined("bursts_at_a_pipe_of_four").balance
+    lost = Counter[int]()
+    for row in rows:
+        lost[row.msg_id] += row.all_lost
+    assert (lost[0x182A], lost[0x1829]) == (78, 66)
+
+
+def test_a_peer_whose_list_the_capture_lacks_does_not_make_commands_lost(tmp_path):
+    """The application sent on what a gap of sequence counts shows; nothing says that the peer wanted it."""
+    frames = mutations.frames(FOLDER / "peer_not_heard.pcap.zst")
+    items = [item for item in frames if not mutations.is_to(item.data, 2234)]
+    found = truth.examined(mutations.write(tmp_path / "x.pcap", items))
+    assert not found.lost + found.unaccounted
+    assert found.uncertain >= 20
 
 
 def test_stalls_of_a_cfs_that_sends_little_are_named():
