@@ -377,9 +377,8 @@ def may_give_way(case: Case, hops: list[Hop], absent: Mask, times: Integers) -> 
     outs, msg_id = {hop.out for hop in hops}, hops[0].into.msg_id
     hops = [hop for hop in case.hops if hop.out in outs and hop.into.msg_id == msg_id]
     came_ns = np.concatenate([hop.into.time_ns[hop.in_rows] for hop in hops])
-    out_ns = np.concatenate([hop.out.time_ns[hop.out_rows] for hop in hops])
     order, rows = np.argsort(came_ns, kind="stable"), np.flatnonzero(absent)
-    came_ns, out_ns = came_ns[order], out_ns[order]
+    came_ns, out_ns = came_ns[order], np.concatenate([hop.out.time_ns[hop.out_rows] for hop in hops])[order]
     behind = np.searchsorted(came_ns, times[rows])
     rows, behind = rows[behind < len(order)], behind[behind < len(order)]
     _, first = np.unique(behind, return_index=True)
