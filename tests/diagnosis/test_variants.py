@@ -26,7 +26,7 @@ from tests.support.balance import wrong_rows
 TRUTH = {
     "a_rover": 92,
     "b_arm_single": 0,
-    "d3_cpu1_cpu2": 6601,
+    "d3_cpu1_cpu2": 6599,  # and up to 2 that a silent peer may have heard
     "n1_to_remove_all": 0,
     "n3_cfs_restart": 38,
     "n5_app_restarts": 158,
@@ -288,7 +288,7 @@ UNNAMED = {
 }
 HIDDEN = {
     ("n3_cfs_restart", "cut to 96"): (1, 0),
-    ("n5_app_restarts", "cut to 96"): (18, 0),
+    ("n5_app_restarts", "cut to 96"): (19, 0),
     ("a_rover", "cut to 60, before the counters of 0x803"): (0, 92),
 }
 """Messages not said to be lost, as what tells why is cut off: those, and how many are unaccounted for."""

@@ -309,7 +309,9 @@ class Telemetry:
         rare = part.stream.link.only_from_cfs and 2 * part.span.offered_hz * round_s < _STEADY
         # All that was in the pipe is captured: if it was not full, it overflowed nothing.
         others = ("overflow",) if rare else (*COUNTERS,)[::-1]
-        kinds = tuple(dict.fromkeys((*part.kinds, "limit"))) if part.kinds else others
+        if part.kinds:
+            others = ("limit",) if part.stream.link.peers else (*COUNTERS,)[::-1]
+        kinds = tuple(dict.fromkeys((*part.kinds, *others)))
         rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, part.stream
         for members in claimed_alike([counts], low, high):
             span, number = (int(low[members[0]]), int(high[members[0]])), int(gaps.number[members].sum())
@@ -436,7 +438,7 @@ class Telemetry:
             queue = (queues.peer_pipe if stream.link.peers else queues.telemetry_pipe)(case.profile)
             if least := full_rounds(stream.time_ns[span.rows], gaps[span.rows], queue.round_ns):
                 part.evidence.append(f"they are missing behind full rounds alone, of {least} or more")
-                kinds.append((True, "limit"))
+                kinds += [(True, kind) for kind in COUNTERS if kind == "limit" or grown[kind]]
         return tuple(kind for _, kind in sorted(kinds, key=lambda item: item[0]))
 
     def _naming(self, stream: Stream, kind: PipeKind) -> LossEvents | None:
@@ -500,7 +502,8 @@ class Telemetry:
             part.evidence.append(f"the first fragments of {cut:,} of them came, and no later ones")
             self._lose(part, "fragments", cut, of, "high")
             rest -= cut
-        if rest <= 0:
+        hop = self._case.upstream(part.stream)
+        if rest <= 0 or (hop is not None and hop.is_copy):  # a copy of a command may be lost before the bus
             return
         is_counted = part.owner in self._counts
         if part.kinds and not is_counted:

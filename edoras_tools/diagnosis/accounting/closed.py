@@ -247,12 +247,16 @@ def diversion(case: Case, sender: int, start_ns: int, end_ns: int) -> Change | N
     system = case.instances.system(case.instances.owner(sender, start_ns))
     places = {case.endpoints[item.receiver].address for item in case.streams if item.sender == sender}
     before: object = None
+    order = None
     for change in case.timeline.of(StateOwner("output"), system):
-        near = start_ns - _STOPS_NS < change.not_before_ns < end_ns - SECOND
-        if near and change.state == "enabled" and change.value not in {*places, before}:
-            return change
+        near = start_ns - case.profile.to_wake_ns < change.not_after_ns
+        if near and change.not_before_ns < end_ns - SECOND:
+            if change.state == "enabled" and change.value not in {*places, before}:
+                order = order or change
+            elif change.value in places and change.not_before_ns < start_ns:
+                order = None  # it was sent here again before it fell silent
         before = change.value  # it was sent there already, whatever the address is here
-    return None
+    return order
 
 
 def silences(
@@ -703,7 +707,7 @@ class Stops:
         outs = [hop.out for hop in fate.hops if hop.out.link.only_from_cfs]
         for start_ns, end_ns in sorted({span for out in outs for span in case.silences_of(out.sender)}):
             text = f"Telemetry Output sent nothing until it was enabled, {case.at(end_ns)}"
-            inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
+            inside = fate.open & ~fate.newer & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
             self.mark(fate, inside, "disabled", telemetry_output.NAME, text)
         last_ns = max((int(_sent_by(case, out.sender)[-1]) for out in outs), default=NEVER)
         for item in (item for item in case.outages if item.app in telemetry_output.NAMES):
@@ -713,7 +717,7 @@ class Stops:
             ):
                 continue
             if case.into_system(fate.stream, item.system) and last_ns < item.ended_ns + TAIL_NS:
-                inside = fate.open & (fate.stop < 0) & (times > max(item.start_ns, last_ns))
+                inside = fate.open & ~fate.newer & (fate.stop < 0) & (times > max(item.start_ns, last_ns))
                 self.mark(fate, inside, "disabled" if item.end_ns else "stopped", item.app, item.witness)
 
     def _mark_beside(self, fate: Fate) -> None:
@@ -782,7 +786,7 @@ class Stops:
         read, sent_ns = np.ones(len(stream), bool), self._case.rows.time_ns
         for account in self._case.ingests_at(stream.receiver):
             sent = account.rows[sent_ns[account.rows] <= account.last_ns]
-            read &= ~np.isin(stream.rows, sent[len(sent) - account.waiting :])
+            read &= ~np.isin(stream.rows, sent[max(0, len(sent) - account.waiting) :])
         return read
 
     def _unfollowed(self, fate: Fate, own: Sequence[Outage]) -> None:

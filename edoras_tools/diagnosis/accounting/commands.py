@@ -523,7 +523,7 @@ class Commands:
             fate.passed[open_[first]] = True
             # Where another application publishes this MsgId too, some of these may be its messages.
             # While Telemetry Output sends nothing, its pipe may fill up with them.
-            gone = fate.passed & (fate.stop < 0) & (not fate.keeps_newest)
+            gone = fate.passed & (fate.stop < 0) & (not hop.out.link.peers)
             fate.no_pipe |= gone & (hop.origin[hop.out_rows[0] :] >= 0).all()
             # Out of order, or with wrong times, it may be another one, sent a little sooner or later.
             if self._case.unsteady_ns or self._case.is_far(fate.stream.receiver):

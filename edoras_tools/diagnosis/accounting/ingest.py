@@ -61,9 +61,8 @@ _APART_NS: Final = SECOND // 4
 """How much the delay of a steady network varies."""
 _LATE_NS: Final = 2 * SECOND
 _ONE_NS: Final = 15 * SECOND
-_ENDS_NS: Final = 750 * MILLISECOND, SECOND
-"""An application runs on for this long after it is commanded to stop: usually, and at most; the latter
-counts where nothing shows what it still received."""
+_ENDS_NS: Final = 750 * MILLISECOND
+"""An application usually runs on for this long after it is commanded to stop."""
 _HELD_NS: Final = 2 * SECOND
 """How long an application, and the link behind it, may keep a message that is not sent on at once."""
 DRAINS_NS: Final = 15 * SECOND
@@ -500,7 +499,7 @@ class _Counted:
                 stops_ns = self._commanded_ns(self._own[-1].seen_ns - SECOND, item.ended_ns)
                 since_ns = max(stops_ns, default=(item.ended_ns, 0))[0]
                 if stops_ns and (self._arrived is None or not self._all_out):
-                    surely_ns = min(since_ns + _ENDS_NS[1], item.ended_ns)
+                    surely_ns = min(since_ns + 2 * self._profile.ci_wake_ns, item.ended_ns)
                     account.unsure += int(self._sent_until(surely_ns) - self._sent_until(since_ns))
                     since_ns = surely_ns
                 if unread := int((self._sent_ns > since_ns).sum()):
@@ -517,8 +516,9 @@ class _Counted:
         about = self._case.payloads.about_apps(*executive_services.ENDS_APP)
         times = [item.time_ns for item in about if item.app in command_ingest.NAMES]
         ends = {item.start_ns: item.ended_ns for item in self._outages()}
-        runs = _ENDS_NS[self._arrived is None]
-        until = ((min(when + runs, ends.get(when, end_ns)), when) for when in times)
+        # Where nothing shows what it still received, two wake-ups are the most.
+        runs_ns = 2 * self._profile.ci_wake_ns if self._arrived is None else _ENDS_NS
+        until = ((min(when + runs_ns, ends.get(when, end_ns)), when) for when in times)
         return [item for item in until if start_ns < item[0] < end_ns]
 
     def _sent_until(self, time_ns: Any) -> Places:

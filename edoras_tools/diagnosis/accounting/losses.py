@@ -227,7 +227,7 @@ class Fate:
         passed: bool (rows,), it may have come out of the application and been lost behind it.
         strange: bool (rows,), it may be a message that came out without a match: equal, or with other values.
         edge: bool (rows,), it may have come out and been lost where no later count would show that.
-        no_pipe: bool (rows,), no pipe lost it: SBN did not read it, or it surely came out of the application.
+        no_pipe: bool (rows,), no pipe lost it: SBN did not read it, or by sequence counts as many came out.
         stop: i64 (rows,), index of the stop of an application in which it was sent; -1 for none.
         counted_in_stop: index of a stop to the messages that 0x803 counted, because nobody read the pipe.
     """

@@ -418,7 +418,7 @@ def _not_seen(item: _Candidate, hop: Hop) -> _Candidate:
 
 
 def _only(item: _Candidate, times: Integers, rows: Mask) -> _Candidate:
-    """Return a candidate with some of its messages, of a pipe that nobody read in time."""
+    """Return a candidate with some of its messages; how its pipe was read is not known."""
     parts = [np.flatnonzero(rows[span.rows]) + span.first for span in item.spans]
     ends = [(part, *part[[0, -1]].tolist()) for part in parts if len(part)]
     spans = [Span(at, last, int(times[at]), int(times[last]), len(part), 0) for part, at, last in ends]

@@ -141,16 +141,17 @@ def find_copies(
     group_size[order] = np.bincount(group)[group]
     if two_places:
         # Before the first common datagram, and after the last, one place may not have captured yet.
-        inside = (time_ns > when[same].min()) & (time_ns < when[np.append(same[1:], False)].max())
+        apart_ns = int(np.median(step[same[1:]]))
+        pair = far if apart_ns > _WITHIN_NS else same
+        inside = (time_ns > when[pair].min()) & (time_ns < when[np.append(pair[1:], False)].max())
         both = np.isin(conversation, np.unique(conversation[order[same]]))
         single = (group_size == 1) & (identification != 0) & both
         out.alone[:] = single & inside
-        if (apart_ns := int(np.median(step[same[1:]]))) > _WITHIN_NS:
-            # Neighbours in identification were sent at about the same time: so the nearer clock is its own.
+        if apart_ns > _WITHIN_NS:
             at, place = np.flatnonzero(far[1:]), conversation.astype(np.int64) << 16 | identification
             pairs = order[at[np.argsort(place[order[at]])]]
-            off_ns = time_ns - np.interp(place, place[pairs], time_ns[pairs].astype(np.float64))
-            out.behind_ns[single & (np.abs(off_ns - apart_ns) < np.abs(off_ns))] = apart_ns
+            second = _at_second(time_ns, place, pairs, np.flatnonzero(single), apart_ns)
+            out.behind_ns[second] = apart_ns
     bare, mostly = identification == 0, _NEARLY_ALL
     if _of_most(conversation, np.flatnonzero(repeated & bare), np.flatnonzero(bare & ~repeated)):
         mostly = _MOSTLY  # the capture doubles all datagrams that it does not miss
@@ -169,6 +170,34 @@ def find_copies(
             out.copy[twice[copied]] = True
             out.duplicate[twice[~copied & has_id]] = True
     return out
+
+
+def _at_second(time_ns: Integers, place: Integers, pairs: Places, rows: Places, apart_ns: int) -> Places:
+    """Return which rows of two places the second one captured, whose clock is ahead by ``apart_ns``.
+
+    Neighbours in identification were sent at about the same time, so the nearer clock is a row's own. Before
+    the first pair of a conversation, and behind its last, only one place captures: the row next to the pair
+    shows which.
+
+    Args:
+        time_ns: i64 (n,), capture times.
+        place: i64 (n,), conversation and identification.
+        pairs: first rows of what both places have, in order of ``place``.
+        rows: rows that one place has alone.
+    """
+
+    def own(time_ns: Any, near_ns: Any) -> Any:
+        return np.abs(time_ns - near_ns - apart_ns) < np.abs(time_ns - near_ns)
+
+    second = own(time_ns[rows], np.interp(place[rows], place[pairs], time_ns[pairs].astype(np.float64)))
+    where, ends = np.searchsorted(place[pairs], place[rows]), np.append(place[pairs], -1) >> 16
+    before, behind = (ends[where - side] == place[rows] >> 16 for side in (0, 1))
+    for key, members in by_value(np.where(before ^ behind, 2 * where + behind, -1)):
+        if key >= 0:
+            pair = pairs[key // 2 - key % 2]
+            first = members[np.argmin(np.abs(place[rows[members]] - place[pair]))]
+            second[members] = own(time_ns[rows[first]], time_ns[pair])
+    return rows[second]
 
 
 def _varied(conversation: Integers, identification: NDArray[np.uint16], rows: Places) -> Mask:

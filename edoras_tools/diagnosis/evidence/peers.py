@@ -120,18 +120,18 @@ class Connection(msgspec.Struct):
         peer: identity of the peer, as ``66:3``.
         observer: identity of the cFS that sees it.
         changes: states of the peer, in order of time.
-        heard_ns: i64, capture times of its datagrams to the observer.
         sent_ns: i64, capture times of application messages that the observer sent to it.
         restarts: restarts of the peer before a time-out, in order.
+        due: time of a change, ns, to that at which its next datagram was due, as it sent before.
         late: time of a change, ns, to the number of answers then to what the peer had been sent before.
     """
 
     peer: str
     observer: str
     changes: list[PeerChange]
-    heard_ns: Integers
     sent_ns: Integers
     restarts: list[PeerRestart]
+    due: dict[int, int]
     late: dict[int, int]
 
     def silences(self, end_ns: int) -> Iterator[PeerSilence]:
@@ -145,8 +145,8 @@ class Connection(msgspec.Struct):
             given_up_ns = later[0].time_ns if later and later[0].state == "timed_out" else 0
             answers = self.late.get(back.time_ns, 0)
             still = back.why.startswith("its ") and back.why not in _BEGAN
-            due_ns = change.time_ns + _usual_ns(self.heard_ns[self.heard_ns <= change.time_ns])
-            silence = PeerSilence(change.time_ns, back.time_ns, due_ns, given_up_ns, still, answers)
+            times = change.time_ns, back.time_ns, self.due[change.time_ns], given_up_ns
+            silence = PeerSilence(*times, still, answers)
             still |= answers > max(_LEAST_ROWS, len(self.sent_in(silence)) // 2)
             yield silence._replace(stood_still=still)
 
@@ -239,8 +239,15 @@ class Network:
                 changes = [item for item in changes if item.why != UNSEEN or spoke(item.time_ns)]
                 restarts = [item for item in _restarts(rows, heard, sent, changes) if spoke(item.last_ns)]
                 late = {item.time_ns: _late_answers(rows, heard, sent, item.time_ns) for item in changes}
-                of = peer[0], observer[0], changes, rows.time_ns[heard], app_ns
-                self.connections[peer, observer] = Connection(*of, restarts, late)
+                due = {item.time_ns: self._due_ns(rows.time_ns[heard], item.time_ns) for item in changes}
+                ends = peer[0], observer[0]
+                self.connections[peer, observer] = Connection(*ends, changes, app_ns, restarts, due, late)
+
+    def _due_ns(self, heard_ns: Integers, last_ns: int) -> int:
+        """Return until when the next datagram of a peer was due: by its last steps, or else a heartbeat."""
+        steps = np.diff(heard_ns[heard_ns <= last_ns])[-_LEAST_STEPS:]
+        seldom_ns = (self._profile.sbn_heartbeat_s + 1) * SECOND
+        return last_ns + (seldom_ns if len(steps) < _LEAST_STEPS else int(steps.max()))
 
     def _changes(
         self, rows: Rows, heard: Places, first: int, end_ns: int, farewells: list[tuple[int, int]]
@@ -372,12 +379,6 @@ def _with_unseen(changes: list[PeerChange], rows: Rows, sent: Places, app: Place
     return out
 
 
-def _usual_ns(times: Integers) -> int:
-    """Return the usual time between two datagrams of a peer, ns: few take longer; 0 if there are not two."""
-    steps = np.diff(times)
-    return int(np.quantile(steps, 0.95)) if len(steps) else 0
-
-
 def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]) -> list[PeerRestart]:
     """Return the restarts of a peer (rule 5).
 
@@ -388,7 +389,7 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
     if len(steps) < _LEAST_STEPS or rows.streamed[heard].any():
         return []
     kinds, times, sent_ns = rows.sbn_msg_type[heard], rows.time_ns[heard], rows.time_ns[sent]
-    usual_ns = _usual_ns(times)
+    usual_ns = int(np.quantile(steps, 0.95))
     subs = np.flatnonzero(kinds == sbn.MsgType.SUB)
     subscribes = times[subs]
     # Subscriptions within a quarter of a second begin together; a bridge repeats them every few seconds.
