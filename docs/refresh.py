@@ -200,7 +200,7 @@ def _layout(path: str) -> Callable[[], str]:
         from importlib import import_module
 
         module, _, name = path.rpartition(".")
-        place = f"addons.{module}.wire" if module in _OF_ADDONS else f"wire.{module}"
+        place = f"addons.{module}.link" if module in _OF_ADDONS else f"wire.{module}"
         layout = getattr(import_module(f"edoras_tools.{place}"), name)
         if name == "DEFAULT":
             layout = layout.layout
@@ -338,7 +338,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
             "sbn.SUBSCRIPTION",
             "sbn.PROTO",
             "envelope.DEFAULT",
-            "cdr.ENCAPSULATION",
+            "envelope.ENCAPSULATION",
             "fprime.FRAME",
             "fprime.PACKET",
         )

@@ -59,7 +59,6 @@ ELSEWHERE = {
     "io/topics/*": "io/formats/mcap/test_writer.py",
     "links/*": "decode/test_agreement.py",
     "mission/*": "mission/test_mistakes.py",
-    "pipelines/*": "pipelines/capture/test_record.py",
     "pipelines/doctor/*": "cli/test_doctor.py",
     "pipelines/export/*": "pipelines/export/test_run.py",
     "pipelines/sending/*": "pipelines/sending/test_replay.py",

@@ -2,7 +2,7 @@
 
 These files contain no logic.
 
-Options that belong together are a ``NamedTuple``, and a command takes it as one value: ``declare.grouped``
+Options that belong together are a ``NamedTuple``, and a command takes it as one value: ``options.grouped``
 makes an option from each field. A method of the group returns the value that pipelines take:
 ``decoding.settings()``. It is not a dataclass because creating a dataclass takes three times as long, at
 every start.

@@ -1,4 +1,4 @@
-"""The links: one file each, one row each in the table below; see docs/links.md.
+"""The links, one row each in the table below; see docs/links.md.
 
 This file imports no link: help texts name the links, and ``edoras host`` their ports, without loading them.
 The links themselves are in :mod:`edoras_tools.links.table`.
