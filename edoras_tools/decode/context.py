@@ -13,9 +13,8 @@ from edoras_tools.cfs import names
 from edoras_tools.decode.builds import Builds, CommandTable
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT, Spacecraft
 from edoras_tools.errors import ConfigError
-from edoras_tools.links import table
+from edoras_tools.links import BRIDGE_PORT, table
 from edoras_tools.links.doors import Endpoints, Peers
-from edoras_tools.links.sbn import BRIDGE_PORT
 from edoras_tools.mission import FlightLink, GroundLink, Mission
 from edoras_tools.model import NO_ROUTE, OTHER, Endpoint, Link
 from edoras_tools.structs import Structs, shipped_structs

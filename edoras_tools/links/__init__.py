@@ -21,11 +21,17 @@ ROWS: Final = {
 }
 """Locations of the built-in links; other packages add theirs by entry points."""
 
+BRIDGE_PORT: Final = 2236
+"""The port of the demos' flight bridge."""
+CFS_PORT: Final = 8080
+"""The port at which the EDORAS application hears its robot."""
+ROBOT_PORT: Final = 8585
+"""The port of the robot."""
 PORTS: Final = {
     "ci": (1234, 1235, 1236, 1237),
     "to": (1235,),
-    "sbn": (2234, 2235, 2236),
-    "robot": (8080, 8585),
+    "sbn": (2234, 2235, BRIDGE_PORT),
+    "robot": (CFS_PORT, ROBOT_PORT),
 }
 """Usual UDP ports of the links; those of add-ons are in their table."""
 

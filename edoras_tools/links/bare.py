@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from edoras_tools.cfs.command_ingest import CI_BUFFER
 from edoras_tools.cfs.edoras_app import BRIDGE_BUFFER
-from edoras_tools.links import PORTS
+from edoras_tools.links import CFS_PORT, PORTS, ROBOT_PORT
 from edoras_tools.links.protocol import CERTAIN, Form, LinkProtocol, LinkSending, Seen
 from edoras_tools.model import Finding, Transport
 from edoras_tools.wire.layout import Field, Layout
@@ -62,9 +62,6 @@ class TelemetryOutputLink(LinkProtocol):
 
 
 TO: Final = TelemetryOutputLink()
-
-
-CFS_PORT, ROBOT_PORT = PORTS["robot"]
 
 
 def _doubles(name: str, letters: str, doc: str) -> list[Field]:

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.wire.layout import Layout
 
-BRIDGE_PORT: Final = PORTS["sbn"][-1]
-"""The port of the demos' flight bridge."""
 _WINDOW: Final = 64
 """Bytes that hold a header, and a subscription's $Id and count."""
 _BEGINNING: Final = 16

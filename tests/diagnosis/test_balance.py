@@ -13,7 +13,7 @@ from truth import diagnosed, examined
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.diagnosis.missing import missing
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.bare import ROBOT_PORT
+from edoras_tools.links import ROBOT_PORT
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.doctor import missing_table
 from tests.support.balance import wrong_rows

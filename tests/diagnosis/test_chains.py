@@ -21,7 +21,7 @@ from edoras_tools.diagnosis.balance import (
 )
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.bare import ROBOT_PORT
+from edoras_tools.links import ROBOT_PORT
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.doctor import causes, shown_rows

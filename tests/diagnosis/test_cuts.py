@@ -13,7 +13,8 @@ from places import ROOT
 from edoras_tools.decode import Options
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.bare import CI, ROBOT_COMMAND, ROBOT_PORT
+from edoras_tools.links import ROBOT_PORT
+from edoras_tools.links.bare import CI, ROBOT_COMMAND
 from edoras_tools.pipelines.workbench import Settings
 from tests.support.balance import wrong_rows
 

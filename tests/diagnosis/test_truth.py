@@ -12,7 +12,8 @@ from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.bare import CI, ROBOT_PORT, TO
+from edoras_tools.links import ROBOT_PORT
+from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.units import SECOND
 

@@ -13,7 +13,8 @@ from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.messages import structs_of
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import ConfigError
-from edoras_tools.links.bare import CFS_PORT, ROBOT, ROBOT_PORT
+from edoras_tools.links import CFS_PORT, ROBOT_PORT
+from edoras_tools.links.bare import ROBOT
 from edoras_tools.model import OTHER, PacketBatch
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.files import parse_key, parse_layout

@@ -26,7 +26,7 @@ import numpy as np
 from edoras_tools.diagnosis.evidence.fingerprint import brackets, latest_equal
 from edoras_tools.diagnosis.evidence.timeline.table import NOT_RUNNING
 from edoras_tools.diagnosis.quality import binomial_tail, overlapping
-from edoras_tools.links.bare import CFS_PORT
+from edoras_tools.links import CFS_PORT
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key
 from edoras_tools.wire.arrays.sums import MIX

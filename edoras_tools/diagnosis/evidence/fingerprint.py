@@ -19,7 +19,7 @@ from zlib import crc32
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.links import bare
+from edoras_tools.links import CFS_PORT, ROBOT_PORT, bare
 from edoras_tools.links.bare import ROBOT
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.structs.bindings import payloads
@@ -282,7 +282,7 @@ def robot_commands(columns: Columns, batch: PacketBatch, structs: Structs) -> Ma
     """Return which datagrams are commands to a robot, bool (n,): on its link, but not states from it."""
     port = batch.destination_port
     state = (batch.length == bare.ROBOT_STATE.size) & (structs.of_port(port) == UDP_KEY)
-    return np.asarray((columns.link == ROBOT) & (port != bare.CFS_PORT) & ~state)
+    return np.asarray((columns.link == ROBOT) & (port != CFS_PORT) & ~state)
 
 
 def with_garbled(columns: Columns, batch: PacketBatch) -> Columns:
@@ -290,7 +290,7 @@ def with_garbled(columns: Columns, batch: PacketBatch) -> Columns:
 
     The decoder recognises this link by plausible numbers, which unset or damaged datagrams do not have.
     """
-    garbled = (batch.source_port == bare.CFS_PORT) & (batch.destination_port == bare.ROBOT_PORT)
+    garbled = (batch.source_port == CFS_PORT) & (batch.destination_port == ROBOT_PORT)
     length = batch.length + np.maximum(batch.original_length - batch.frame_length, 0)
     garbled &= (columns.link == OTHER) & np.isin(length, list(_TYPES))
     link = np.where(garbled, np.uint8(ROBOT.code), columns.link)

@@ -20,7 +20,7 @@ from edoras_tools.cfs.arguments import APPLICATIONS, ARGUMENTS, arguments_of, co
 from edoras_tools.decode.filters.messages import field_series, held_messages, structs_of
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
 from edoras_tools.errors import TruncatedError
-from edoras_tools.links import bare
+from edoras_tools.links import CFS_PORT, bare
 from edoras_tools.links.table import among
 from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.wire import cfe, sbn
@@ -454,7 +454,7 @@ class StateRecorder:
     def add_states(self, batch: PacketBatch) -> None:
         """Record the robot states among some datagrams without packets."""
         size = bare.ROBOT_STATE.size
-        own = np.flatnonzero((batch.length == size) & (batch.destination_port == bare.CFS_PORT))
+        own = np.flatnonzero((batch.length == size) & (batch.destination_port == CFS_PORT))
         if len(own):
             length = np.full(len(own), bare.ROBOT_POSE.size, np.int32)
             self._sent.append((batch.time_ns[own], of_bytes(batch.data, batch.offset[own], length)))

@@ -13,7 +13,7 @@ import numpy as np
 
 from edoras_tools.cfs import edoras_app
 from edoras_tools.errors import CaptureError, ConfigError, RouteError, WireError
-from edoras_tools.links.sbn import BRIDGE_PORT
+from edoras_tools.links import BRIDGE_PORT
 from edoras_tools.links.table import link
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, Link, PacketBatch, Peer
 from edoras_tools.pipelines.reading import reading

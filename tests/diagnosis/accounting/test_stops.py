@@ -17,7 +17,7 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.accounting.losses import Outage
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.bare import ROBOT_PORT
+from edoras_tools.links import ROBOT_PORT
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe

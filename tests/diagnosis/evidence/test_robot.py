@@ -13,7 +13,7 @@ from places import ROOT
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.bare import ROBOT_PORT
+from edoras_tools.links import ROBOT_PORT
 from edoras_tools.mission import load
 from edoras_tools.ros import TypeStore
 from edoras_tools.structs import Structs, shipped_structs

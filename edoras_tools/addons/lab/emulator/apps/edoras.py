@@ -12,7 +12,7 @@ from edoras_tools.addons.lab.emulator.messages import FixedStruct
 from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
 from edoras_tools.cfs import edoras_app as facts
 from edoras_tools.errors import WireError
-from edoras_tools.links.bare import CFS_PORT
+from edoras_tools.links import CFS_PORT
 from edoras_tools.model import Endpoint
 from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of
