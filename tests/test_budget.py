@@ -39,8 +39,8 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(56_693, 150, 58_000),
-    "lines with code, all": Limit(90_490, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(56_699, 150, 58_000),
+    "lines with code, all": Limit(90_496, 150, 84_000),  # with what is still to come
     "files": Limit(450, 10, 450),
     "files below 170 lines, of 1,000": Limit(251, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),

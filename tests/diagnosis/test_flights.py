@@ -253,7 +253,8 @@ def test_what_nothing_counts_is_a_narrow_range(name, lost):
     found = examined(name)
     proven = found.lost + found.unaccounted
     assert proven <= lost <= proven + found.uncertain
-    assert found.uncertain <= max(3, 0.27 * lost)
+    widest = 0.27 if name == "network_overload_restart" else 0.25
+    assert found.uncertain <= max(3, widest * lost)
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,8 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
     out_ns = silent.given_up_ns
     last_ns = int(sent[-1]) if len(sent) else 0
     early = int((sent < silent.due_ns).sum())
+    speaks_ns = silent.start_ns + (case.profile.sbn_heartbeat_s + 1) * SECOND
+    quiet = int((sent <= speaks_ns).sum())
     ends = facts.TIMED_OUT.phrase, facts.DISCONNECTED.phrase
     away_s = (until - silent.start_ns) / SECOND
     returned = f"back after {away_s:.1f} s" if until < case.end_ns else "not back in this capture"
@@ -114,6 +116,10 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
         f"the last of them at {case.at(last_ns)}: then it had given the peer up" if last_ns else "",
         f"it may have heard the first {early:,}: its next was due at {case.at(silent.due_ns)}"
         if early
+        else "",
+        f"{quiet:,} of them until {case.at(speaks_ns)}, when a heartbeat was due: if it fell quiet before it "
+        "ended, it heard some"
+        if quiet
         else "",
         *(
             f"event at {case.at(record.time_ns)}: {record}"

@@ -146,3 +146,28 @@ def test_what_a_cfs_may_have_read_just_before_it_was_killed_is_not_said_to_be_lo
 )
 def test_a_pipe_is_of_the_application_whose_whole_name_it_begins_with(pipe, is_its_own):
     assert Outage("EDORAS_APP", 0, None, 0, 0, "", 0).reads(pipe) == is_its_own
+
+
+def test_what_was_lost_before_ci_is_not_lost_again_behind_cfs():
+    """Telemetry Output sends copies of the commands, and CI's socket is full of them."""
+    entry = (TWIST).to_bytes(4, "little") + bytes([0, 0, 20, 0])
+    add = 1.0, telemetry_output.COMMAND_MSG_ID, telemetry_output.ADD_PACKET, entry
+    profile = SimProfile(app_msg_limit=20, socket_queue=40, seed=7)
+    simulation, sent = fly(Flight("two-rovers", profile, 20.0, 1.0, 30, 12, (add,)))
+    result = examined(sent)
+    assert 0 < result["lost"] + result["unaccounted"] <= truth(simulation, sent).most
+
+
+def test_an_output_that_was_sent_back_here_before_excuses_no_silence():
+    """It was sent elsewhere for 50 ms; a second later the network loses all telemetry for 6 s."""
+    enable = telemetry_output.COMMAND_MSG_ID, telemetry_output.ENABLE
+    commands = (9.0, *enable, b"10.9.9.9".ljust(16, b"\0")), (9.05, *enable, b"127.0.0.1".ljust(16, b"\0"))
+    profile = SimProfile(app_msg_limit=20, seed=3)
+    simulation, sent = fly(Flight("two-rovers", profile, 2.0, 4.0, 30, 8, commands))
+    begin_ns, end_ns = START_NS + 10 * SECOND, START_NS + 16 * SECOND
+    kept = [
+        item
+        for item in sent
+        if item.destination != simulation.ground.endpoint or not begin_ns < item.time_ns < end_ns
+    ]
+    assert examined(kept)["lost"] == len(sent) - len(kept) > 100
