@@ -565,7 +565,11 @@ MOST = {
     "overload_of_a_dead_bridge": {0x82A: {"limit": 139, "sbn_peer_restart": 160, "port_closed": 16}},
     "peer_back_with_one_list": {0x1827: {"away": 48}, 0x1828: {"away": 34, "unsubscribed": 60}},
     "housekeeping_to_a_peer": {0x808: {}, 0x1828: {"restart": 16}},
-    "bursts_at_a_pipe_of_four": {0x828: {"limit": 95}, 0x829: {"limit": 5}, 0x1828: {}},
+    # Two of each are told as an overflow, which took others at that time.
+    "bursts_at_a_pipe_of_four": {
+        **{0x828: {"limit": 95, "overflow": 2}, 0x829: {"limit": 5, "overflow": 2}},
+        0x1828: {},
+    },
     "commands_by_two_links": {0x1827: {"restart": 26, "limit": 8}, 0x1828: {"restart": 16}},
 }
 

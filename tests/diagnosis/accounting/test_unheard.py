@@ -43,16 +43,19 @@ def test_none_of_it_is_said_to_have_arrived(lab, seconds, known):
     found = lab.examine(kept, lab.missions("two-rovers"))
     assert wrong_rows(found.balance) == []
     peer = [row for row in found.balance if row.hop == "SBN peer 66:3"]
-    assert sum(row.all_lost for row in peer) == (unheard if known else 0)
+    proven, early = (sum(getattr(row, name) for row in peer) for name in ("all_lost", "uncertain"))
+    assert proven + early == (unheard if known else 0)
+    assert early <= 2  # what came before its next datagram was due
     assert sum(row.unaccounted for row in peer) == (0 if known else unheard)
     lines = [item for item in found.headlines if item.topic.endswith("cmd_vel") and item.arrived is not None]
     onward = [item for item in lines if not item.topic.endswith("ground/cmd_vel")]
     assert len(onward) == 2
     for line in onward:
-        assert line.sent == line.arrived + line.lost + line.unaccounted + line.waiting + line.not_captured
-    assert sum(line.lost + line.unaccounted for line in onward) == unheard
+        left = line.unaccounted + line.waiting + line.not_captured + line.uncertain
+        assert line.sent == line.arrived + line.lost + left
+    assert sum(line.lost + line.unaccounted for line in onward) == unheard - early
     (verdict,) = [item for item in found.verdicts if item.rule == "sbn_timeout"]
-    assert (verdict.lost, verdict.of) == (unheard if known else None, unheard)
+    assert (verdict.lost, verdict.of) == (proven if known else None, unheard)
 
 
 def restarted(lab, *, repeats):
