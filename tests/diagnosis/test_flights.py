@@ -567,7 +567,8 @@ MOST = {
     "housekeeping_to_a_peer": {0x808: {}, 0x1828: {"restart": 16}},
     # Two of each are told as an overflow, which took others at that time.
     "bursts_at_a_pipe_of_four": {
-        **{0x828: {"limit": 95, "overflow": 2}, 0x829: {"limit": 5, "overflow": 2}},
+        0x828: {"limit": 95, "overflow": 2},
+        0x829: {"limit": 5, "overflow": 2},
         0x1828: {},
     },
     "commands_by_two_links": {0x1827: {"restart": 26, "limit": 8}, 0x1828: {"restart": 16}},
