@@ -307,9 +307,9 @@ class Telemetry:
         round_s = queues.telemetry_pipe(self._case.profile).round_ns / SECOND
         # At most every second round had a message: that is over no limit of its MsgId.
         rare = part.stream.link.only_from_cfs and 2 * part.span.offered_hz * round_s < _STEADY
-        # All that was in the pipe is captured: if it was not full, it overflowed nothing.
         others = ("overflow",) if rare else (*COUNTERS,)[::-1]
         if part.kinds:
+            # All that was in a peer's pipe is captured: if it was not full, it overflowed nothing.
             others = ("limit",) if part.stream.link.peers else (*COUNTERS,)[::-1]
         kinds = tuple(dict.fromkeys((*part.kinds, *others)))
         rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, part.stream
@@ -378,10 +378,9 @@ class Telemetry:
         for cut in routes_cut(case, stream):
             if cut.overlaps(span.start_ns, span.end_ns):
                 return "route", case.pipe_of(stream), cut.change.witness
-        if stream.link.peers:  # else these messages are followed elsewhere
-            alone = case.upstream(stream) is None and not any(hop.out is stream for hop in case.hops)
-        else:
-            alone = stream.link.only_from_cfs and not stream.is_housekeeping
+        followed = case.upstream(stream) is not None or any(hop.out is stream for hop in case.hops)
+        own = stream.link.only_from_cfs and not stream.is_housekeeping
+        alone = not followed if stream.link.peers else own
         way = Way(stream.msg_id, stream.link, case.system(stream))
         reasons = reasons_for(case.timeline, way, span.start_ns, span.end_ns, case.at) if alone else ()
         for stop, text in reasons:
