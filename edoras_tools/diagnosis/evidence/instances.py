@@ -205,7 +205,7 @@ class Instances:
         """
         made_ns = rows.time_ns.copy()
         every = groups(self.of_row, np.flatnonzero(self.of_row != NOBODY))
-        for own in (own for _, own in every if not _goes_back(rows, own)):
+        for own in (own for _, own in every if not _clock_goes_back(rows, own)):
             delay = rows.delay_ns(own)
             window = (rows.time_ns[own] - rows.time_ns[own].min()) // _BASELINE_NS
             # Only windows with packets: garbled times may lie centuries apart.
@@ -422,7 +422,7 @@ def _conflict(rows: Rows, members: Places) -> bool:
     return int((counts > 1).sum()) > int((counts > 0).sum()) // 4
 
 
-def _goes_back(rows: Rows, own: Places) -> bool:
+def _clock_goes_back(rows: Rows, own: Places) -> bool:
     """Return whether a 0x803 of an instance has an earlier mission time than one with a lower sequence count.
 
     Events do not show that: two tasks that report at once may be counted in the other order.

@@ -302,10 +302,10 @@ def _disordered(rows: Rows) -> int:
     if not len(back):
         return 0
     seldom = len(back) * SCATTERED < len(rows)
-    return 0 if seldom and 0 < len(far) <= _MOST_SET and not _goes_back(rows, far) else len(back)
+    return 0 if seldom and 0 < len(far) <= _MOST_SET and not _mission_times_go_back(rows, far) else len(back)
 
 
-def _goes_back(rows: Rows, far: Places) -> bool:
+def _mission_times_go_back(rows: Rows, far: Places) -> bool:
     """Return whether mission times also go back where capture times do: then no clock was set."""
     timed = np.flatnonzero((rows.mission_time_ns > 0) & rows.on(lambda link: link.from_cfs))
     if not len(timed):
