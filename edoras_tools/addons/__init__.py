@@ -96,9 +96,9 @@ ADDONS: Final = (
         },
         {
             "parts": {
-                "expected_run": "limits:unlike",
-                "against": "doctor_options:against",
-                "bags": "doctor_options:bags",
+                "expected_run": "answers:unlike",
+                "against": "cli:against",
+                "bags": "cli:bags",
             }
         },
     ),

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.lab.emulator.account import ArrivalAccount, socket
 from edoras_tools.addons.lab.emulator.routes import DEMO_ROUTES
-from edoras_tools.addons.lab.emulator.services.clock import Clock
-from edoras_tools.addons.lab.emulator.services.events import Event, EventServices
-from edoras_tools.addons.lab.emulator.services.executive_services import (
+from edoras_tools.addons.lab.emulator.services.applications import (
     ExecutiveServices,
     LoadedApp,
     TableServices,
 )
+from edoras_tools.addons.lab.emulator.services.clock import Clock
+from edoras_tools.addons.lab.emulator.services.events import Event, EventServices
 from edoras_tools.addons.lab.emulator.services.software_bus import Pipe, Publication, SoftwareBus
 from edoras_tools.cfs.queues import QueueEnd
 from edoras_tools.model import Endpoint

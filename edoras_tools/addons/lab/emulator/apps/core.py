@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.addons.lab.emulator.cfs import EMULATOR_VERSION, Cfs
 from edoras_tools.addons.lab.emulator.messages import command_length, whole_packet
 from edoras_tools.addons.lab.emulator.scheduler import Receive, SleepUntil, Work
-from edoras_tools.addons.lab.emulator.services.executive_services import CORE, CoreApp
+from edoras_tools.addons.lab.emulator.services.applications import CORE, CoreApp
 from edoras_tools.cfs import (
     command_ingest,
     event_services,

@@ -1,4 +1,4 @@
-"""cFE Executive Services: the applications that run, and how they end and start; Table Services for them.
+"""The applications of a cFS and loads of their tables: cFE Executive Services and Table Services.
 
 Rules, as in the flight code:
 

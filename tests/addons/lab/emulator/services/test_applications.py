@@ -7,7 +7,7 @@ from string import Formatter
 import pytest
 
 from edoras_tools.addons.lab.emulator import Simulation
-from edoras_tools.addons.lab.emulator.services.executive_services import CORE
+from edoras_tools.addons.lab.emulator.services.applications import CORE
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe, sbn
 

@@ -1,7 +1,7 @@
-"""Messages that a recording adds: of cFE's own telemetry, and once a second of the links and of the host.
+"""Messages that a recording adds to those of the links, on topics below ``/edoras/``.
 
-Events for Foxglove's log panel, Software Bus housekeeping; ``/edoras/link_statistics``, and ``/edoras/host``
-with kernel counters.
+``faults`` that the proxy or a replay made; ``events``, of cFE and of the capture, for Foxglove's log panel;
+``software_bus`` housekeeping; ``link_statistics``, once a second; the kernel's counters in ``host``.
 """
 
 from __future__ import annotations
