@@ -6,7 +6,6 @@ with the messages, so the recording's time is as exact as they are.
 
 from __future__ import annotations
 
-import select
 import time
 from collections.abc import Mapping, Sequence  # noqa: TC003  of a NamedTuple
 from fnmatch import fnmatchcase
@@ -19,7 +18,7 @@ from msgspec.structs import replace
 from edoras_tools.addons.ros_verbs.endpoints import recorded_qos
 from edoras_tools.addons.ros_verbs.messages import OWN_NAMES, TopicReader
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io.net.transmit import SPIN_NS, Arrival, SendStatistics, precise_timing
+from edoras_tools.io.net.transmit import Arrival, HostClock, SendStatistics, precise_timing
 from edoras_tools.io.topics.streams import QOS_METADATA, Topic
 from edoras_tools.middleware.graph import Qos
 from edoras_tools.model import OTHER, Endpoint
@@ -169,7 +168,7 @@ def _qos(topic: Topic, mission: Mission) -> Qos:
     return Qos(qos.reliable is not False, bool(qos.transient_local), qos.depth)
 
 
-class GraphWire:
+class GraphWire(HostClock):
     """A graph as the sending loop's network: a ``Wire`` that publishes, and receives nothing.
 
     Args:
@@ -180,21 +179,15 @@ class GraphWire:
     ends = Endpoint("", 0), Endpoint("", 0)
 
     def __init__(self, publish: Sequence[Callable[[bytes], None]], watched: Sequence[int] = ()) -> None:
+        super().__init__(watched)
         self.statistics = SendStatistics()
-        self.now = time.monotonic_ns
-        self._publish, self._watched = publish, watched
-
-    def epoch_ns(self) -> int:
-        """Return the difference between ns since 1970 and this clock."""
-        return time.time_ns() - time.monotonic_ns()
+        self._publish = publish
 
     def wait(self, until_ns: int) -> bool:
         """Sleep until just before a time, then spin; return early when a key is pressed."""
-        now = self.now
-        while (remaining_ns := until_ns - now() - SPIN_NS) > 0:
-            if select.select(self._watched, (), (), remaining_ns / 1e9)[0]:
-                return False
-        while now() < until_ns:
+        if not self.sleep(until_ns):
+            return False
+        while self.now() < until_ns:
             pass
         return True
 

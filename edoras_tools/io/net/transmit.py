@@ -29,7 +29,6 @@ import os
 import select
 import socket
 import time
-from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import msgspec
@@ -38,7 +37,7 @@ import numpy as np
 from edoras_tools.errors import CaptureError, OnFailure
 from edoras_tools.io.net import sockets
 from edoras_tools.io.net.buffer import SendMany, usable
-from edoras_tools.io.net.sockets import local_endpoint, resolve
+from edoras_tools.io.net.sockets import resolve
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -99,7 +98,7 @@ class _Port:
         self.close()
 
     def fileno(self) -> int:
-        """Return the file descriptor, which becomes readable when a datagram arrives."""
+        """Return the file descriptor, which becomes readable when something arrives."""
         return self._socket.fileno()
 
     def close(self) -> None:
@@ -139,9 +138,7 @@ class Transmitter(_Port):
 
     def send(self, payload: bytes | memoryview) -> bool:
         """Send one datagram; return whether the kernel accepted it."""
-        sent = sockets.send_one(self._socket, payload)
-        if sent.full:
-            sent = _dropped(sent)
+        sent = _without_waiting(sockets.send_one(self._socket, payload))
         self.statistics.add(sent)
         return not sent.errors
 
@@ -168,9 +165,7 @@ class Transmitter(_Port):
         base = offset.astype(np.uint64) + np.uint64(data.ctypes.data)
         while at < len(base):
             part = slice(at, at + _MANY)
-            sent = self._many.send(self._socket, base[part], length[part])
-            if sent.full:
-                sent = _dropped(sent)
+            sent = _without_waiting(self._many.send(self._socket, base[part], length[part]))
             self.statistics.add(sent)
             at += sent.sent
         return self.statistics.sent - before
@@ -228,8 +223,10 @@ def _probes() -> bool:
     return False
 
 
-def _dropped(sent: sockets.SendResult) -> sockets.SendResult:
-    """Return the result for a blocking socket that accepts no more: the system is out of memory."""
+def _without_waiting(sent: sockets.SendResult) -> sockets.SendResult:
+    """Return the result for a blocking socket: if it accepts no more, the system is out of memory."""
+    if not sent.full:
+        return sent
     reason = os.strerror(errno.ENOBUFS)
     return sent._replace(sent=sent.sent + 1, errors={**sent.errors, reason: sent.errors.get(reason, 0) + 1})
 
@@ -239,8 +236,8 @@ ANSWER_WITHIN_S: Final = 5.0
 _AT_ONCE: Final = 1 << 16
 
 
-class StreamTransmitter(AbstractContextManager["StreamTransmitter"]):
-    """A connection; it is a context manager.
+class StreamTransmitter(_Port):
+    """A connection.
 
     Args:
         target: address that listens for the connection.
@@ -258,22 +255,16 @@ class StreamTransmitter(AbstractContextManager["StreamTransmitter"]):
         self.statistics = SendStatistics()
         self._framing, self._name, self._rest = framing, f"TCP {target}", b""
         family, address = resolve(target, self._name)
-        self._socket = socket.socket(family, socket.SOCK_STREAM)
+        opened = socket.socket(family, socket.SOCK_STREAM)
         try:
-            self._socket.settimeout(ANSWER_WITHIN_S)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._socket.connect(address.host)
+            opened.settimeout(ANSWER_WITHIN_S)
+            opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            opened.connect(address.host)
         except OSError as error:
-            self._socket.close()
+            opened.close()
             raise CaptureError(f"{self._name}: {_refusal(error)}") from error
-        self.target, self.local = address.endpoint, local_endpoint(self._socket)
-
-    def __exit__(self, *_: object) -> None:
-        self._socket.close()
-
-    def fileno(self) -> int:
-        """Return the file descriptor, which becomes readable when something arrives."""
-        return self._socket.fileno()
+        super().__init__(opened)
+        self.target = address.endpoint
 
     def send(self, payload: bytes | memoryview) -> bool:
         """Send one message.
@@ -342,7 +333,7 @@ def _refusal(error: OSError) -> str:
     return f"cannot be connected to: {error.strerror or error}; name another address with --target"
 
 
-SPIN_NS: Final = 200_000
+_SPIN_NS: Final = 200_000
 """Time before a deadline at which sleeping ends: waking a processor takes up to this long."""
 _STILL_NS: Final = 10_000
 """Time before a deadline at which rehearsing ends: one rehearsal takes less, even with a cold cache."""
@@ -395,7 +386,33 @@ class Wire(Protocol):
         """Return the datagrams that have arrived."""
 
 
-class UdpWire:
+class HostClock:
+    """The host's clock for a ``Wire``.
+
+    Args:
+        watched: file descriptors that end a sleep, e.g. of a keyboard.
+
+    Attributes:
+        now: function that returns the time, monotonic, ns.
+    """
+
+    def __init__(self, watched: Sequence[int]) -> None:
+        self.now = time.monotonic_ns
+        self._watched = watched
+
+    def epoch_ns(self) -> int:
+        """Return the offset from this time to ns since 1970."""
+        return time.time_ns() - time.monotonic_ns()
+
+    def sleep(self, until_ns: int) -> bool:
+        """Sleep until just before a time; return False, earlier, when something can be read."""
+        while (remaining_ns := until_ns - self.now() - _SPIN_NS) > 0:
+            if select.select(self._watched, (), (), remaining_ns / 1e9)[0]:
+                return False
+        return True
+
+
+class UdpWire(HostClock):
     """Real sockets and the host's clock.
 
     Args:
@@ -417,9 +434,8 @@ class UdpWire:
             (answers, transmitter),
             *listeners,
         ]
-        self._watched = [*(item.fileno() for _, item in self._sockets), *watched]
+        super().__init__([*(item.fileno() for _, item in self._sockets), *watched])
         self._latest: tuple[Outgoing, int] | None = None
-        self.now = time.monotonic_ns
         self.ends = transmitter.local, transmitter.target
 
     @property
@@ -427,16 +443,11 @@ class UdpWire:
         """The counters of sent datagrams."""
         return self._transmitter.statistics
 
-    def epoch_ns(self) -> int:
-        """Return the offset from this time to ns since 1970."""
-        return time.time_ns() - time.monotonic_ns()
-
     def wait(self, until_ns: int) -> bool:
         """Sleep until just before a time, then rehearse and spin; return early when something arrives."""
+        if not self.sleep(until_ns):
+            return False
         now = self.now
-        while (remaining_ns := until_ns - now() - SPIN_NS) > 0:
-            if select.select(self._watched, (), (), remaining_ns / 1e9)[0]:
-                return False
         while self._latest and until_ns - now() > _STILL_NS:
             self._transmitter.rehearse(_one(*self._latest))
         while now() < until_ns:
