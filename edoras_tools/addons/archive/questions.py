@@ -1,8 +1,12 @@
-"""Queries of an index: lists of captures and losses, and the contents of a report."""
+"""Queries of an index: lists of captures and losses, and the contents of a report.
+
+Their SQL is in ``queries.sql``, where the line ``-- NAME`` stands above each.
+"""
 
 from __future__ import annotations
 
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -17,35 +21,9 @@ if TYPE_CHECKING:
     from edoras_tools.addons.archive.index import Index
 
 
-_LISTED: Final = """
-SELECT capture, state, error, gone, kind, size, sha256, datagrams, start_ns, end_ns, seconds, lost,
-       superseded, unaccounted, capture_drops, worst
-FROM captures
-WHERE (? IS NULL OR end_ns >= ?) AND (? IS NULL OR start_ns < ?)
-ORDER BY start_ns NULLS LAST, capture
-"""
-_LOST: Final = """
-SELECT o.capture, start_ns, o.topic, o.name, o.link, o.msg_id, o.spacecraft, o.sent, o.lost, o.unaccounted,
-       causes
-FROM outcomes o
-JOIN captures c ON c.capture = o.capture
-LEFT JOIN (
-    SELECT capture, link, msg_id, topic, spacecraft, list(cause ORDER BY cause) AS causes
-    FROM (SELECT DISTINCT capture, link, msg_id, topic, spacecraft, cause FROM losses)
-    GROUP BY ALL
-) l
-  ON l.capture = o.capture AND l.link IS NOT DISTINCT FROM o.link
-  AND l.msg_id IS NOT DISTINCT FROM o.msg_id AND l.topic IS NOT DISTINCT FROM o.topic
-  AND l.spacecraft IS NOT DISTINCT FROM o.spacecraft
-WHERE o.lost + o.unaccounted > 0
-  AND (? IS NULL OR c.end_ns >= ?) AND (? IS NULL OR c.start_ns < ?)
-ORDER BY c.start_ns, o.capture, o.lost DESC, o.link, o.msg_id
-"""
-_SENT: Final = """
-SELECT DISTINCT capture, o.topic, o.name, o.msg_id
-FROM outcomes o JOIN captures c USING (capture)
-WHERE o.sent > 0 AND (? IS NULL OR c.end_ns >= ?) AND (? IS NULL OR c.start_ns < ?)
-"""
+_FILE: Final = Path(__file__).with_name("queries.sql")
+_QUERIES: Final = dict(part.split("\n", 1) for part in _FILE.read_text(encoding="utf-8").split("\n-- ")[1:])
+"""Queries by name."""
 
 
 class ArchiveSpan(msgspec.Struct, frozen=True):
@@ -67,7 +45,7 @@ class ArchiveSpan(msgspec.Struct, frozen=True):
 
 def list_captures(index: Index, span: ArchiveSpan) -> list[dict[str, Any]]:
     """Return the captures of a span of time, the oldest first; with a span, only those with datagrams."""
-    return index.rows(_LISTED, span.values)
+    return index.rows(_QUERIES["listed"], span.values)
 
 
 def list_losses(
@@ -79,7 +57,7 @@ def list_losses(
         topics: patterns of topics, names or MsgIds; empty for all.
         over: share of the sent messages; only rows with more missing messages are returned.
     """
-    losses = [row for row in index.rows(_LOST, span.values) if not topics or _fits(row, topics)]
+    losses = [row for row in index.rows(_QUERIES["lost"], span.values) if not topics or _fits(row, topics)]
     for row in losses:
         missing = row["lost"] + row["unaccounted"]
         row["share"] = missing / row["sent"] if row["sent"] else None
@@ -93,7 +71,11 @@ def count_examined(index: Index, span: ArchiveSpan, topics: tuple[str, ...] = ()
     Raises:
         CaptureError: there is no such capture.
     """
-    captures = {row["capture"] for row in index.rows(_SENT, span.values) if not topics or _fits(row, topics)}
+    captures = {
+        row["capture"]
+        for row in index.rows(_QUERIES["sent"], span.values)
+        if not topics or _fits(row, topics)
+    }
     if not captures:
         of = " of these topics" if topics else ""
         raise CaptureError(
@@ -113,72 +95,6 @@ def _fits(row: Mapping[str, Any], patterns: tuple[str, ...]) -> bool:
 
 
 _MOST_ROUTES: Final = 12
-_MOST_DELAYED: Final = 6
-_MOST_WORST: Final = 20
-_ROUTE: Final = (
-    "coalesce({0}.topic, if({0}.spacecraft > 1, 'sc_' || {0}.spacecraft || ' ', '') "
-    "|| coalesce({0}.name, {0}.msg_id), 'of unknown MsgId')"
-)
-_CHOSEN: Final = """
-CREATE OR REPLACE TEMP VIEW chosen AS SELECT * FROM captures WHERE datagrams > 0 AND {}
-"""
-_TOTALS: Final = """
-SELECT count(*) AS captures, sum(datagrams) AS datagrams, sum(seconds) AS seconds, min(start_ns) AS start_ns,
-       max(end_ns) AS end_ns, coalesce(sum(lost), 0) AS lost, coalesce(sum(unaccounted), 0) AS unaccounted,
-       count(*) FILTER (lost + unaccounted > 0) AS with_loss
-FROM chosen
-"""
-_RUNS: Final = """
-SELECT c.capture, c.start_ns, c.datagrams, c.worst, c.lost, c.unaccounted, coalesce(sum(o.sent), 0) AS sent
-FROM chosen c LEFT JOIN outcomes o USING (capture)
-GROUP BY ALL ORDER BY c.start_ns, c.capture
-"""
-_ROUTES: Final = f"""
-SELECT {_ROUTE.format("o")} AS route, coalesce(o.link, '') AS link, count(DISTINCT o.capture) AS captures,
-       count(DISTINCT o.capture) FILTER (o.lost + o.unaccounted > 0) AS with_loss,
-       sum(o.sent) AS sent, sum(o.lost) AS lost, sum(o.unaccounted) AS unaccounted
-FROM outcomes o JOIN chosen USING (capture)
-GROUP BY 1, 2 HAVING sum(o.lost + o.unaccounted) > 0
-ORDER BY sum(o.lost + o.unaccounted) DESC, route, link
-LIMIT {_MOST_WORST}
-"""
-_SHARES: Final = f"""
-WITH latest AS (
-    SELECT capture, start_ns FROM chosen ORDER BY start_ns DESC, capture DESC LIMIT {MOST_COLUMNS}
-)
-SELECT capture, start_ns, {_ROUTE.format("o")} AS route, coalesce(o.link, '') AS link, sum(o.sent) AS sent,
-       sum(o.lost + o.unaccounted) AS missing
-FROM outcomes o JOIN latest USING (capture)
-GROUP BY ALL HAVING sum(o.sent) > 0 ORDER BY start_ns, capture
-"""
-_TREND: Final = f"""
-SELECT least((c.start_ns - ?) // ?, {BINS - 1})::INT AS bin, sum(o.sent) AS sent,
-       sum(o.lost + o.unaccounted) AS missing
-FROM outcomes o JOIN chosen c USING (capture)
-WHERE {_ROUTE.format("o")} = ? AND coalesce(o.link, '') = ?
-GROUP BY 1 ORDER BY 1
-"""
-_DELAYED: Final = f"""
-SELECT {_ROUTE.format("l")} AS route, l.link, l.part, max(l.p99_ms) AS p99_ms, sum(l.count) AS timed,
-       count(DISTINCT l.capture) AS captures
-FROM latencies l JOIN chosen USING (capture)
-GROUP BY 1, 2, 3 HAVING max(l.p99_ms) > 0
-ORDER BY captures > 1 DESC, p99_ms DESC, route, link, part
-LIMIT {_MOST_DELAYED}
-"""
-_DELAYS: Final = f"""
-SELECT c.start_ns, max(l.p99_ms) AS p99_ms
-FROM latencies l JOIN chosen c USING (capture)
-WHERE {_ROUTE.format("l")} = ? AND l.link = ? AND l.part = ?
-GROUP BY ALL ORDER BY 1
-"""
-_RULES: Final = """
-SELECT severity, rule, count(DISTINCT capture) AS captures, count(*) AS verdicts, sum(v.lost) AS lost,
-       arg_max(reason, coalesce(v.lost, 0)) AS example
-FROM verdicts v JOIN chosen USING (capture)
-WHERE severity IN ('error', 'warning')
-GROUP BY 1, 2 ORDER BY severity, captures DESC, rule
-"""
 
 
 def trends_of(index: Index, span: ArchiveSpan) -> ArchiveTrends:
@@ -189,22 +105,27 @@ def trends_of(index: Index, span: ArchiveSpan) -> ArchiveTrends:
     """
     limits = [f"end_ns >= {span.since_ns}"] if span.since_ns is not None else []
     limits += [f"start_ns < {span.until_ns}"] if span.until_ns is not None else []
-    index.run(_CHOSEN.format(" AND ".join(limits) or "true"))
-    (totals,) = index.rows(_TOTALS)
+    index.run(_QUERIES["route"])
+    index.run(_QUERIES["chosen"].format(" AND ".join(limits) or "true"))
+
+    def rows(name: str, *values: object) -> list[dict[str, Any]]:
+        return index.rows(_QUERIES[name], values)
+
+    (totals,) = rows("totals")
     if not totals["captures"]:
         raise CaptureError(f"{index.path}: has no capture with datagrams in this time; nothing to report")
     bad = index.ask("SELECT error FROM captures WHERE error IS NOT NULL ORDER BY capture")
-    routes, delayed = index.rows(_ROUTES), index.rows(_DELAYED)
+    routes = rows("routes")
     often = [row for row in routes if row["captures"] > 1]  # a single run is no trend
-    bins = [totals["start_ns"], bin_ns(totals)]
+    bins = totals["start_ns"], bin_ns(totals), BINS - 1
     return ArchiveTrends(
         str(index.path),
         totals,
-        index.rows(_RUNS),
+        rows("runs"),
         routes,
-        index.rows(_SHARES),
-        [(row, index.rows(_TREND, [*bins, row["route"], row["link"]])) for row in often[:_MOST_ROUTES]],
-        [(row, index.rows(_DELAYS, [row["route"], row["link"], row["part"]])) for row in delayed],
-        index.rows(_RULES),
+        rows("shares", MOST_COLUMNS),
+        [(row, rows("trend", *bins, row["route"], row["link"])) for row in often[:_MOST_ROUTES]],
+        [(row, rows("delays", row["route"], row["link"], row["part"])) for row in rows("delayed")],
+        rows("rules"),
         [error for (error,) in bad],
     )
