@@ -10,8 +10,9 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
+from string import Template
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -67,30 +68,27 @@ def banner(command: str, about: str = "", messages: Sequence[Message] = ()) -> s
     return "".join([f"/* {first}\n", *(f" * {line}".rstrip() + "\n" for line in rest), " */\n"])
 
 
+_TEMPLATES: Final = Path(__file__).parent / "templates"
+
+
+def filled(template: str, **values: object) -> str:
+    """Return the text of a template with its ``$names`` replaced by values."""
+    return _template(template).substitute(values)
+
+
+@cache
+def _template(name: str) -> Template:
+    return Template((_TEMPLATES / name).read_text(encoding="utf-8"))
+
+
 def guarded(name: str, body: str) -> str:
     """Return a header's text inside its guard, declared for C++ too."""
-    symbol = name.upper().replace(".", "_").replace("/", "_")
-    return f"""\
-#ifndef {symbol}
-#define {symbol}
-
-{body}
-#endif
-"""
+    return filled("guard.h", symbol=name.upper().replace(".", "_").replace("/", "_"), body=body)
 
 
 def for_cpp(body: str) -> str:
     """Return declarations that C++ can read as well."""
-    return f"""\
-#ifdef __cplusplus
-extern "C" {{
-#endif
-
-{body}
-#ifdef __cplusplus
-}}
-#endif
-"""
+    return filled("for_cpp.h", body=body)
 
 
 def statement(text: str, depth: int = 1) -> str:
@@ -119,21 +117,6 @@ def function(head: str, variables: Iterable[str], body: str) -> str:
     return f"{statement(head, 0)}{{\n{declared}{declared and chr(10)}{body}}}\n"
 
 
-_ABOUT: Final = """\
-/**
- * For every message type T, named as rosidl names it:
- *
- *     T__init     gives a message the default values of its definition.
- *     T__encode   writes a message to a buffer of a given size, encapsulation and body, little-endian; gives
- *                 the length. T__MAX_CDR bytes are always enough.
- *     T__decode   reads a message of either byte order; where the status is not EDORAS_OK, the message has
- *                 its default values.
- *     T__write    and T__read do the same inside a message that nests T; neither takes NULL.
- *
- * A sequence is a count, size, and as many elements of data as its bound; a string likewise, and ends in NUL.
- * A size above the bound is EDORAS_BOUND to encode, from wherever it came.
- */
-"""
 UMBRELLA: Final = "edoras_core/messages.h"
 """Header that includes those of all packages."""
 _C_TYPES: Final = {"bool": "bool", "float32": "float", "float64": "double"}
@@ -155,8 +138,8 @@ def package_header(library: CLibrary, package: str, command: str) -> str:
 
 def umbrella(library: CLibrary, command: str) -> str:
     """Return the text of the header that includes all others."""
-    body = _ABOUT + "".join(f'#include "{header_name(package)}"\n' for package in library.packages)
-    return banner(command, "Every message.") + guarded(UMBRELLA, body)
+    includes = "".join(f'#include "{header_name(package)}"\n' for package in library.packages)
+    return banner(command, "Every message.") + guarded(UMBRELLA, filled("messages.h", includes=includes))
 
 
 def heads(name: str) -> dict[str, str]:
@@ -181,16 +164,15 @@ def _message(message: Message) -> str:
         if item.type != "wstring"
     )
     declared = "".join(statement(f"{head};", 0) for head in heads(name).values())
-    return f"""\
-/** {message.ros_name} */
-typedef struct {{
-{members}}} {name};
-
-{constants}{constants and chr(10)}\
-/** Bytes of the longest CDR of {message.ros_name}, encapsulation included. */
-#define {name}__MAX_CDR {message.most_bytes}U
-
-{declared}"""
+    return filled(
+        "message.h",
+        ros_name=message.ros_name,
+        name=name,
+        members=members,
+        constants=f"{constants}\n" if constants else "",
+        most_bytes=message.most_bytes,
+        declared=declared,
+    )
 
 
 def c_type(member: CMember) -> str:
@@ -336,32 +318,13 @@ def _write_one(member: CMember, place: str) -> str:
 
 def _decode(message: Message) -> str:
     name = message.name
-    body = f"""\
-    if (message != NULL) {{
-        edoras_reader_t reader;
-
-        edoras_reader_open(&reader, cdr, length);
-        {name}__read(&reader, message);
-        status = edoras_reader_close(&reader, {message.most_trailing}U);
-        if (status != EDORAS_OK) {{
-            {name}__init(message);
-        }}
-    }}
-    return status;
-"""
+    body = filled("decode.c", name=name, most_trailing=message.most_trailing)
     return function(heads(name)["decode"], ["edoras_status_t status = EDORAS_ARGUMENT"], body)
 
 
 def _encode(message: Message) -> str:
-    name = message.name
-    body = f"""\
-    edoras_writer_open(&writer, (message == NULL) ? NULL : buffer, size);
-    if (message != NULL) {{
-        {name}__write(&writer, message);
-    }}
-    return edoras_writer_close(&writer, length);
-"""
-    return function(heads(name)["encode"], ["edoras_writer_t writer"], body)
+    body = filled("encode.c", name=message.name)
+    return function(heads(message.name)["encode"], ["edoras_writer_t writer"], body)
 
 
 MSGIDS: Final = "edoras_mission/msgids.h"
@@ -426,14 +389,14 @@ def _packets(routes: dict[str, Route], command: str, msg_ids: MsgIds) -> str:
         if not route.to_cfs:
             command_sent = msg_ids.is_command(route.msg_id)
             kind, head = ("Command", "CmdHeader") if command_sent else ("Telemetry", "TlmHeader")
-            body += f"""
-/** 0x{route.msg_id:04X}, {_about(route)} */
-typedef struct
-{{
-    CFE_MSG_{kind}Header_t {head};
-    uint8_t data[(2U * EDORAS_ENVELOPE_WORD) + {c_type_name(route.type)}__MAX_CDR];
-}} {"".join(map(str.capitalize, name.split("_")))}_t;
-"""
+            body += filled(
+                "packet.h",
+                about=f"0x{route.msg_id:04X}, {_about(route)}",
+                kind=kind,
+                head=head,
+                type=c_type_name(route.type),
+                struct="".join(map(str.capitalize, name.split("_"))),
+            )
     about = (
         "The packets that the app sends, with space for the longest message. A packet that is sent whole\n"
         "takes that space on the link; CFE_MSG_SetSize before CFE_SB_TransmitMsg makes it as long as it is."
@@ -537,17 +500,13 @@ def _command(types: TypeStore, order: LibraryOrder) -> str:
 
 
 def _config(order: LibraryOrder, command: str) -> str:
-    body = f"""\
-/** Messages, and buffers, of each type that create_msg and its like hand out in turn. */
-#define EDORAS_POOL {order.pool}U
-
-/** Bytes of each of the two lengths of the EDORAS envelope, and whether their first byte is the highest. */
-#define EDORAS_ENVELOPE_WORD {order.envelope.width}
-#define EDORAS_ENVELOPE_BIG_ENDIAN {int(order.envelope.byte_order == "big")}
-
-/** Whether a get_ function that fails leaves the app's variable as it was; otherwise it writes 0. */
-#define EDORAS_KEEP_VALUES {int(order.keep_values)}
-"""
+    body = filled(
+        "config.h",
+        pool=order.pool,
+        word=order.envelope.width,
+        big_endian=int(order.envelope.byte_order == "big"),
+        keep_values=int(order.keep_values),
+    )
     return banner(command, "What the library was made for.") + guarded(_CONFIG, body)
 
 
@@ -594,26 +553,16 @@ def tables(library: CLibrary, command: str) -> str:
 def _table(message: Message, *, pooled: bool) -> str:
     name = message.name
     rows = "".join(_row(name, member) for member in sorted(message.members, key=lambda item: item.ros.name))
-    return f"""\
-EDORAS_FUNCTIONS({name})
-
-static const MemberInfo_t {name}__members[] = {{
-{rows}}};
-
-{f"EDORAS_MAKE_POOL({name}){chr(10) * 2}" if pooled else ""}\
-static const TypeInfo_t {name}__type = {{
-    "{message.package}",
-    "{message.short_name}",
-    {len(message.members)}U,
-    sizeof({name}),
-    EDORAS_BUFFER_SIZE({name}),
-    {name}__members,
-    {name}__init_any,
-    {name}__encode_any,
-    {name}__decode_any,
-    {f"&{name}__pool" if pooled else "NULL"},
-}};
-"""
+    return filled(
+        "type.c",
+        name=name,
+        rows=rows,
+        package=message.package,
+        short_name=message.short_name,
+        members=len(message.members),
+        make_pool=f"EDORAS_MAKE_POOL({name})\n\n" if pooled else "",
+        pool=f"&{name}__pool" if pooled else "NULL",
+    )
 
 
 def _row(owner: str, member: CMember) -> str:

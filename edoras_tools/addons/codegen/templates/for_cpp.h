@@ -1,0 +1,8 @@
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+$body
+#ifdef __cplusplus
+}
+#endif

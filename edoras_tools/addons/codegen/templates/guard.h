@@ -1,0 +1,5 @@
+#ifndef $symbol
+#define $symbol
+
+$body
+#endif
