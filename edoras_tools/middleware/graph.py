@@ -69,7 +69,8 @@ class Graph(Protocol):
     """One node in a ROS 2 graph.
 
     Topics are fully qualified (``/cmd_vel``), types ROS names (``geometry_msgs/msg/Twist``). A message is its
-    CDR with the four bytes of encapsulation, never decoded. A node does not receive its own messages.
+    CDR with the four bytes of encapsulation, never decoded. A node does not receive its own messages. What a
+    middleware does not know is answered here.
     """
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
@@ -88,15 +89,19 @@ class Graph(Protocol):
 
     def states(self) -> Mapping[str, TopicState]:
         """Return the state of topics by name; a topic without a state has its requested policies."""
+        return {}
 
     def dropped(self) -> int:
         """Return the datagrams that the kernel dropped before the middleware read them, as far as known."""
+        return 0
 
     def subscribers(self, topic: str) -> int | None:
         """Return the number of others' subscriptions to a topic that this node publishes; None: unknown."""
+        return None
 
     def notes(self) -> list[str]:
         """Return new notes for the user, such as incompatible peers, or an address to connect to."""
+        return []
 
     def close(self) -> None:
         """Leave the graph. No message is received after this returns; a second call does nothing."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import Qos, TopicState, check_name, node_name, unknown_options
+from edoras_tools.middleware.graph import Graph, Qos, TopicState, check_name, node_name, unknown_options
 from edoras_tools.ros.types.schema import full_name
 
 if TYPE_CHECKING:
@@ -29,8 +29,10 @@ _LEAST_WAITING: Final = 1000
 """Least number of messages that may wait for the reading thread, whatever the depth."""
 
 
-class RclpyGraph:
+class RclpyGraph(Graph):
     """A ``Graph`` over one ``rclpy`` node, in its own context, spun by a thread.
+
+    It has no notes: ROS 2 itself logs incompatible peers.
 
     Args:
         node: name of the node, or ``/namespace/name``.
@@ -108,17 +110,9 @@ class RclpyGraph:
         """See ``Graph``: ``missed`` is the count of rclpy's event ``message_lost``."""
         return {item.topic: TopicState((item.asked,), item.missed) for item in self._listeners}
 
-    def dropped(self) -> int:
-        """See ``Graph``: unknown."""
-        return 0
-
     def subscribers(self, topic: str) -> int:
         """See ``Graph``."""
         return int(self._publishers[topic].get_subscription_count())
-
-    def notes(self) -> list[str]:
-        """See ``Graph``: ROS 2 itself logs incompatible peers."""
-        return []
 
     def close(self) -> None:
         """Leave the graph; see ``Graph``."""

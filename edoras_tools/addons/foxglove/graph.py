@@ -21,7 +21,7 @@ from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.net.sockets import reach_note
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.io.topics.streams import Topic
-from edoras_tools.middleware.graph import Qos, TopicState, unknown_options
+from edoras_tools.middleware.graph import Graph, Qos, unknown_options
 from edoras_tools.model import Endpoint
 
 if TYPE_CHECKING:
@@ -58,8 +58,8 @@ def open_graph(
     return FoxgloveGraph(store, node, listen, origins, values["token"])
 
 
-class FoxgloveGraph:
-    """A Foxglove server as a node's graph.
+class FoxgloveGraph(Graph):
+    """A Foxglove server as a node's graph; there are no policies, and the server counts dropped messages.
 
     Args:
         listen: address and port; with port 0 the system chooses.
@@ -118,18 +118,6 @@ class FoxgloveGraph:
             self.server.publish(records)
 
         return publish
-
-    def states(self) -> Mapping[str, TopicState]:
-        """See ``Graph``: there are no policies, and the server counts dropped messages."""
-        return {}
-
-    def dropped(self) -> int:
-        """See ``Graph``: unknown."""
-        return 0
-
-    def subscribers(self, topic: str) -> None:
-        """See ``Graph``: unknown."""
-        del topic
 
     def notes(self) -> list[str]:
         """Return once the address for clients, and notes on refused web pages; see ``Graph``."""

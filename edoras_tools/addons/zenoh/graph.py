@@ -18,7 +18,7 @@ from zenoh import ext
 
 from edoras_tools.addons.zenoh import identity
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import Qos, TopicState, check_name, unknown_options
+from edoras_tools.middleware.graph import Graph, Qos, TopicState, check_name, unknown_options
 from edoras_tools.ros.type_hash import type_hash
 from edoras_tools.ros.types.schema import full_name
 
@@ -153,7 +153,7 @@ _TAKEN: Final[set[str]] = set()
 """Endpoints with a fixed port where sessions of this process listen; each has only one listener."""
 
 
-class ZenohGraph:
+class ZenohGraph(Graph):
     """A ``Graph`` over one Zenoh session.
 
     Args:
@@ -254,14 +254,6 @@ class ZenohGraph:
     def states(self) -> Mapping[str, TopicState]:
         """See ``Graph``: gaps in the sequence numbers of publishers count as missed."""
         return {topic: state() for topic, state in self._states.items()}
-
-    def dropped(self) -> int:
-        """See ``Graph``: not known."""
-        return 0
-
-    def subscribers(self, topic: str) -> None:
-        """See ``Graph``: not known."""
-        del topic
 
     def notes(self) -> list[str]:
         """Return a note, once, that no peer is there; see ``Graph``."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import Qos, TopicState, unknown_options
+from edoras_tools.middleware.graph import Graph, Qos, TopicState, unknown_options
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -63,7 +63,7 @@ def open_graph(
     return LocalGraph(store, node, domain)
 
 
-class LocalGraph:
+class LocalGraph(Graph):
     """A node of the graph.
 
     Attributes:
@@ -123,17 +123,9 @@ class LocalGraph:
                 if topic.publishers
             }
 
-    def dropped(self) -> int:
-        """See ``Graph``: unknown."""
-        return 0
-
     def subscribers(self, topic: str) -> int:
         """See ``Graph``."""
         return sum(item.node is not self for item in self._domain.topics[topic].subscriptions)
-
-    def notes(self) -> list[str]:
-        """See ``Graph``: there are no notes."""
-        return []
 
     def close(self) -> None:
         """See ``Graph``."""
