@@ -21,18 +21,15 @@ class Command(NamedTuple):
     lengths: tuple[int, ...] = ()
 
 
-def _commands(*names: str | None, **lengths: tuple[int, ...]) -> dict[int, Command]:
-    """Number commands from 0; ``None`` leaves a code out. No-op and counter reset are bare headers."""
-    bare = {"NOOP": (8,), "RESET_COUNTERS": (8,)}
-    return {
-        code: Command(name, lengths.get(name, bare.get(name, ())))
-        for code, name in enumerate(names)
-        if name is not None
-    }
-
-
 def _numbered(names: str, first: int = 0) -> dict[int, str]:
-    return dict(enumerate(names.split(), first))
+    """Number the words of a text; ``-`` leaves a number out."""
+    return {code: name for code, name in enumerate(names.split(), first) if name != "-"}
+
+
+def _commands(names: str, **lengths: tuple[int, ...]) -> dict[int, Command]:
+    """Number commands from 0. No-op and counter reset are bare headers."""
+    lengths = {"NOOP": (8,), "RESET_COUNTERS": (8,)} | lengths
+    return {code: Command(name, lengths.get(name, ())) for code, name in _numbered(names).items()}
 
 
 ENABLE_OUTPUT_LENGTHS: Final = (24, 28)
@@ -95,75 +92,43 @@ def housekeeping_of(app: str) -> list[int]:
 
 COMMANDS: Final[dict[int, dict[int, Command]]] = {
     0x1806: _commands(
-        *("NOOP", "RESET_COUNTERS", "RESTART", None, "START_APP", "STOP_APP", "RESTART_APP", "RELOAD_APP"),
-        *("QUERY_ONE", "QUERY_ALL", "CLEAR_SYS_LOG", "WRITE_SYS_LOG", "CLEAR_ER_LOG", "WRITE_ER_LOG"),
-        *("START_PERF_DATA", "STOP_PERF_DATA", "SET_PERF_FILTER_MASK", "SET_PERF_TRIGGER_MASK"),
-        *("OVER_WRITE_SYS_LOG", "RESET_PR_COUNT", "SET_MAX_PR_COUNT", "DELETE_CDS", "SEND_MEM_POOL_STATS"),
-        *("DUMP_CDS_REGISTRY", "QUERY_ALL_TASKS"),
+        "NOOP RESET_COUNTERS RESTART - START_APP STOP_APP RESTART_APP RELOAD_APP QUERY_ONE QUERY_ALL "
+        "CLEAR_SYS_LOG WRITE_SYS_LOG CLEAR_ER_LOG WRITE_ER_LOG START_PERF_DATA STOP_PERF_DATA "
+        "SET_PERF_FILTER_MASK SET_PERF_TRIGGER_MASK OVER_WRITE_SYS_LOG RESET_PR_COUNT SET_MAX_PR_COUNT "
+        "DELETE_CDS SEND_MEM_POOL_STATS DUMP_CDS_REGISTRY QUERY_ALL_TASKS"
     ),
     0x1801: _commands(
-        *("NOOP", "RESET_COUNTERS", "ENABLE_EVENT_TYPE", "DISABLE_EVENT_TYPE", "SET_EVENT_FORMAT_MODE"),
-        *("ENABLE_APP_EVENT_TYPE", "DISABLE_APP_EVENT_TYPE", "ENABLE_APP_EVENTS", "DISABLE_APP_EVENTS"),
-        *(
-            "RESET_APP_COUNTER",
-            "SET_FILTER",
-            "ENABLE_PORTS",
-            "DISABLE_PORTS",
-            "RESET_FILTER",
-            "RESET_ALL_FILTERS",
-        ),
-        *("ADD_EVENT_FILTER", "DELETE_EVENT_FILTER", "WRITE_APP_DATA_FILE", "WRITE_LOG_DATA_FILE"),
-        *("SET_LOG_MODE", "CLEAR_LOG"),
+        "NOOP RESET_COUNTERS ENABLE_EVENT_TYPE DISABLE_EVENT_TYPE SET_EVENT_FORMAT_MODE "
+        "ENABLE_APP_EVENT_TYPE DISABLE_APP_EVENT_TYPE ENABLE_APP_EVENTS DISABLE_APP_EVENTS "
+        "RESET_APP_COUNTER SET_FILTER ENABLE_PORTS DISABLE_PORTS RESET_FILTER RESET_ALL_FILTERS "
+        "ADD_EVENT_FILTER DELETE_EVENT_FILTER WRITE_APP_DATA_FILE WRITE_LOG_DATA_FILE SET_LOG_MODE "
+        "CLEAR_LOG"
     ),
     0x1803: _commands(
-        *(
-            "NOOP",
-            "RESET_COUNTERS",
-            "SEND_SB_STATS",
-            "WRITE_ROUTING_INFO",
-            "ENABLE_ROUTE",
-            "DISABLE_ROUTE",
-            None,
-        ),
-        *(
-            "WRITE_PIPE_INFO",
-            "WRITE_MAP_INFO",
-            "ENABLE_SUB_REPORTING",
-            "DISABLE_SUB_REPORTING",
-            "SEND_PREV_SUBS",
-        ),
+        "NOOP RESET_COUNTERS SEND_SB_STATS WRITE_ROUTING_INFO ENABLE_ROUTE DISABLE_ROUTE - "
+        "WRITE_PIPE_INFO WRITE_MAP_INFO ENABLE_SUB_REPORTING DISABLE_SUB_REPORTING SEND_PREV_SUBS",
         SEND_SB_STATS=(8,),
     ),
     0x1804: _commands(
-        *("NOOP", "RESET_COUNTERS", "LOAD", "DUMP", "VALIDATE", "ACTIVATE", "DUMP_REGISTRY", "SEND_REGISTRY"),
-        *("DELETE_CDS", "ABORT_LOAD"),
+        "NOOP RESET_COUNTERS LOAD DUMP VALIDATE ACTIVATE DUMP_REGISTRY SEND_REGISTRY DELETE_CDS ABORT_LOAD"
     ),
     0x1805: _commands(
-        *("NOOP", "RESET_COUNTERS", "SEND_DIAGNOSTIC", "SET_SOURCE", "SET_STATE", "ADD_DELAY", "SUB_DELAY"),
-        *("SET_TIME", "SET_MET", "SET_STCF", "SET_LEAP_SECONDS", "ADD_ADJUST", "SUB_ADJUST", "ADD_ONE_HZ"),
-        *("SUB_ONE_HZ", "SET_SIGNAL"),
+        "NOOP RESET_COUNTERS SEND_DIAGNOSTIC SET_SOURCE SET_STATE ADD_DELAY SUB_DELAY SET_TIME SET_MET "
+        "SET_STCF SET_LEAP_SECONDS ADD_ADJUST SUB_ADJUST ADD_ONE_HZ SUB_ONE_HZ SET_SIGNAL",
         SEND_DIAGNOSTIC=(8,),
         **dict.fromkeys(("SET_SOURCE", "SET_STATE", "SET_LEAP_SECONDS", "SET_SIGNAL"), (10,)),
         **dict.fromkeys(("ADD_DELAY", "SUB_DELAY", "SET_TIME", "SET_MET", "SET_STCF"), (16,)),
         **dict.fromkeys(("ADD_ADJUST", "SUB_ADJUST", "ADD_ONE_HZ", "SUB_ONE_HZ"), (16,)),
     ),
     0x1880: _commands(
-        *(
-            "NOOP",
-            "RESET_COUNTERS",
-            "ADD_PKT",
-            "SEND_DATA_TYPES",
-            "REMOVE_PKT",
-            "REMOVE_ALL",
-            "ENABLE_OUTPUT",
-        ),
+        "NOOP RESET_COUNTERS ADD_PKT SEND_DATA_TYPES REMOVE_PKT REMOVE_ALL ENABLE_OUTPUT",
         ADD_PKT=(16,),
         SEND_DATA_TYPES=(8,),
         REMOVE_PKT=(12,),
         REMOVE_ALL=(8,),
         ENABLE_OUTPUT=ENABLE_OUTPUT_LENGTHS,
     ),
-    0x1884: _commands("NOOP", "RESET_COUNTERS"),
+    0x1884: _commands("NOOP RESET_COUNTERS"),
 }
 """Commands by function code, by command MsgId; an app in this table refuses every other code."""
 _OTHERS: Final[dict[int, dict[int, str]]] = {

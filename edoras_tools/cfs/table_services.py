@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 from edoras_tools.cfs.event_services import EventText, EventType
@@ -20,11 +21,7 @@ ASSUMED_VALID: Final = EventText(
 )
 UPDATED: Final = EventText(NAME, 37, "{app} Successfully Updated '{table}'")
 
-
-def _error(event_id: int, text: str) -> EventText:
-    return EventText(NAME, event_id, text, EventType.ERROR)
-
-
+_error: Final = partial(EventText, NAME, event_type=EventType.ERROR)
 BAD_LENGTH: Final = _error(
     52, "Invalid msg length -- ID = 0x1804, CC = {code:d}, Len = {length:d}, Expected = {expected:d}"
 )
