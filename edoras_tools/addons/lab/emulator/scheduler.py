@@ -77,10 +77,6 @@ class Running(msgspec.Struct, eq=False):
     is_done: bool = False
 
 
-def _nothing() -> Task:
-    yield from ()
-
-
 class Scheduler:
     """The clock, the processors and the tasks.
 
@@ -107,7 +103,8 @@ class Scheduler:
 
     def end(self, task: Running) -> None:
         """End a task now, wherever it is."""
-        task.steps = _nothing()
+        task.steps = (_ for _ in ())
+        next(task.steps, None)  # it is over, and takes any value of a request that it made before
         self._stop_waiting(task)
         task.value = None
 

@@ -132,3 +132,17 @@ def test_one_seed_is_one_run_and_time_never_goes_back(seed, times):
     assert first == second
     assert [when for when, _ in first] == sorted(when for when, _ in first)
     assert sorted(item for _, item in first if item is not None) == sorted(times)
+
+
+def test_a_task_that_ends_itself_gets_no_item_that_it_asked_for():
+    """As Executive Services do, whose command restarts the processor while more commands wait."""
+    log, clock, box = [], scheduler(), Box([1, 2])
+
+    def task():
+        while True:
+            log.append((yield Receive(box)))
+            clock.end(running)
+
+    running = clock.spawn(task())
+    clock.run(10_000)
+    assert log == [1]
