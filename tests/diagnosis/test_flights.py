@@ -1541,3 +1541,24 @@ def test_an_entry_that_was_removed_is_added_whatever_is_said_of_another_command(
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", doubled))
     assert found.lost == FLIGHTS["added_while_there"][0]
     assert not [item for item in found.verdicts if item.rule == "to_stopped" and item.lost]
+
+
+def test_two_outputs_that_send_at_once_are_not_one_that_restarted(tmp_path):
+    """Each of two cFS sends the counters of both, and no event here says whose output it is."""
+    items = mutations.frames(FOLDER / "peers_flood_each_other.pcap.zst")
+    late = mutations.part(0.65, 1)(items, random.Random(0))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", late))
+    assert found.lost + found.unaccounted <= FLIGHTS["peers_flood_each_other"][0]
+    assert not [item for item in found.verdicts if item.rule == "cfs_restart"]
+
+
+def test_a_clock_set_back_just_before_the_clock_of_the_capture_is_set_has_one_step(tmp_path):
+    items = mutations.frames(FOLDER / "clock_set_in_overload.pcap.zst")
+    (back,) = (item for item in items if item.data[42:44] == b"\x18\x05" and item.data[48] == 12)
+    stepped_ns = back.time_ns + 600_000_000
+    moved = [
+        item._replace(time_ns=item.time_ns + 10 * SECOND * (item.time_ns > stepped_ns)) for item in items
+    ]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", moved))
+    assert found.lost + found.unaccounted <= FLIGHTS["clock_set_in_overload"][0]
+    assert len([item for item in found.verdicts if item.rule == "clock_jump"]) == 2

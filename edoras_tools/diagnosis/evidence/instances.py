@@ -14,7 +14,7 @@ Rules:
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -105,10 +105,7 @@ class Instances:
                     self._add(rows, members, says)
         self.systems = self._find_systems()
         self._owners = self._find_owners(rows)
-        self._first_output: dict[int, int] = {}
-        for source, owners in self._owners.items():
-            if len(mine := {index for _, index in owners}) == 1 and NOBODY not in mine:
-                self._first_output.setdefault(mine.pop(), source)
+        self._first_output = self._find_outputs(rows)
         self.made_ns = self._when_made(rows)
 
     def _waited(self, rows: Rows, members: Places) -> int:
@@ -142,13 +139,11 @@ class Instances:
 
     def _find_systems(self) -> list[int]:
         """Return the number of the cFS of each instance, by address and name (rule 4)."""
-        names: dict[int, set[str]] = {}
+        names: defaultdict[int, set[str]] = defaultdict(set)
         for item in self.items:
-            names.setdefault(item.host, set()).add(item.name)
-        whose = []
-        for item in self.items:
-            others = names[item.host] - {""}
-            whose.append((item.host, item.name or (next(iter(others)) if len(others) == 1 else "")))
+            names[item.host] |= {item.name} - {""}
+        sole = {host: max(own) if len(own) == 1 else "" for host, own in names.items()}
+        whose = [(item.host, item.name or sole[item.host]) for item in self.items]
         followed = _in_turn(whose, [(item.first_ns, item.last_ns) for item in self.items])
         index: dict[tuple[int, str, int], int] = {}
         return [index.setdefault((*who, turn), len(index)) for who, turn in zip(whose, followed, strict=True)]
@@ -234,10 +229,18 @@ class Instances:
                 owners[source] = [(0, int(values[counts.argmax()]))]
         return owners
 
+    def _find_outputs(self, rows: Rows) -> dict[int, int]:
+        """Return endpoint to the first endpoint of its Telemetry Output; two that send at once are two."""
+        alone = {source: own[0][1] for source, own in self._owners.items() if len({at for _, at in own}) == 1}
+        times = [rows.time_ns[rows.source == source] for source in alone]
+        turns = _in_turn([*alone.values()], [(int(own.min()), int(own.max())) for own in times])
+        first: dict[tuple[int, int], int] = {}
+        pairs = zip(alone.items(), turns, strict=True)
+        return {source: first.setdefault((index, turn), source) for (source, index), turn in pairs}
+
     def output(self, source: int) -> int:
         """Return the first endpoint of a Telemetry Output that restarted and changed its port."""
-        mine = {index for _, index in self._owners.get(source, [])}
-        return self._first_output.get(mine.pop(), source) if len(mine) == 1 else source
+        return self._first_output.get(source, source)
 
     def owner(self, source: int, time_ns: int) -> int:
         """Return the instance whose Telemetry Output sends from an endpoint at a time, or ``NOBODY``."""
@@ -304,7 +307,7 @@ def _part_returns(rows: Rows, timed: Places, group: Places, hosts: NDArray[np.in
     for _, own in by_value(hosts[rows.source[timed]] if group.any() else timed[:0]):
         begin, times = np.flatnonzero(np.diff(group[own], prepend=-1)), rows.time_ns[timed[own]]
         end_ns = np.append(times[begin[1:]], times[-1])
-        is_long = end_ns - times[begin] > BOOT_APART_NS
+        is_long = times[np.append(begin[1:], len(own)) - 1] - times[begin] > BOOT_APART_NS
         begin, end_ns = begin[is_long], end_ns[is_long]
         at_once = times[begin[1:]] - end_ns[:-1] < BOOT_APART_NS  # else two cFS sent in turns meanwhile
         past = set[int]()
