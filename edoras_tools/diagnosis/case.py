@@ -388,10 +388,11 @@ class Case:
         """The states of each cFS, application, link, peer and of the capture over time."""
         software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps, self.resets)
         changes = list(software.changes())
-        # Commands and events are better witnesses of a subject than the SBN peers.
+        # Commands and events are better witnesses of a subject than the SBN peers; but who speaks runs.
         subjects = {(item.system, item.subject) for item in changes}
         network = network_changes(self.rows, self.payloads, self.instances, self.network)
-        changes += [item for item in network if (item.system, item.subject) not in subjects]
+        both = ((item, (item.system, item.subject) in subjects) for item in network)
+        changes += [item for item, is_common in both if item.state == "running" or not is_common]
         changes += capture_changes(self.away)
         return Timeline([*changes, *stalls(self.rows, self.streams, self.instances, Timeline(changes))])
 

@@ -56,6 +56,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     Outage,
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, StateSpan, Way, reasons_for
 from edoras_tools.diagnosis.matching.streams import Stream
 from edoras_tools.diagnosis.quality import CONFIDENCE
@@ -222,11 +223,6 @@ def _sent_by(case: Case, sender: int) -> Integers:
     return rows.time_ns[sent & np.isin(rows.source, mine)]
 
 
-def enables_ns(case: Case) -> list[int]:
-    """Return the capture times of the commands that enable Telemetry Output, ns."""
-    return [item.time_ns for item in case.payloads.outputs(telemetry_output.ENABLE)]
-
-
 def silences_of(case: Case, sender: int) -> list[tuple[int, int]]:
     """Return the spans in which the Telemetry Output behind an endpoint sent nothing until it was enabled."""
     sent_ns = _sent_by(case, sender)
@@ -235,7 +231,8 @@ def silences_of(case: Case, sender: int) -> list[tuple[int, int]]:
     if owner != NOBODY:  # from its boot, or from the begin of the capture
         boot_ns = case.instances.items[owner].boot_ns(case.profile)
         sent_ns = np.append(max(boot_ns, int(case.rows.time_ns[0])), sent_ns)
-    spans = silences(sent_ns, enables_ns(case), case.profile.to_wake_ns, boot_ns)
+    enabled_ns = [item.time_ns for item in case.payloads.outputs(telemetry_output.ENABLE)]
+    spans = silences(sent_ns, enabled_ns, case.profile.to_wake_ns, boot_ns)
     # What enabled it again after a diversion may not be here: that it sends shows that as well.
     long = np.flatnonzero(np.diff(sent_ns) > _SILENT_WAKES * case.profile.to_wake_ns)
     every = zip(sent_ns[long].tolist(), sent_ns[long + 1].tolist(), strict=True)
@@ -648,6 +645,7 @@ class Stops:
             for reason in reasons_for(case.timeline, way, 0, NEVER, case.at)
             if (way.to_cfs if reason.span.change.subject.kind == "route" else way.link.peers)
             if reason.span.change.subject.kind in _CLOSED and reason.span.change.state != "silent"
+            if reason.span.change.subject.kind != "app" or self._is_sure(reason.span)
         ]
         for early_ns, until in ((0, "end_lo"), (WAITS_NS, "end_hi")):
             for (_, kind, hop), (span, text), newest in sorted(closed, key=itemgetter(0)):
@@ -661,6 +659,13 @@ class Stops:
                 inside &= newest
                 fate.no_pipe |= inside
                 self.mark(fate, inside, kind, hop, text)
+
+    def _is_sure(self, span: StateSpan) -> bool:
+        """Return whether a stop of SBN is more than a command, which may be lost: it left its peers then."""
+        every = self._case.timeline.every("disconnected")
+        goodbyes_ns = (item.start_lo for item in every if item.change.witness == SAID_GOODBYE)
+        is_certain = span.change.sure or bool(span.end and span.end.sure)
+        return is_certain or any(span.start_lo <= when <= span.start_hi for when in goodbyes_ns)
 
     def _untaken(self, fate: Fate, hop: Hop, newest: Mask) -> Mask:
         """Return which messages an application sends on, corrected by the count of messages nobody received.
@@ -696,7 +701,8 @@ class Stops:
         case, stream = self._case, fate.stream
         spans = case.timeline.spans(StateOwner("app", sbn.NAME), "stopped", case.system(stream))
         times = stream.time_ns
-        for span in spans if stream.link.peers else ():  # its socket is open a moment before it sends
+        for span in filter(self._is_sure, spans) if stream.link.peers else ():
+            # Its socket is open a moment before it sends.
             inside = fate.open & (fate.stop < 0) & (times > span.start_hi)
             inside &= times < span.end_lo - case.profile.sbn_wake_ns
             self.mark(fate, inside, "stopped", sbn.NAME, span.change.witness)

@@ -139,7 +139,10 @@ def _every(case: Case) -> list[Silence]:
 
 def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
     times = stream.time_ns
-    steps = np.diff(np.append(times, _ends(case, stream)))
+    # It could have gone on while the cFS that made it and that sent it ran.
+    ran = {stream.instance, case.owner(stream)} - {NOBODY}
+    ended_ns = min((case.instances.items[index].last_ns for index in ran), default=case.end_ns)
+    steps = np.diff(np.append(times, ended_ns))
     spans = stream.spans
     for at in np.flatnonzero((steps > _WAIT_NS) & (stream.missing == 0)).tolist():
         start_ns = int(times[at])
@@ -248,12 +251,6 @@ def _rate(stream: Stream, times: Integers, before: Sequence[Span], at: int) -> R
         if hz and (span is before[-1] or hz < _ALIKE * now_hz < _ALIKE**2 * hz):
             return Rate(hz, int(times[span.first]), int(times[last]))
     return None
-
-
-def _ends(case: Case, stream: Stream) -> int:
-    """Return until when the stream could have gone on: while the cFS that made it and that sent it ran."""
-    ran = {stream.instance, case.owner(stream)} - {NOBODY}
-    return min((case.instances.items[index].last_ns for index in ran), default=case.end_ns)
 
 
 def _silent_unusually_long(stream: Stream, before: Integers, length: int) -> bool:

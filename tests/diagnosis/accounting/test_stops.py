@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,10 @@ from edoras_tools.addons.lab.emulator.account import LOST, socket
 from edoras_tools.cfs import executive_services as es
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.diagnosis.accounting.closed import Stops
 from edoras_tools.diagnosis.accounting.losses import Outage
+from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE
+from edoras_tools.diagnosis.evidence.timeline.table import Change, StateOwner, Timeline
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import ROBOT_PORT
@@ -171,3 +175,18 @@ def test_an_output_that_was_sent_back_here_before_excuses_no_silence():
         if item.destination != simulation.ground.endpoint or not begin_ns < item.time_ns < end_ns
     ]
     assert examined(kept)["lost"] == len(sent) - len(kept) > 100
+
+
+@pytest.mark.parametrize(("left_s", "is_sure"), [(None, False), (26, True), (31, False)])
+def test_a_command_alone_stops_no_sbn_that_stays_with_its_peers(left_s, is_sure):
+    """CI's full socket may have dropped it; SBN that ends tells its peers so."""
+    command = Change(0, StateOwner("app", "SBN"), "stopped", 25 * SECOND, 30 * SECOND, "STOP_APP", sure=False)
+    changes = [command]
+    if left_s is not None:
+        times = left_s * SECOND, (left_s + 1) * SECOND
+        changes.append(Change(0, StateOwner("peer", "66:3"), "disconnected", *times, SAID_GOODBYE))
+    nobody = SimpleNamespace(items=(), systems=())
+    timeline = Timeline(changes)
+    stops = Stops(SimpleNamespace(timeline=timeline, outages=(), instances=nobody), ())
+    (span,) = timeline.spans(command.subject, "stopped")
+    assert stops._is_sure(span) == is_sure

@@ -18,7 +18,6 @@ Rules:
 from __future__ import annotations
 
 import re
-from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -63,7 +62,7 @@ _APP_STATES: Final = {
 }
 
 
-class SoftwareChanges(msgspec.Struct, dict=True):
+class SoftwareChanges(msgspec.Struct):
     """Derives the changes of each cFS from its commands, events and boots.
 
     Attributes:
@@ -76,12 +75,6 @@ class SoftwareChanges(msgspec.Struct, dict=True):
     _instances: Instances
     jumps: Sequence[Jump]
     resets: Sequence[tuple[int, int, int]]
-
-    @cached_property
-    def _cut(self) -> set[int]:
-        """MsgIds that commands add whose arguments are cut off; for these an event has the limit."""
-        added = self._payloads.outputs(telemetry_output.ADD_PACKET)
-        return {item.entry for item in added if not item.is_whole}
 
     def changes(self) -> Iterator[Change]:
         """Yield all changes: of commands, then of events, then of boots."""
@@ -210,7 +203,9 @@ class SoftwareChanges(msgspec.Struct, dict=True):
         elif enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):
             yield change(_OUTPUT, "enabled", enabled["address"])
         elif added := telemetry_output.ADDED.pattern.fullmatch(event.message):
-            if (msg_id := int(added["msg_id"], 16)) in self._cut:
+            msg_id, orders = int(added["msg_id"], 16), self._payloads.outputs(telemetry_output.ADD_PACKET)
+            # The event has the limit where it is cut off from the command.
+            if any(item.entry == msg_id and not item.is_whole for item in orders):
                 yield change(StateOwner("entry", "", msg_id), "subscribed", int(added["limit"]))
         elif telemetry_output.SUPPRESSED.phrase in event.message:
             yield change(_OUTPUT, "suppressed")
@@ -245,8 +240,10 @@ def network_changes(
     rows: Rows, payloads: Payloads, instances: Instances, network: Network
 ) -> Iterator[Change]:
     """Yield the changes of every SBN peer and its subscriptions, as each cFS sees them."""
+    pairs = [*zip(instances.items, instances.systems, strict=True)][::-1]
+    systems = {(item.name, item.host): system for item, system in pairs}
     for (peer, observer), connection in network.connections.items():
-        system = _system(instances, observer)
+        system = systems.get(observer, 0)
         yield from _peer(connection, system, int(rows.time_ns[0]))
         yield from _goodbyes(rows, network, connection, observer, system)
         yield from _subscriptions(rows, payloads, network, (peer, observer), system)
@@ -261,11 +258,6 @@ def capture_changes(away: Sequence[tuple[int, int]]) -> Iterator[Change]:
     for start_ns, end_ns in away:
         for state, when in (("away", start_ns), ("back", end_ns)):
             yield Change(EVERY, StateOwner("capture"), state, when, when, "nothing was captured meanwhile")
-
-
-def _system(instances: Instances, observer: SbnParty) -> int:
-    pairs = zip(instances.items, instances.systems, strict=True)
-    return next((system for item, system in pairs if (item.name, item.host) == observer), 0)
 
 
 def _between(rows: Rows, network: Network, at: Integers, peer: SbnParty, observer: SbnParty) -> Mask:
@@ -295,18 +287,19 @@ def _goodbyes(
 ) -> Iterator[Change]:
     """Yield the changes of a cFS's SBN application that ended after a DISCONNECT to its peer."""
     places = [place for place in distinct(rows.source).tolist() if network.party(place) == observer]
-    said_ns = rows.time_ns[np.isin(rows.source, places) & rows.on(lambda link: link.peers)]
-    for item in connection.changes:
-        if item.why != SAID_GOODBYE:
-            continue
+    speaks = np.isin(rows.source, places) & (rows.sbn_msg_type >= 0)
+    said_ns = rows.time_ns[
+        speaks & (rows.sbn_msg_type != MsgType.DISCONNECT)
+    ]  # it leaves one after the other
+    subject = StateOwner("app", sbn.NAME)
+    for item in (item for item in connection.changes if item.why == SAID_GOODBYE):
         later = said_ns[said_ns > item.time_ns][:1].tolist()
         if not later or later[0] - item.time_ns > _SLACK_NS:
-            subject = StateOwner("app", sbn.NAME)
             text = "it sent its peer DISCONNECT, and then nothing"
             state = "stopped" if later else "failed"
             yield Change(system, subject, state, item.time_ns, item.time_ns, text)
-            for when in later:
-                yield Change(system, subject, "running", when, when, "it speaks to its peers again")
+        for when in later:
+            yield Change(system, subject, "running", when, when, "it speaks to its peers again")
 
 
 def _subscriptions(

@@ -160,18 +160,19 @@ def _follow(before: list[Change], change: Change) -> None:
         before.append(change)
         return
     if last.same != change.same:
-        before.append(_behind(last, change))
+        before.append(change)
     elif change.sure and not last.sure:
         # An answer to the command: the state had begun by then.
         before[-1] = _joined(last, change)
     elif last.sure and not change.sure and len(last.rows) == 1 and change.not_before_ns <= last.not_after_ns:
         # The command that an event answers: the event's time is known only to one round.
         before[-1] = _joined(change, last)
-    if len(before) > 1 and before[-1].sure:
-        # The state before this one cannot begin later than this one certainly has.
+    if len(before) > 1:
         last, change = before[-2:]
-        high = max(last.not_before_ns, min(last.not_after_ns, change.not_after_ns))
-        before[-2:] = replace(last, not_after_ns=high), _behind(replace(last, not_after_ns=high), change)
+        # The state before this one cannot begin later than this one certainly has.
+        high = min(last.not_after_ns, change.not_after_ns) if change.sure else last.not_after_ns
+        last = replace(last, not_after_ns=max(last.not_before_ns, high))
+        before[-2:] = last, _behind(last, change)
 
 
 def _joined(command: Change, answer: Change) -> Change:
