@@ -567,7 +567,9 @@ def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
     joined, last = _together(parts), parts[-1]
     joined["verdicts"] = _sorted(_verdicts(parts))
     joined["habits"] = (*{(item.rule, item.msg_id, item.hop): item for item in joined["habits"]}.values(),)
-    joined |= {"routes": _routes(joined["routes"]), "balance": summed(joined["balance"])}
+    # The accounts of one stream in several chapters are added up.
+    joined["routes"] = _added(joined["routes"], ("link", "msg_id", "sender", "receiver", "instance"), _ROUTE)
+    joined["balance"] = summed(joined["balance"])
     return replace(last, **joined | {"unnamed": last.unnamed}, capture=capture)
 
 
@@ -613,15 +615,6 @@ def _of_one(number: int, part: Diagnosis, mission: Mission) -> Diagnosis:
     )
 
 
-def _routes(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the accounts with those of one stream in several chapters added up."""
-    return _added(rows, ("link", "msg_id", "sender", "receiver", "instance"), _ROUTE)
-
-
-def _crossings(items: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    return _added(items, ("from", "from_link"), _CROSSING)
-
-
 def _added(items: Iterable[dict[str, Any]], keys: Sequence[str], figures: _Figures) -> list[dict[str, Any]]:
     """Return items with those of equal keys joined to one, each figure by its function."""
     totals: dict[tuple[Any, ...], dict[str, Any]] = {}
@@ -646,5 +639,5 @@ _ROUTE: Final[_Figures] = {
     "delay": _slower,
     "to_robot": _slower,
     "bytes_max": max,
-    "crossings": lambda one, other: _crossings([*one, *other]),
+    "crossings": lambda one, other: _added([*one, *other], ("from", "from_link"), _CROSSING),
 }

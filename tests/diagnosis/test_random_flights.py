@@ -5,20 +5,26 @@ from __future__ import annotations
 import random
 from collections import Counter
 
+import mutations
 import pytest
 from effort import examples
 from hypothesis import given, settings
-from scenarios import START_NS, Flight, examined, flights, fly, replayed, truth
+from scenarios import START_NS, Flight, application, examined, flights, fly, replayed, truth
 from truth import bounds, sums
 
 from edoras_tools.addons.lab.emulator import Simulation, messages
 from edoras_tools.addons.lab.emulator.account import LOST, socket
 from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.addons.lab.emulator.simulation import WireDatagram
-from edoras_tools.cfs import edoras_app
+from edoras_tools.addons.lab.emulator.source import frames_of
+from edoras_tools.cfs import command_ingest, edoras_app, telemetry_output
+from edoras_tools.cfs import executive_services as es
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.cfs.queues import QueueEnd
 from edoras_tools.model import Endpoint, Peer
+from edoras_tools.pipelines.clocks import open_aligned
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.sessions.sbn import SbnConnection
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe, envelope, sbn
@@ -295,3 +301,64 @@ def test_a_count_that_comes_late_is_of_no_idle_ci(every):
     assert 0.9 * lost_by(examined(sent))["socket"] < proven
     assert proven <= simulation.cfs.account.losses()[socket(1234), 0, QueueEnd.PIPE_OVERFLOW]
     assert bounds(result)[0] <= most
+
+
+@pytest.mark.parametrize("times", [(5.6, 5.9, 6.3, 6.7, 7.2), (9.9, 10.4, 10.9, 11.4)])
+def test_a_count_that_was_reset_twice_need_not_fall_each_time(times):
+    reset = command_ingest.COMMAND_MSG_ID, command_ingest.RESET_COUNTERS, b""
+    commands = tuple((at, *reset) for at in times)
+    _, sent = fly(Flight("rover", SimProfile(app_msg_limit=20), 8.0, 4.0, 24, 4, commands))
+    assert bounds(examined(sent))[0] == 0
+
+
+def test_sbn_that_speaks_again_runs():
+    """Telemetry Output is off meanwhile, so that no event tells it, and nothing comes out."""
+    commands = (
+        application(9.65, es.RESTART_APP, "SBN"),
+        application(12.26, es.RESTART_APP, "TO_LAB_APP"),
+        application(19.6, es.STOP_APP, "SBN"),
+        (20.94, telemetry_output.COMMAND_MSG_ID, telemetry_output.ENABLE, b"127.0.0.1".ljust(16, b"\0")),
+        application(22.0, es.START_APP, "SBN"),
+    )
+    simulation, sent = fly(Flight("two-rovers", SimProfile(app_msg_limit=8), 12.0, 12.0, 44, 16, commands))
+    found, ends = lost_by(examined(sent)), simulation.cfs.account.losses()
+    assert 0.9 * ends[socket(2234), 0, QueueEnd.CLOSED] < found["stopped"]
+    assert found["stopped"] <= ends[socket(2234), 0, QueueEnd.CLOSED]
+
+
+def test_counts_that_commands_may_have_caused_place_no_gap_behind_cfs():
+    """Telemetry Output's pipe of twelve overflows; nothing names it, and CI was restarted."""
+    profile = SimProfile(app_msg_limit=4, to_pipe_depth=12, socket_queue=10, seed=633)
+    restart = application(6.395409461764308, es.RESTART_APP, "CI_LAB_APP")
+    simulation, sent = fly(Flight("two-rovers", profile, 9.0, 4.0, 16, 16, (restart,)))
+    result = examined(sent)
+    assert lost_by(result)["after"] == 0
+    assert lost_by(result)["unknown"] > 10
+    assert bounds(result)[0] <= truth(simulation, sent).most
+
+
+def test_what_a_network_reordered_behind_cfs_is_no_loss_in_it(tmp_path):
+    """Captured on both sides of a link that loses a tenth of the telemetry and holds some of it back."""
+    simulation, sent = fly(Flight("two-rovers", SimProfile(app_msg_limit=4), 4.0, 30.0, 28, 6, ()))
+    data, chance = frames_of(sent, 1), random.Random(0)
+    near = []
+    for item, at, length in zip(sent, data.offset.tolist(), data.length.tolist(), strict=True):
+        frame = bytearray(bytes(12) + b"\x08\0" + bytes(data.data[at : at + length]))
+        frame[18:20] = (len(near) + 1).to_bytes(2, "big")
+        frame[24:26] = bytes(2)
+        frame[24:26] = mutations.internet_checksum(frame[14:34]).to_bytes(2, "big")
+        near.append(mutations.Frame(item.time_ns, bytes(frame), len(frame)))
+    far = []
+    for item in near:
+        if mutations.is_to(item.data, 1235):
+            held_ns = chance.randrange(400) * MILLISECOND * (chance.random() < 0.3)
+            far += [item._replace(time_ns=item.time_ns + 5 * MILLISECOND + held_ns)] * (chance.random() > 0.1)
+        else:
+            early_ns = 5 * MILLISECOND * mutations.is_to(item.data, 1234)
+            far.append(item._replace(time_ns=item.time_ns - early_ns))
+    far.sort(key=lambda item: item.time_ns)
+    files = [mutations.write(tmp_path / "far.pcap", far), mutations.write(tmp_path / "near.pcap", near)]
+    source, _ = open_aligned(files, Settings(configs=[]))
+    found = examine(source, Settings(configs=[]).workbench(source.info)).diagnosis
+    lost = found.lost + found.unaccounted
+    assert lost <= truth(simulation, sent).most + len(near) - len(far)

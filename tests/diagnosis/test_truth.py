@@ -250,13 +250,14 @@ def test_chapters_add_up(lab, monkeypatch):
 
 
 def test_crossings_of_chapters_add_up():
-    from edoras_tools.diagnosis.examination import _crossings
+    from edoras_tools.diagnosis.examination import _ROUTE
 
     counts = {"of": 5, "matched": 4, "superseded": 1, "missing": 0}
     slow, fast = {"count": 4, "p99_ms": 9.0}, {"count": 4, "p99_ms": 2.0}
     one = {"from": "0x1827", "from_link": "ci", **counts, "latency": slow}
     other = {**one, "from": "0x1828", "latency": None}
-    (first, second) = _crossings([one, other, {**one, "latency": fast}, {**other, "latency": fast}])
+    later = [{**one, "latency": fast}, {**other, "latency": fast}]
+    (first, second) = _ROUTE["crossings"]([one, other], later)
     assert first == {**one, **{name: 2 * value for name, value in counts.items()}}
     assert (second["latency"], second["of"]) == (fast, 10)
 

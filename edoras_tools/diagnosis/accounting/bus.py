@@ -87,7 +87,7 @@ class Part(msgspec.Struct):
         kinds: counters that surely compete for them (rule 2), the likelier first.
         assigned: counts that were assigned to them, by counter.
         shared: messages of them that may be among counts of several kinds of traffic.
-        watched: whether the counters were captured most of the time.
+        watched: whether the counters were captured most of the time, and show whose losses they counted.
         outside: messages missing before the first sample of the counters or after the last.
         closed: whether the way out was closed, so that they would not have been sent.
         silenced: whether Telemetry Output sent nothing at all until it was enabled.
@@ -215,6 +215,7 @@ class Telemetry:
                 part.missing += sum(claim.assigned.values())
             else:
                 part.shared += claim.reserved
+                part.watched &= not claim.doubtful
         for part in self.parts:
             if part.closed:
                 self._make_closed_losses(part)

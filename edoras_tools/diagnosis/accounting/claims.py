@@ -140,6 +140,7 @@ class Claim(msgspec.Struct):
         flow: their stream, or whatever else identifies their traffic.
         assigned: counts that were assigned to them, by place.
         reserved: counts that they share with claims of other traffic.
+        doubtful: whether it lost counts that other messages may have caused: nothing shows whose they are.
         perhaps_missed: messages that are not in ``number``, because the capture may have missed them.
     """
 
@@ -153,6 +154,7 @@ class Claim(msgspec.Struct):
     flow: Hashable = None
     assigned: dict[Place, int] = msgspec.field(default_factory=dict)
     reserved: int = 0
+    doubtful: bool = False
     perhaps_missed: int = 0
 
     @property
@@ -395,6 +397,7 @@ def take_back(counts: Mapping[int, Counts], claims: Sequence[Claim], others: Seq
                 if part := min(claim.assigned.get(place, 0), others[other].open - numbers[other]):
                     numbers[other] += part
                     claim.give(place, -part)
+                    claim.doubtful = True
     return numbers
 
 

@@ -526,7 +526,8 @@ class Commands:
             gone = fate.passed & (fate.stop < 0) & (not hop.out.link.peers)
             fate.no_pipe |= gone & (hop.origin[hop.out_rows[0] :] >= 0).all()
             # Out of order, or with wrong times, it may be another one, sent a little sooner or later.
-            if self._case.unsteady_ns or self._case.is_far(fate.stream.receiver):
+            loose = self._case.unsteady_ns or self._case.is_far(fate.stream.receiver)
+            if loose or (np.diff(hop.in_rows) < 0).any():
                 others = open_[~(fate.passed | fate.newer)[open_]]
                 fate.passed[others[: int(room.sum()) - len(first)]] = True
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True

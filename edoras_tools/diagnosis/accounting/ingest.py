@@ -35,7 +35,7 @@ from msgspec.structs import replace
 from edoras_tools.cfs import command_ingest, executive_services
 from edoras_tools.decode.conversations import ConversationKind
 from edoras_tools.diagnosis.accounting.claims import shares
-from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, Fate, Loss, Outage
+from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, WAITS_NS, Fate, Loss, Outage
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.units import MILLISECOND, SECOND
@@ -326,7 +326,15 @@ class _Counted:
             begins |= within & (instance[1:] == item.instance)
         self._restarts = np.append(False, begins)
         """Mask (samples,): cFS was started again since the sample before."""
-        self._starts = (np.flatnonzero(begins | (np.diff(self._count) < 0)) + 1).tolist()  # or CI alone was
+        table, code = case.rows, command_ingest.RESET_COUNTERS
+        resets = (table.known_id == command_ingest.COMMAND_MSG_ID) & (table.function_code == code)
+        before_ns, resets_ns = self._seen[:-1], table.time_ns[resets & (table.destination == endpoint)]
+        sent = np.searchsorted(resets_ns, [before_ns - DRAINS_NS, before_ns - WAITS_NS, self._seen[1:]])
+        self._resets = np.append(False, (sent[2] > sent[0]) & (np.diff(instance) == 0))
+        """Mask (samples,): a command may have reset its counters since the sample before."""
+        # Or CI alone was, or its count was reset, which need not show if it had been reset just before.
+        begins |= (np.diff(self._count) < 0) | (sent[2] > sent[1])
+        self._starts = (np.flatnonzero(begins) + 1).tolist()
         hops = [hop for hop in case.hops if hop.into.link.only_to_cfs and hop.into.receiver == endpoint]
         self._read = []
         for hop in hops:
@@ -380,7 +388,7 @@ class _Counted:
             emptied_ns, busy = self._emptied(part)
             emptied_ns -= under_way_ns + unsteady_ns
             low = np.where(emptied_ns <= 0, -_MODULUS, self._sent_until(emptied_ns) - count[part])
-            if first and self._reset(own[first - 1], own[first]):
+            if self._resets[first]:
                 # It ran on and reset its count: until then it read at most what it can.
                 begin: tuple[Cause, int] = ("socket" if crowded else "network", idle_ns)
                 most_read = before + self._most_read(own[last:first], own[first].made_ns) - own[first].count
@@ -400,7 +408,9 @@ class _Counted:
                     if count[end - 1] != sent[end - 1] and count[0] >= most * (wakes - 1):
                         account.older_until_ns = min(behind, self._first_out[0] or own[0].seen_ns + DRAINS_NS)
                 exact = low[0] <= 0 == high.min() == high[-1]  # in all it read just what the capture shows
-                before = min(_older(low, high), self._most_older(end)) * (begin[0] != "down" and not exact)
+                # It is 0 if all that the first count has can be in the capture.
+                older = 0 if low[0] <= 0 <= high.min() else _fewer(low, high)
+                before = min(older, self._most_older(end)) * (begin[0] != "down" and not exact)
                 account.before = before
                 low[0] = min(low[0], max(before, high.min()))  # a datagram counted later was not lost
             drained = np.diff(count[part], prepend=count[first]) < most
@@ -548,14 +558,6 @@ class _Counted:
         last = np.searchsorted(out_ns, self._made[part] - late_ns) - 1
         return np.maximum(np.where(busy, 0, oldest), sent_ns[np.maximum(last, 0)]), busy
 
-    def _reset(self, before: _Sample, after: _Sample) -> bool:
-        """Return whether a command reset its counters between two samples of one boot."""
-        rows = self._case.rows
-        resets = (rows.destination == self._endpoint) & (rows.known_id == command_ingest.COMMAND_MSG_ID)
-        resets &= rows.function_code == command_ingest.RESET_COUNTERS
-        resets &= (rows.time_ns > before.seen_ns - DRAINS_NS) & (rows.time_ns < after.seen_ns)
-        return before.instance == after.instance and bool(resets.any())
-
     def _most_older(self, end: int) -> int:
         """Return the most datagrams sent before the first count that can be missing in it.
 
@@ -627,11 +629,6 @@ def _read_by(hops: Sequence[Hop]) -> tuple[Integers, Integers]:
     every, until = np.concatenate(out), np.concatenate(sent)
     order = np.argsort(every, kind="stable")
     return every[order], np.maximum.accumulate(until[order])
-
-
-def _older(low: Integers, high: Integers) -> int:
-    """Return by how much a first count is below the number sent: 0 if all it counts can be in the capture."""
-    return 0 if low[0] <= 0 <= high.min() else _fewer(low, high)
 
 
 def _fewer(low: Integers, high: Integers) -> int:

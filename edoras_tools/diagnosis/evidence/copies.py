@@ -280,14 +280,11 @@ class Repeats:
     def add(self, batch: PacketBatch, some: Places) -> None:
         """Compare some datagrams of a batch with each other and with the end of the batch before."""
         late = np.flatnonzero(batch.time_ns > batch.time_ns.max(initial=0) - _LATER_NS)
-        own, newest = ((rows, _alone(rows)) for rows in (batch.take(some), batch.take(late)))
-        glances = np.append(self._last[0], own[1])
-        self.possible |= _perhaps_again(glances, np.append(self._last[1], own[0].time_ns))
-        self._last = newest[1], newest[0].time_ns
-
-
-def _alone(batch: PacketBatch) -> Prints:
-    return _quick_key(batch, conversation_of(batch), network_headers(batch)[1])
+        both = batch.take(some), batch.take(late)
+        own, newest = (_quick_key(rows, conversation_of(rows), network_headers(rows)[1]) for rows in both)
+        glances = np.append(self._last[0], own)
+        self.possible |= _perhaps_again(glances, np.append(self._last[1], both[0].time_ns))
+        self._last = newest, both[1].time_ns
 
 
 def _quick_key(batch: PacketBatch, conversation: Integers, identification: NDArray[np.uint16]) -> Prints:

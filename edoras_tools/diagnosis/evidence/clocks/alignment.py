@@ -587,7 +587,8 @@ def _mission_times(first: Side, second: Side) -> _Estimate | None:
         return None
     steps = np.array([theirs.items[j].offset_ns - ours.items[i].offset_ns for i, j in pairs])
     # Common packets prove a common boot; the number of its packets does not.
-    same_packets = [_same_packets(first, second, pair) for pair in pairs]
+    both = ([side.rows.bytes_print[own] for side, own in _both_of(first, second, pair)] for pair in pairs)
+    same_packets = [len(matches(ours, theirs)[0]) for ours, theirs in both]
     if not any(same_packets) and not all(_one_boot(first, second, pair) for pair in pairs):
         return None
     weights = same_packets if any(same_packets) else [1] * len(pairs)
@@ -618,12 +619,6 @@ def _one_boot(first: Side, second: Side, pair: tuple[int, int]) -> bool:
         if min(((item >= begin) & (item <= end)).sum() for item in times) >= _LEAST:
             return False
     return True
-
-
-def _same_packets(first: Side, second: Side, pair: tuple[int, int]) -> int:
-    """Return the number of datagrams of a boot that both captured, on any path."""
-    ours, theirs = (side.rows.bytes_print[own] for side, own in _both_of(first, second, pair))
-    return len(matches(ours, theirs)[0])
 
 
 def _both_of(first: Side, second: Side, pair: tuple[int, int]) -> Iterator[tuple[Side, Places]]:
