@@ -362,3 +362,23 @@ def test_what_a_network_reordered_behind_cfs_is_no_loss_in_it(tmp_path):
     found = examine(source, Settings(configs=[]).workbench(source.info)).diagnosis
     lost = found.lost + found.unaccounted
     assert lost <= truth(simulation, sent).most + len(near) - len(far)
+
+
+@pytest.mark.parametrize("text", [b"Stop Application SBN", b"no event is missing"])
+def test_an_application_whose_way_out_is_closed_was_started_all_the_same(text):
+    """SBN is commanded to start before it has ended, and stays away: what is sent on reaches nobody."""
+    commands = (
+        application(13.35, es.STOP_APP, "SBN"),
+        application(16.35, es.START_APP, "SBN"),
+        application(17.2, es.STOP_APP, "EDORAS_APP"),
+        application(25.2, es.START_APP, "EDORAS_APP"),
+    )
+    simulation, sent = fly(
+        Flight("two-arms", SimProfile(ci_wake_ns=250 * MILLISECOND), 12.0, 10.0, 44, 16, commands)
+    )
+    result = examined([item for item in sent if text not in item.payload])
+    found = lost_by(result)
+    assert found["restart_failed"] == 0
+    closed = simulation.cfs.account.losses()[socket(2234), 0, QueueEnd.CLOSED]
+    assert 0.9 * closed < found["stopped"]
+    assert bounds(result)[0] <= truth(simulation, sent).most

@@ -539,11 +539,13 @@ class Stops:
         for fate in sorted(self._fates, key=lambda item: not item.seen):
             own = [item for item in stopped if case.into_system(fate.stream, item.system)]
             if fate.seen:
-                for item in own:
-                    # Without a scheduler an application is not woken: its pipe fills, or it keeps the newest.
-                    if fate.keeps_newest or item.app not in executive_services.SCHEDULERS:
-                        self._mark(fate, item)
+                # Without a scheduler an application is not woken: its pipe fills, or it keeps the newest.
+                apart = () if fate.keeps_newest else executive_services.SCHEDULERS
+                silent = [(item, self._mark(fate, item)) for item in own if item.app not in apart]
                 self._mark_closed(fate)
+                for item, rows in silent:  # it runs again, and sends nothing on though it could
+                    own_rows = rows & fate.open & ~fate.newer & (fate.stop < 0)
+                    self.mark(fate, own_rows, "restart_failed", item.app, item.witness)
                 self._mark_unsent(fate)
                 self._mark_beside(fate)
                 continue
@@ -556,8 +558,12 @@ class Stops:
         if rows.any():
             fate.stop[rows] = self._causes.setdefault((kind, hop, text), len(self._causes))
 
-    def _mark(self, fate: Fate, item: Outage) -> None:
-        """Mark the messages that a stopped application did not receive (rule 8)."""
+    def _mark(self, fate: Fate, item: Outage) -> Mask:
+        """Mark the messages that a stopped application did not receive (rule 8).
+
+        Returns:
+            The messages that it did not send on since it was started again, bool (rows,).
+        """
         times = fate.stream.time_ns
         # A message that came out shows that it runs, also one whose origin is not known or was sent before.
         out_ns = (np.maximum(hop.out.time_ns, (hop.origin >= 0) * times[hop.origin]) for hop in fate.hops)
@@ -582,9 +588,8 @@ class Stops:
                 self._hold(fate, inside)
                 inside = np.zeros(len(times), bool)
         back_ns = NEVER if item.end_ns is None or until_ns <= item.end_ns + TAIL_NS else item.end_ns
-        again = times > back_ns  # it runs again, and sends nothing on
-        self.mark(fate, inside & ~again, "stopped", item.app, item.witness)
-        self.mark(fate, inside & again, "restart_failed", item.app, item.witness)
+        self.mark(fate, inside & (times <= back_ns), "stopped", item.app, item.witness)
+        return np.asarray(inside & (times > back_ns))
 
     def _await_no_more(self, fate: Fate, item: Outage) -> None:
         """Remove the fate "waiting" from messages that a stopped application will never send on."""

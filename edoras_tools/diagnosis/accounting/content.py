@@ -114,7 +114,10 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
         late[:] = False  # other messages had the same values, or the queue before them was not captured
     odd = (sent_ns < 0) & (when > case.start_ns + _rounds(case, hops[0])) & ~_older(sent_ns, when)
     last_ns = _sent_before(rows, [hop.into for hop in hops], out, robot=robot)
-    copy = odd & _once_more(rows, out)
+    # A datagram that came out before:
+    number, at_ns = rows.identification[out].astype(np.uint64), rows.time_ns[out]
+    prints = np.where(number != 0, rows.bytes_print[out] ^ number * MIX, np.uint64(0))
+    copy = odd & (latest_equal(prints, at_ns + 1, prints, at_ns) >= 0)
     old = odd & (last_ns >= 0) & (copy | _old(case, hops, out, sent_ns, last_ns))
     replaced, changed = _replaced(case, hops, out, odd & (last_ns < 0), odd & old & ~copy)
     again = out[old | inverted]
@@ -199,13 +202,6 @@ def _old(case: Case, hops: Sequence[Hop], out: Places, sent_ns: Integers, last_n
     body = case.rows.body_print[out]
     values, number = np.unique(body[old & (sent_ns < 0)], return_counts=True)
     return np.asarray(old | np.isin(body, values[number >= _LEAST]))
-
-
-def _once_more(rows: Rows, out: Places) -> Mask:
-    """Return which rows are a datagram that came out before: a mask (n,)."""
-    numbered, when = rows.identification[out] != 0, rows.time_ns[out]
-    whole = np.where(numbered, rows.bytes_print[out] ^ rows.identification[out].astype(np.uint64) * MIX, 0)
-    return np.asarray(latest_equal(whole, when + 1, whole, when) >= 0)
 
 
 def _replaced(

@@ -333,7 +333,8 @@ class _Counted:
         self._resets = np.append(False, (sent[2] > sent[0]) & (np.diff(instance) == 0))
         """Mask (samples,): a command may have reset its counters since the sample before."""
         # Or CI alone was, or its count was reset, which need not show if it had been reset just before.
-        begins |= (np.diff(self._count) < 0) | (sent[2] > sent[1])
+        most = self._most * (2 + np.diff(self._made) // self._profile.ci_wake_ns)
+        begins |= (np.diff(self._count) < 0) | ((sent[2] > sent[1]) & (self._count[1:] <= most))
         self._starts = (np.flatnonzero(begins) + 1).tolist()
         hops = [hop for hop in case.hops if hop.into.link.only_to_cfs and hop.into.receiver == endpoint]
         self._read = []

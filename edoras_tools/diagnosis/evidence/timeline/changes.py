@@ -103,7 +103,9 @@ class SoftwareChanges(msgspec.Struct):
             elif code == telemetry_output.ADD_PACKET:
                 # What is subscribed already keeps its limit.
                 text = f"Duplicate Subscription,MsgId 0x{command.entry:x} on {telemetry_output.PIPE} "
-                if self._removed(command) or not self._answered(command, text):
+                removals = self._payloads.outputs(telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL)
+                before = {item.entry for item in removals if item.time_ns < command.time_ns}
+                if before & {-1, command.entry} or not self._answered(command, text):
                     yield change(entry, "subscribed", values["limit"])
             elif code == telemetry_output.REMOVE_PACKET:
                 yield change(entry, "unsubscribed")
@@ -114,11 +116,6 @@ class SoftwareChanges(msgspec.Struct):
             yield change(route, "cut" if code == software_bus.DISABLE_ROUTE else "subscribed")
         elif command.msg_id == TIME_MSG_ID and code in time_services.SETS:
             yield self._clock(command, change(_CLOCK, "set"))
-
-    def _removed(self, command: CommandRecord) -> bool:
-        """Return whether a command to remove the entry of another command went before it."""
-        removals = self._payloads.outputs(telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL)
-        return any(item.entry in {-1, command.entry} for item in removals if item.time_ns < command.time_ns)
 
     def _answered(self, command: CommandRecord, words: str) -> bool:
         """Return whether an event soon after a command contains some words."""
@@ -131,6 +128,10 @@ class SoftwareChanges(msgspec.Struct):
         words = f"0x{command.msg_id:04X},  CC = {command.function_code}, Len"
         if state is None or not app or self._answered(command, words):  # wrong length
             return
+        later_ns = [item.time_ns - command.time_ns for item in self._payloads.about_apps() if item.app == app]
+        is_last = not any(0 < after_ns < _SLACK_NS for after_ns in later_ns)
+        if state == "running" and is_last and self._answered(command, f"Failed to start {app} from"):
+            return  # it had not ended yet
         change = replace(pattern, subject=StateOwner("app", app), state=state)
         is_output = app in telemetry_output.NAMES
         if state != "running":

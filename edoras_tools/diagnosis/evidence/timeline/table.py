@@ -156,10 +156,7 @@ class Timeline:
 def _follow(before: list[Change], change: Change) -> None:
     """Append a change to the earlier ones of its subject, or merge it with the last one."""
     last = before[-1] if before else None
-    if last is None:
-        before.append(change)
-        return
-    if last.same != change.same:
+    if last is None or last.same != change.same:
         before.append(change)
     elif change.sure and not last.sure:
         # An answer to the command: the state had begun by then.
