@@ -332,8 +332,9 @@ class _Counted:
         sent = np.searchsorted(resets_ns, [before_ns - DRAINS_NS, before_ns - WAITS_NS, self._seen[1:]])
         self._resets = np.append(False, (sent[2] > sent[0]) & (np.diff(instance) == 0))
         """Mask (samples,): a command may have reset its counters since the sample before."""
-        # Or CI alone was, or its count was reset, which need not show if it had been reset just before.
-        most = self._most * (2 + np.diff(self._made) // self._profile.ci_wake_ns)
+        # Or CI alone was, or its count was reset, which need not show if it had been reset just before: if it
+        # has no more than CI reads between two samples.
+        most = self._most * np.rint(np.diff(self._made) / self._profile.ci_wake_ns)
         begins |= (np.diff(self._count) < 0) | ((sent[2] > sent[1]) & (self._count[1:] <= most))
         self._starts = (np.flatnonzero(begins) + 1).tolist()
         hops = [hop for hop in case.hops if hop.into.link.only_to_cfs and hop.into.receiver == endpoint]
