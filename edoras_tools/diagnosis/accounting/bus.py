@@ -180,7 +180,11 @@ class Telemetry:
                 times, when = stream.time_ns, case.damaged_of(stream).time_ns
                 outside = (when < times[0]) | (when > times[-1]) | (not stream.counted)
                 self.ends[stream]["damaged"] += int(outside.sum())
-        self._dropped_unseen()
+        # A proxy may have dropped some before a stream's first message or after its last.
+        for faults in self._case.proxied.values():
+            if streams := [stream for stream in self._case.streams if self._case.faults_on(stream) is faults]:
+                in_gaps = sum(self.ends[stream]["proxied"] for stream in streams)
+                self.ends[streams[0]]["proxied"] += len(faults.dropped) - in_gaps
 
     def passed(self, stream: Stream) -> Integers:
         """Return how many messages were sent to the receiver between each row and the next, i64 (rows,).
@@ -318,13 +322,6 @@ class Telemetry:
             span, number = (int(low[members[0]]), int(high[members[0]])), int(gaps.number[members].sum())
             self.claims.append(Claim(key, *span, number, kinds, (part.owner,), rank, flow))
         self.parts.append(part)
-
-    def _dropped_unseen(self) -> None:
-        """Count messages that a proxy dropped before a stream's first message or after its last."""
-        for faults in self._case.proxied.values():
-            if own := [stream for stream in self._case.streams if self._case.faults_on(stream) is faults]:
-                in_gaps = sum(self.ends[stream]["proxied"] for stream in own)
-                self.ends[own[0]]["proxied"] += len(faults.dropped) - in_gaps
 
     def _dropped(self, stream: Stream) -> Integers:
         """Return how many missing messages after each row a proxy or damage explains, i64 (rows,)."""

@@ -85,7 +85,7 @@ class Hop(NamedTuple):
         single: bool (rows of ``into`` with a fingerprint,), no other row of ``into`` has this fingerprint.
         origin: i64 (rows of ``out``,), index of the matched row of ``into``; -1 without one.
         sole: bool (rows of ``out``,), the fingerprint comes out once, and goes in at most once.
-        doubled: number of messages that came out again after an equal one that was matched.
+        again: bool (rows of ``out``,), without a match, though an equal one that was matched came out.
         latency: delays of messages whose fingerprint goes in once; None without any.
         delays_ns: i64, the delay of each of these.
         out_ns: i64, the time at which each of these came out.
@@ -103,7 +103,7 @@ class Hop(NamedTuple):
     single: Mask
     origin: Places
     sole: Mask
-    doubled: int
+    again: Mask
     latency: Latency | None
     delays_ns: Integers
     out_ns: Integers
@@ -500,7 +500,7 @@ def _match(into: Stream, out: Stream, came: Prints, went: Prints, early_ns: int)
         single=often[came != 0] == 1,
         origin=from_,
         sole=(went != 0) & (out_often == 1) & (number[went_as] <= 1),
-        doubled=int((np.bincount(came_as[arrived], minlength=len(which))[went_as] > 0).sum()) - len(goes_row),
+        again=(from_ < 0) & np.isin(went_as, came_as[arrived]),
         latency=latency_of(delay[single]),
         delays_ns=delay[single],
         out_ns=out_ns[goes_row][single],
