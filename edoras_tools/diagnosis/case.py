@@ -389,8 +389,8 @@ class Case:
         software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps, self.resets)
         changes = list(software.changes())
         # Commands and events are better witnesses of a subject than the SBN peers; but who speaks runs.
-        subjects = {(item.system, item.subject) for item in changes}
-        network = network_changes(self.rows, self.payloads, self.instances, self.network)
+        subjects = {(item.system, item.subject) for item in changes if item.sure}
+        network = network_changes(self.rows, self.payloads, self.instances, self.network, changes)
         both = ((item, (item.system, item.subject) in subjects) for item in network)
         changes += [item for item, is_common in both if item.state == "running" or not is_common]
         changes += capture_changes(self.away)

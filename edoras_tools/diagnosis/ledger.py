@@ -682,14 +682,15 @@ def _lost_upstream(case: Case, stream: Stream) -> int:
 
 def _to_peer(case: Case, way: LedgerWay, stream: Stream, silent: Unheard) -> None:
     """Add the hop of an SBN peer that was silent or down while messages were sent to it."""
-    way.hop(f"{PEER} {silent.peer}", {"in": SEEN, "out": "what it was sent while it was not silent"})
+    peer = silent.connection.peer
+    way.hop(f"{PEER} {peer}", {"in": SEEN, "out": "what it was sent while it was not silent"})
     for cause, rows, when in (
         (UNHEARD, silent.lost, "while it was silent"),
         (PEER_RESTARTED, silent.restarted, "before it was started again"),
     ):
         if rows:
             about = _span_of(case, Among(stream, np.array(rows, np.intp)))
-            way.end("lost", len(rows), cause, text=f"sent to the SBN peer {silent.peer} {when}", **about)
+            way.end("lost", len(rows), cause, text=f"sent to the SBN peer {peer} {when}", **about)
     way.end("unaccounted", silent.unaccounted)
     way.end("uncertain", silent.uncertain)
 

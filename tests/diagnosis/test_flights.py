@@ -139,6 +139,8 @@ FLIGHTS = {
     "socket_failed_unseen": (155, {"to_socket": 155}),
     "processor_of_peers_restarted": (91, {"down": 50, "disabled": 17, "port_closed": 4, "limit": 20}),
     "peers_flood_each_other": (4141, {"limit": 4062, "overflow": 75, "unknown": 4}),
+    "peer_port_alone": (59, {"limit": 43, "sbn_peer_restart": 16}),
+    "killed_under_lists_sent_once": (382, {"down": 275, "unsubscribed": 83, "disabled": 24}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -175,6 +177,8 @@ RANGES = {
     "bursts_at_a_pipe_of_four": 280,
     "commands_by_two_links": 55,
     "peer_far_behind": 11,
+    "bridge_of_wrong_ids": 170,
+    "two_bridges_far_off": 124,
 }
 
 
@@ -1562,3 +1566,36 @@ def test_a_clock_set_back_just_before_the_clock_of_the_capture_is_set_has_one_st
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", moved))
     assert found.lost + found.unaccounted <= FLIGHTS["clock_set_in_overload"][0]
     assert len([item for item in found.verdicts if item.rule == "clock_jump"]) == 2
+def test_a_cfs_does_not_refuse_what_it_sends_itself_where_a_peer_bears_its_ids():
+    found = examined("bridge_of_wrong_ids")
+    assert by_cause(found)["unknown_peer"] == 140
+    # The bridge goes on under another name: what publishes its poses did not end.
+    silent = [item.reason for item in found.verdicts if item.rule == "topic_silent"]
+    assert not [line for line in silent if "0x1829" in line or "0x182a" in line]
+
+
+def test_where_the_bus_goes_on_what_is_missing_behind_it_gave_way_to_others():
+    found = examined("two_bridges_far_off")
+    assert found.unaccounted == 0
+    assert by_cause(found) == {"network": 62, "away": 28, "after": 34}
+
+
+def test_a_late_copy_that_comes_out_is_none_of_the_messages_that_were_lost():
+    rows = [row for row in examined("copies_seconds_late").balance if row.msg_id == 0x182A]
+    assert sum((Counter(row.lost) for row in rows), Counter()) == {"network": 3}
+
+
+@pytest.mark.parametrize("most", [96, 128])
+def test_the_goodbye_of_sbn_tells_when_it_ended_where_events_are_cut_off(tmp_path, most):
+    """Of its restart only the command is left, which takes effect within ten seconds."""
+    items = mutations.cut_off(most)(mutations.frames(FOLDER / "sbn_restarted.pcap.zst"), random.Random(0))
+    found = truth.examined(mutations.write(tmp_path / "cut.pcap", items))
+    assert by_cause(found) == {"stopped": 99, "limit": 210}
+
+
+def test_a_peer_whose_observer_ended_is_not_silent():
+    found = examined("peer_of_another_name")
+    changes = {(own.peer, own.observer): own.changes for own in found.case.network.connections.values()}
+    for (peer, observer), states in changes.items():
+        spoke = [own for (name, _), own in changes.items() if name == observer]
+        assert spoke or not [item for item in states if item.state == "silent"], (peer, observer)

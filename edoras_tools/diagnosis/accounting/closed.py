@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.peers import Connection
     from edoras_tools.diagnosis.evidence.timeline.table import Change
     from edoras_tools.diagnosis.matching.crossing import Hop
 
@@ -285,14 +286,14 @@ class Unheard(msgspec.Struct):
     """Messages of one stream that were sent to a silent SBN peer.
 
     Attributes:
-        peer: the peer, as ``66:3``.
+        connection: the connection with the peer.
         uncertain: number of messages sent while it may still have run.
         unaccounted: number of messages to a peer that was silent when the capture ended.
         lost: indices of the messages to a peer that was given up.
         restarted: indices of the messages to a peer that restarted before it was given up.
     """
 
-    peer: str
+    connection: Connection
     uncertain: int = 0
     unaccounted: int = 0
     lost: list[int] = msgspec.field(default_factory=list)
@@ -308,7 +309,7 @@ def unheard(case: Case) -> dict[Stream, Unheard]:
         for stream in case.streams if silences or connection.restarts else ():
             if not stream.link.peers or (party(stream.receiver), party(stream.sender)) != ends:
                 continue
-            item = by_stream.setdefault(stream, Unheard(connection.peer))
+            item = by_stream.setdefault(stream, Unheard(connection))
             times = stream.time_ns
             for silence in silences:
                 since_ns = silence.start_ns + case.unsteady_ns
@@ -322,7 +323,7 @@ def unheard(case: Case) -> dict[Stream, Unheard]:
                     due = int(np.searchsorted(times, silence.due_ns))
                     first = next(shut, len(times) if silence.stood_still else due)
                     item.lost += [row for row in inside if row >= first]
-                    if len(connection.sent_in(silence)) > silence.answers:
+                    if len(silence.within(connection.sent_ns)) > silence.answers:
                         item.uncertain += sum(row < first for row in inside)
                 else:
                     item.unaccounted += int((~closed[stream.rows[inside]]).sum())
@@ -703,14 +704,13 @@ class Stops:
 
     def _mark_unread(self, fate: Fate) -> None:
         """Mark messages that came over SBN while it surely did not run; their way out is not captured."""
-        case, stream = self._case, fate.stream
-        spans = case.timeline.spans(StateOwner("app", sbn.NAME), "stopped", case.system(stream))
-        times = stream.time_ns
-        for span in filter(self._is_sure, spans) if stream.link.peers else ():
-            # Its socket is open a moment before it sends.
-            inside = fate.open & (fate.stop < 0) & (times > span.start_hi)
-            inside &= times < span.end_lo - case.profile.sbn_wake_ns
-            self.mark(fate, inside, "stopped", sbn.NAME, span.change.witness)
+        case, stream, times = self._case, fate.stream, fate.stream.time_ns
+        for item in case.outages if stream.link.peers else ():
+            if item.app == sbn.NAME and case.into_system(stream, item.system):
+                inside = fate.open & (fate.stop < 0) & (times > item.ended_ns)
+                # Its socket is open a moment before it sends.
+                inside &= times < item.asked_ns - case.profile.sbn_wake_ns
+                self.mark(fate, inside, "stopped", sbn.NAME, item.witness)
 
     def _mark_unsent(self, fate: Fate) -> None:
         """Mark the messages that Telemetry Output was not to send (rule 12)."""

@@ -94,6 +94,10 @@ class PeerSilence(NamedTuple):
         """Time until which it was sent messages: later ones went to a peer that was back, seen or not."""
         return min(self.until_ns, self.given_up_ns + _STILL_NS if self.given_up_ns else _NEVER)
 
+    def within(self, sent_ns: Integers) -> Integers:
+        """Return which of some times, i64 ns, of messages to it are in the silence."""
+        return sent_ns[(sent_ns > self.start_ns) & (sent_ns < self.sent_until_ns)]
+
 
 class PeerRestart(NamedTuple):
     """A restart of a peer before its time-out, without a DISCONNECT.
@@ -122,7 +126,8 @@ class Connection(msgspec.Struct):
         changes: states of the peer, in order of time.
         sent_ns: i64, capture times of application messages that the observer sent to it.
         restarts: restarts of the peer before a time-out, in order.
-        due: time of a change, ns, to that at which its next datagram was due, as it sent before.
+        heard_ns: i64, capture times of all that the peer sent to the observer.
+        seldom_ns: time within which it surely sends something, a heartbeat at least.
         late: time of a change, ns, to the number of answers then to what the peer had been sent before.
     """
 
@@ -131,7 +136,8 @@ class Connection(msgspec.Struct):
     changes: list[PeerChange]
     sent_ns: Integers
     restarts: list[PeerRestart]
-    due: dict[int, int]
+    heard_ns: Integers
+    seldom_ns: int
     late: dict[int, int]
 
     def silences(self, end_ns: int) -> Iterator[PeerSilence]:
@@ -145,14 +151,13 @@ class Connection(msgspec.Struct):
             given_up_ns = later[0].time_ns if later and later[0].state == "timed_out" else 0
             answers = self.late.get(back.time_ns, 0)
             still = back.why.startswith("its ") and back.why not in _BEGAN
-            times = change.time_ns, back.time_ns, self.due[change.time_ns], given_up_ns
+            # Its next datagram was due by its last steps, or else a heartbeat.
+            steps = np.diff(self.heard_ns[self.heard_ns <= change.time_ns])[-_LEAST_STEPS:]
+            due_ns = change.time_ns + (self.seldom_ns if len(steps) < _LEAST_STEPS else int(steps.max()))
+            times = change.time_ns, back.time_ns, due_ns, given_up_ns
             silence = PeerSilence(*times, still, answers)
-            still |= answers > max(_LEAST_ROWS, len(self.sent_in(silence)) // 2)
+            still |= answers > max(_LEAST_ROWS, len(silence.within(self.sent_ns)) // 2)
             yield silence._replace(stood_still=still)
-
-    def sent_in(self, silence: PeerSilence) -> Integers:
-        """Return the times, i64 ns, of application messages that were sent to it in a silence."""
-        return self.sent_ns[(self.sent_ns > silence.start_ns) & (self.sent_ns < silence.sent_until_ns)]
 
     def as_json(self) -> dict[str, Any]:
         """Return the connection in the shape of ``doctor --json``."""
@@ -189,7 +194,8 @@ class Network:
         self._outages = outages
         self._hosts = instances.hosts
         self.datagrams: Counter[str] = Counter()
-        self._profile = profile
+        self._timeout_ns = profile.sbn_timeout_s * SECOND
+        self._seldom_ns = (profile.sbn_heartbeat_s + 1) * SECOND
         network = np.flatnonzero(rows.on(lambda link: link.peers) & (rows.sbn_msg_type >= 0))
         if not len(network):
             return
@@ -236,18 +242,14 @@ class Network:
                 changes = _believed(changes, app_ns)
                 changes = _with_unseen(changes, rows, sent, app)
                 spoke = partial(self._spoke, rows.time_ns[sent])
-                changes = [item for item in changes if item.why != UNSEEN or spoke(item.time_ns)]
+                quiet = [at for at, own in enumerate(changes) if own.state == "silent"]
+                mute = [at for at in quiet if not spoke(changes[at].time_ns)]
+                mute += [at + 1 for at in mute if changes[at].why != UNSEEN]
+                changes = [own for at, own in enumerate(changes) if at not in mute]
                 restarts = [item for item in _restarts(rows, heard, sent, changes) if spoke(item.last_ns)]
                 late = {item.time_ns: _late_answers(rows, heard, sent, item.time_ns) for item in changes}
-                due = {item.time_ns: self._due_ns(rows.time_ns[heard], item.time_ns) for item in changes}
-                ends = peer[0], observer[0]
-                self.connections[peer, observer] = Connection(*ends, changes, app_ns, restarts, due, late)
-
-    def _due_ns(self, heard_ns: Integers, last_ns: int) -> int:
-        """Return until when the next datagram of a peer was due: by its last steps, or else a heartbeat."""
-        steps = np.diff(heard_ns[heard_ns <= last_ns])[-_LEAST_STEPS:]
-        seldom_ns = (self._profile.sbn_heartbeat_s + 1) * SECOND
-        return last_ns + (seldom_ns if len(steps) < _LEAST_STEPS else int(steps.max()))
+                about = changes, app_ns, restarts, rows.time_ns[heard], self._seldom_ns, late
+                self.connections[peer, observer] = Connection(peer[0], observer[0], *about)
 
     def _changes(
         self, rows: Rows, heard: Places, first: int, end_ns: int, farewells: list[tuple[int, int]]
@@ -261,8 +263,7 @@ class Network:
             end_ns: time of the last datagram of the capture.
             farewells: result of ``_disconnect_spans``.
         """
-        timeout = self._profile.sbn_timeout_s * SECOND
-        silent = (self._profile.sbn_heartbeat_s + 1) * SECOND
+        timeout, silent = self._timeout_ns, self._seldom_ns
         if rows.streamed[heard].any():
             timeout = silent = _NEVER
         begin_ns, alive_ns = rows.time_ns[[0, first]].tolist()
@@ -308,10 +309,12 @@ class Network:
             changes.append(PeerChange(last, "silent", text))
         return changes
 
-    def _spoke(self, sent_ns: Integers, until_ns: int) -> bool:
-        """Return whether an observer sent something before a time, a heartbeat at least (rule 6)."""
-        since_ns = until_ns - (self._profile.sbn_heartbeat_s + 1) * SECOND
-        return bool(np.ptp(np.searchsorted(sent_ns, (since_ns, until_ns))))
+    def _spoke(self, sent_ns: Integers, when: int) -> bool:
+        """Return whether an observer sent something before a time, and after: heartbeats at least (rule 6).
+
+        It was not there where it sent nothing since, so that its peer's silence then tells nothing.
+        """
+        return bool(np.ptp(np.searchsorted(sent_ns, (when - self._seldom_ns, when))) and when < sent_ns[-1])
 
     def _away(self, start_ns: int, end_ns: int) -> int:
         """Return how much of a span, ns, nothing could be captured."""
@@ -412,7 +415,7 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
             continue
         if repeats:
             late = _late_answers(rows, heard, sent, end_ns)
-            if not answering or late > number // 2 or len(answers) + number > len(sent_ns):
+            if not answering or late > number // 2 or 2 * (len(sent_ns) - len(answers)) < number:
                 continue
         around = int(heard[place]), int(heard[again[0]])
         restarts.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around, read_ns))

@@ -78,7 +78,7 @@ def _unseen(case: Case, connection: Connection, silent: PeerChange) -> Verdict:
 
 def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
     """Say that a peer is silent when the capture ends: nobody knows whether it is there."""
-    sent = connection.sent_in(silence)
+    sent = silence.within(connection.sent_ns)
     return warning(
         f"SBN peer {connection.peer} is silent since {case.at(silence.start_ns)}, "
         f"{(case.end_ns - silence.start_ns) / SECOND:.1f} s to the end of the capture; {connection.observer} "
@@ -93,12 +93,14 @@ def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
 
 
 def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdict:
-    until, sent = silent.until_ns, connection.sent_in(silent)
+    until, sent = silent.until_ns, silent.within(connection.sent_ns)
     out_ns = silent.given_up_ns
     last_ns = int(sent[-1]) if len(sent) else 0
-    early = int((sent < silent.due_ns).sum())
-    speaks_ns = silent.start_ns + (case.profile.sbn_heartbeat_s + 1) * SECOND
-    quiet = int((sent <= speaks_ns).sum())
+    lost = [stream.time_ns[own.lost] for stream, own in case.unheard.items() if own.connection is connection]
+    lost_ns = silent.within(np.concatenate([sent[:0], *lost]))
+    early = 0 if silent.stood_still else len(sent) - len(lost_ns)
+    speaks_ns = silent.start_ns + connection.seldom_ns
+    quiet = int((lost_ns <= speaks_ns).sum())
     ends = facts.TIMED_OUT.phrase, facts.DISCONNECTED.phrase
     away_s = (until - silent.start_ns) / SECOND
     returned = f"back after {away_s:.1f} s" if until < case.end_ns else "not back in this capture"
@@ -114,11 +116,10 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
         f"last datagram of {connection.peer} at {case.at(silent.start_ns)}",
         f"{connection.observer} sent it {plural(len(sent), 'message')} after that",
         f"the last of them at {case.at(last_ns)}: then it had given the peer up" if last_ns else "",
-        f"it may have heard the first {early:,}: its next was due at {case.at(silent.due_ns)}"
-        if early
-        else "",
-        f"{quiet:,} of them until {case.at(speaks_ns)}, when a heartbeat was due: if it fell quiet before it "
-        "ended, it heard some"
+        f"it may have heard the first {early:,}, until {case.at(int(sent[early - 1]))}" if early else "",
+        f"it answered {silent.answers:,} of them when it was back" * silent.stood_still,
+        f"{quiet:,} of {'the others' if early else 'them'} until {case.at(speaks_ns)}, when a heartbeat was "
+        "due: if it fell quiet before it ended, it heard some"
         if quiet
         else "",
         *(
@@ -127,7 +128,7 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
             if connection.peer in record.message and _has(record, ends)
         ),
         place=("sbn", f"SBN peer {connection.peer}"),
-        lost=None if silent.stood_still else len(sent) - early or None,
+        lost=len(lost_ns) or None,
         of=len(sent) or None,
         # It is lost until the peer is given up, however long it stays away.
         span=(silent.start_ns, min(max(out_ns, last_ns), until)),
@@ -151,7 +152,8 @@ def sbn_peer_restart(case: Case) -> Iterator[Verdict]:
                 f"to {case.at(back_ns)}, then it subscribed anew. {connection.observer} did not notice, and "
                 f"{plural(lost or len(sent), 'message')} that it sent {reached} nobody",
                 f"packet {case.rows.number[last]} is its last, packet {case.rows.number[first]} its SUB",
-                f"{len(sent) - lost:,} more may have been heard, until {case.at(dead_ns)}",
+                f"{len(sent) - lost:,} more may have been heard, until {case.at(dead_ns)}"
+                * (lost < len(sent)),
                 place=("sbn", f"SBN peer {connection.peer}"),
                 lost=lost or None,
                 of=len(sent) or None,
@@ -221,9 +223,8 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
         source, target = both >> 32, both & 0xFFFFFFFF
         first_ns, last_ns = case.span(own)
         # cFS sends each new SUB to every peer of its table, there or not.
-        often = (
-            last_ns - first_ns >= _WAIT_NS and len(np.unique(rows.time_ns[own] // SECOND)) >= _LEAST_SECONDS
-        )
+        seconds = len(np.unique(rows.time_ns[own] // SECOND))
+        often = last_ns - first_ns >= _WAIT_NS and seconds >= _LEAST_SECONDS
         # Where nobody listened, that is said by itself.
         if target << 32 | source in ways or not often or case.unreachable.closed[own].any():
             continue
@@ -537,6 +538,9 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             # is not here: it is none that this cFS sends messages to.
             peers = [end for end, name in names if name.endswith(f":{processor}") and party(end) in partners]
             same &= bool(craft) | ~np.isin(rows.source[near], peers)
+            # What it sends itself it does not refuse, also where a peer bears its own ids.
+            own = network[case.instances.of_row[network] == case.instances.of_row[record.row]]
+            same &= ~np.isin(rows.source[near], rows.source[own])
             if craft or not foreign[near[same]].any():
                 foreign[near[same]] = True
     came_out = np.concatenate([np.zeros(0, np.intp), *(hop.into.rows[hop.in_rows] for hop in case.hops)])
@@ -545,9 +549,8 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         lines = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
         messages = members[rows.msg_id[members] != NO_MSG_ID]
         most_came = 2 * np.isin(messages, came_out).sum() > len(messages)
-        if not lines and (
-            most_came or case.network.identity_of.get(int(rows.source[members[0]])) == str(peer)
-        ):
+        usual = case.network.identity_of.get(int(rows.source[members[0]]))
+        if not lines and (most_came or usual == str(peer)):
             continue  # most there are its own: one that spoke before it is the other
         refused = _refused(
             case,

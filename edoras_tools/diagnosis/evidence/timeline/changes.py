@@ -12,7 +12,7 @@ Rules:
 5. A peer is connected, silent, timed out or disconnected as in :class:`Network`. It is also silent from its
    last datagram to its restart, if nobody timed it out.
 6. A peer is subscribed to the MsgIds in its SUB messages of the present connection, and to what it is sent.
-   A connection begins without subscriptions.
+   A connection begins without subscriptions; so does a cFS that restarted.
 """
 
 from __future__ import annotations
@@ -183,9 +183,7 @@ class SoftwareChanges(msgspec.Struct):
         if event.app != executive_services.NAME and event.app not in telemetry_output.NAMES:
             return
         made_ns = int(self._instances.made_ns[event.row])
-        instance = self._instances.saying(event)
-        systems = self._instances.systems
-        system = systems[instance] if 0 <= instance < len(systems) else 0
+        system = self._instances.system(self._instances.saying(event))
         witness = f"event {event}"
 
         def change(subject: StateOwner, state: str, value: int | str | None = None) -> Change:
@@ -225,29 +223,36 @@ class SoftwareChanges(msgspec.Struct):
 
 def _boot(system: int, low_ns: int, high_ns: int, witness: str) -> Iterator[Change]:
     """Yield the changes of a boot: cFS goes down, Telemetry Output is reset, and cFS runs again."""
-    for subject, state in (
-        (StateOwner("cfs"), "down"),
-        (_OUTPUT, "disabled"),
-        (_ALL_ENTRIES, "as at the start"),
-        (StateOwner("cfs"), "running"),
-    ):
+    subjects = StateOwner("cfs"), _OUTPUT, _ALL_ENTRIES, StateOwner("cfs")
+    states = "down", "disabled", "as at the start", "running"
+    for subject, state in zip(subjects, states, strict=True):
         yield Change(system, subject, state, low_ns, high_ns, witness)
 
 
 _WAKE_NS: Final = SECOND
+_Ends = tuple[SbnParty, SbnParty]
 
 
 def network_changes(
-    rows: Rows, payloads: Payloads, instances: Instances, network: Network
+    rows: Rows, payloads: Payloads, instances: Instances, network: Network, software: Sequence[Change]
 ) -> Iterator[Change]:
-    """Yield the changes of every SBN peer and its subscriptions, as each cFS sees them."""
+    """Yield the changes of every SBN peer and its subscriptions, as each cFS sees them.
+
+    Args:
+        rows: table of datagrams.
+        payloads: contents of SUB and UNSUB messages.
+        instances: instances of cFS.
+        network: connections of all peers.
+        software: changes of each cFS and its applications.
+    """
     pairs = [*zip(instances.items, instances.systems, strict=True)][::-1]
     systems = {(item.name, item.host): system for item, system in pairs}
     for (peer, observer), connection in network.connections.items():
         system = systems.get(observer, 0)
         yield from _peer(connection, system, int(rows.time_ns[0]))
         yield from _goodbyes(rows, network, connection, observer, system)
-        yield from _subscriptions(rows, payloads, network, (peer, observer), system)
+        ended_ns = [item.not_before_ns for item in software if (item.state, item.system) == ("down", system)]
+        yield from _subscriptions(rows, payloads, network, (peer, observer), system, ended_ns)
 
 
 def capture_changes(away: Sequence[tuple[int, int]]) -> Iterator[Change]:
@@ -304,7 +309,7 @@ def _goodbyes(
 
 
 def _subscriptions(
-    rows: Rows, payloads: Payloads, network: Network, ends: tuple[SbnParty, SbnParty], system: int
+    rows: Rows, payloads: Payloads, network: Network, ends: _Ends, system: int, ended_ns: Sequence[int]
 ) -> Iterator[Change]:
     """Yield the changes of a peer's subscriptions: by its messages, and by what the observer sends to it.
 
@@ -314,10 +319,13 @@ def _subscriptions(
         network: connections of all peers.
         ends: the peer and the observer.
         system: number of the observer.
+        ended_ns: last times before boots of the observer, which forgets the lists of its peers.
     """
     (peer, _), changes, listed = ends[0], network.connections[ends].changes, payloads.subscriptions
-    app = np.flatnonzero(rows.sbn_msg_type == MsgType.APP)
-    sent, own = app[_between(rows, network, app, *ends[::-1])], _between(rows, network, listed["row"], *ends)
+    every = np.flatnonzero(rows.sbn_msg_type >= 0)
+    every = every[_between(rows, network, every, *ends[::-1])]
+    sent, said_ns = every[rows.sbn_msg_type[every] == MsgType.APP], rows.time_ns[every]
+    own = _between(rows, network, listed["row"], *ends)
     at, contents = listed["row"][own], listed["said"][own]
     # A message that does not connect its peer was not heard.
     near_ns = np.add.outer((0, _WAKE_NS), rows.time_ns[at])
@@ -325,6 +333,8 @@ def _subscriptions(
     heard = np.array([False, *(item.state in {"connected", "silent"} for item in changes)])[place].any(axis=0)
     at, contents = at[heard], contents[heard]
     begins = [item.time_ns for item in changes if item.state == "connected" and item.why != ALREADY]
+    begins += [ns for last_ns in ended_ns for ns in said_ns[said_ns > last_ns + SECOND][:1].tolist()]
+    begins.sort()
     unsubscribed = rows.sbn_msg_type[at] == MsgType.UNSUB
     # A bridge repeats its messages twice a second. So only the first of each content counts: in each
     # connection, and again behind each UNSUB.

@@ -155,21 +155,22 @@ class Timeline:
 
 def _follow(before: list[Change], change: Change) -> None:
     """Append a change to the earlier ones of its subject, or merge it with the last one."""
-    last = before[-1] if before else None
-    if last is None or last.same != change.same:
-        before.append(change)
-    elif change.sure and not last.sure:
+    last = before[-1] if before else replace(change, state="", sure=True)
+    ended = change.state == "stopped" and last.state == "restarting"
+    if change.sure and not last.sure and (ended or last.same == change.same):
         # An answer to the command: the state had begun by then.
-        before[-1] = _joined(last, change)
+        before[-1] = _joined(last, replace(change, state=last.state))
+    elif last.same != change.same:
+        before.append(change)
     elif last.sure and not change.sure and len(last.rows) == 1 and change.not_before_ns <= last.not_after_ns:
         # The command that an event answers: the event's time is known only to one round.
         before[-1] = _joined(change, last)
     if len(before) > 1:
-        last, change = before[-2:]
         # The state before this one cannot begin later than this one certainly has.
-        high = min(last.not_after_ns, change.not_after_ns) if change.sure else last.not_after_ns
-        last = replace(last, not_after_ns=max(last.not_before_ns, high))
-        before[-2:] = last, _behind(last, change)
+        last, change = before[-2:]
+        high = max(last.not_before_ns, change.not_after_ns if change.sure else NEVER)
+        before[-2] = replace(last, not_after_ns=min(last.not_after_ns, high))
+        before[-1] = _behind(before[-2], change)
 
 
 def _joined(command: Change, answer: Change) -> Change:
