@@ -514,7 +514,7 @@ class Commands:
             counts = self.telemetry.passed(hop.out)
             # Those that came out here, late copies and messages from another way in are none of these.
             of_other = [item.out_rows for item in self._case.hops if item.out is hop.out and item is not hop]
-            counts[np.concatenate((np.flatnonzero(hop.again | (hop.origin >= 0)), *of_other)) - 1] -= 1
+            counts[np.concatenate((np.flatnonzero((hop.again > 1) | (hop.origin >= 0)), *of_other)) - 1] -= 1
             passed = np.concatenate(([0], np.cumsum(counts)))[out]
             room = np.maximum(np.concatenate(([0], np.diff(passed), [0])), 0)
             # Of the messages in one place the first ones that were not superseded, as far as there is room.

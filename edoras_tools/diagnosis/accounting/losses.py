@@ -277,7 +277,7 @@ class Fate:
     @property
     def doubled(self) -> int:
         """Number of messages that came out again after an equal one."""
-        return sum(int(hop.again.sum()) for hop in self.hops)
+        return sum(int(np.count_nonzero(hop.again)) for hop in self.hops)
 
     def claim(self, rows: Places) -> int:
         """Mark those of some messages as decided that are open or blind; return their number."""

@@ -414,8 +414,9 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
         if followed or not number or not len(again):
             continue
         if repeats:
-            late = _late_answers(rows, heard, sent, end_ns)
-            if not answering or late > number // 2 or 2 * (len(sent_ns) - len(answers)) < number:
+            # Who answers some of what it was sent before had stood still, though its socket kept not all.
+            late = _late_answers(rows, heard, sent, end_ns) > min(_LEAST_ROWS, number // 2)
+            if late or not answering or 2 * (len(sent_ns) - len(answers)) < number:
                 continue
         around = int(heard[place]), int(heard[again[0]])
         restarts.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around, read_ns))

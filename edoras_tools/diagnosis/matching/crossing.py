@@ -85,7 +85,8 @@ class Hop(NamedTuple):
         single: bool (rows of ``into`` with a fingerprint,), no other row of ``into`` has this fingerprint.
         origin: i64 (rows of ``out``,), index of the matched row of ``into``; -1 without one.
         sole: bool (rows of ``out``,), the fingerprint comes out once, and goes in at most once.
-        again: bool (rows of ``out``,), without a match, though an equal one that was matched came out.
+        again: u8 (rows of ``out``,), 0 but for one without a match where an equal one that was matched came
+            out: 1 directly behind an equal one, 2 behind others, as late copies do.
         latency: delays of messages whose fingerprint goes in once; None without any.
         delays_ns: i64, the delay of each of these.
         out_ns: i64, the time at which each of these came out.
@@ -103,7 +104,7 @@ class Hop(NamedTuple):
     single: Mask
     origin: Places
     sole: Mask
-    again: Mask
+    again: NDArray[np.uint8]
     latency: Latency | None
     delays_ns: Integers
     out_ns: Integers
@@ -490,6 +491,7 @@ def _match(into: Stream, out: Stream, came: Prints, went: Prints, early_ns: int)
     number = np.bincount(came_as, minlength=len(which))
     often, out_often = number[came_as], np.bincount(went_as)[went_as]
     single = often[from_row] == 1
+    repeated = (from_ < 0) & np.isin(went_as, came_as[arrived])
     return Hop(
         into=into,
         out=out,
@@ -500,7 +502,7 @@ def _match(into: Stream, out: Stream, came: Prints, went: Prints, early_ns: int)
         single=often[came != 0] == 1,
         origin=from_,
         sole=(went != 0) & (out_often == 1) & (number[went_as] <= 1),
-        again=(from_ < 0) & np.isin(went_as, came_as[arrived]),
+        again=np.where(np.diff(went_as, prepend=-1) != 0, np.uint8(2), np.uint8(1)) * repeated,
         latency=latency_of(delay[single]),
         delays_ns=delay[single],
         out_ns=out_ns[goes_row][single],

@@ -93,8 +93,7 @@ def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
 
 
 def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdict:
-    until, sent = silent.until_ns, silent.within(connection.sent_ns)
-    out_ns = silent.given_up_ns
+    until, out_ns, sent = silent.until_ns, silent.given_up_ns, silent.within(connection.sent_ns)
     last_ns = int(sent[-1]) if len(sent) else 0
     lost = [stream.time_ns[own.lost] for stream, own in case.unheard.items() if own.connection is connection]
     lost_ns = silent.within(np.concatenate([sent[:0], *lost]))
