@@ -230,6 +230,8 @@ _FULL: Final = 3
 _COUNT: Final = 7
 """Columns of the figure in front of a problem."""
 _MOST_SPANS: Final = 24
+_MOMENT_S: Final = 0.1
+"""What is no longer is a moment, without an end and a rate."""
 _ALIKE: Final = 4
 """Least number of verdicts of one rule that are shown as one entry, with one line each."""
 _MANY_ERRORS: Final = 12
@@ -409,17 +411,16 @@ def _alike(result: Diagnosis, several: Sequence[Verdict]) -> RenderableType:
 
 def _when(result: Diagnosis, verdict: Verdict) -> str:
     start, end = ((time_ns - result.zero_ns) / 1e9 for time_ns in (verdict.start_ns, verdict.end_ns))
-    return f"{start:.1f} s" if end - start < 0.1 else f"{start:.1f} to {end:.1f} s"
+    return f"{start:.1f} s" if end - start < _MOMENT_S else f"{start:.1f} to {end:.1f} s"
 
 
 def _spans(result: Diagnosis, group: Sequence[Verdict]) -> Table:
-    figures = map(_number_column, ("lost", "of", "", "sent at"))
+    figures = map(_number_column, ("lost", "of", "sent at"))
     table = _grid(_text_column("when"), *figures, _text_column("confidence"), header_style=palette.DIM)
     for item in group[:_MOST_SPANS]:
-        share = f"{100 * (item.lost or 0) / item.of:.0f}%" if item.of else ""
         seconds = (item.end_ns - item.start_ns) / 1e9
-        rate = units.rate(item.of / seconds) if item.of and seconds > 0 else units.NONE
-        cells = (units.count(item.lost), units.count(item.of), share, rate, item.confidence)
+        rate = units.rate(item.of / seconds) if item.of and seconds > _MOMENT_S else units.NONE
+        cells = (units.count(item.lost), units.count(item.of), rate, item.confidence)
         table.add_row(_when(result, item), *cells)
     if len(group) > _MOST_SPANS:
         table.add_row(f"... {len(group) - _MOST_SPANS} more")

@@ -62,6 +62,8 @@ _NAMED: Final = {"\n": r"\n", "\r": r"\r", "\t": r"\t", "\0": r"\0"}
 # Variation selectors are printable for Python, but terminals disagree on the width that they give a
 # character.
 _SELECTORS: Final = re.compile("[\ufe00-\ufe0f\U000e0100-\U000e01ef]")
+_UNITS: Final = re.compile(r"(?<=\d) (?=(?:s|ms|Hz|%)(?!\w))")
+"""The space between a number and its unit, where no line breaks."""
 _STYLES: Final = re.compile("\x1b\\[[0-9;]*m")
 
 
@@ -139,13 +141,13 @@ def wrap(text: str, width: int) -> list[str]:
         width: at least 2, so that the widest character has room.
     """
     lines = [""]
-    for word in text.split(" "):
+    for word in _UNITS.sub("\xa0", text).split(" "):
         joined = f"{lines[-1]} {word}" if lines[-1] else word
         if cells(joined) <= width:
             lines[-1] = joined
         else:
             lines += chop_cells(word, width)
-    return [line.rstrip() for line in lines if line] or [""]
+    return [line.rstrip().replace("\xa0", " ") for line in lines if line] or [""]
 
 
 def plain_cells(line: str) -> int:

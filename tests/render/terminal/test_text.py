@@ -68,3 +68,7 @@ def test_cuts_show_where(cut, expected):
 
 def test_plain_cells_leaves_styles_out():
     assert plain_cells("\x1b[1;36mab\x1b[0m你") == 4
+
+
+def test_no_line_breaks_between_a_number_and_its_unit():
+    assert wrap("from 29.5 to 35.3 s, 2.6 % of it", 17) == ["from 29.5 to", "35.3 s, 2.6 % of", "it"]
