@@ -35,7 +35,7 @@ from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.wire.arrays.order import Integers, Mask, Places
@@ -53,6 +53,8 @@ _LATE: Final = 1.01
 _FITS: Final = 0.5, 1.2
 _FEW: Final = 5
 """The model explains losses between these shares of its own losses, give or take ``_FEW`` messages."""
+_MOSTLY: Final = 0.9
+"""Share of the datagrams to CI with which one MsgId fills its socket alone."""
 _STEPS: Final = 5
 """Steps between messages whose median is the usual distance of the next ones."""
 _PAUSE: Final = 2
@@ -155,13 +157,19 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
     if loss.hop != telemetry_output.PIPE:
         return None
     times = loss.among.times_ns if loss.among and len(loss.among.rows) else (loss.start_ns, loss.end_ns)
-    changes = case.timeline.entry(loss.msg_id, case.instances.system(loss.instance))
+    changes, again = _entries(case, loss)
     last = next((item for item in reversed(changes) if item.not_before_ns <= times[0] + SECOND), None)
     low = (last.limit if last else 0) or queues.telemetry_pipe(case.profile).limit(loss.msg_id)
-    again = [item for old, item in pairwise(changes) if old.state == "unsubscribed"]  # else its limit stays
     within = [item for item in again if times[0] + SECOND < item.not_before_ns < times[1]]
     lower = [item for item in reversed(within) if (item.limit or low) < low]  # others set none
     return min(lower, key=lambda item: item.limit or low, default=last)
+
+
+def _entries(case: Case, loss: Loss) -> tuple[Sequence[Change], list[Change]]:
+    """Return the changes of a MsgId's entry in the table of Telemetry Output, and those that set a limit."""
+    changes = case.timeline.entry(loss.msg_id, case.instances.system(loss.instance))
+    # What is added while it is there keeps its limit.
+    return changes, [item for old, item in pairwise(changes) if old.state == "unsubscribed"]
 
 
 def set_by(case: Case, loss: Loss, limit: int) -> str:
@@ -173,13 +181,15 @@ def set_by(case: Case, loss: Loss, limit: int) -> str:
 
 
 def _other_limits(case: Case, losses: Iterable[Loss], worst: Loss) -> str:
-    """Return the losses at other commanded limits than that of the worst loss; empty if there were none."""
+    """Return other commanded limits than that of the worst loss, and the losses at them; empty if none."""
+    span = worst.start_ns, worst.end_ns
     lost: Counter[Change | None] = Counter()
     for loss in losses:
         lost[limit_command(case, loss)] += loss.lost
+    lost.update({item: 0 for item in _entries(case, worst)[1] if span[0] < item.not_before_ns < span[1]})
     del lost[limit_command(case, worst)]
     return ", ".join(
-        f"{number:,} of these when it kept {item.value}, set at {case.at(item.not_before_ns)}"
+        f"{item.value} from {case.at(item.not_before_ns)} on{f': {number:,} of these' if number else ''}"
         for item, number in lost.items()
         if item and item.limit
     )
@@ -236,6 +246,7 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     rate, every = queue.rate_hz(limit), f"{queue.round_ns / MILLISECOND:.0f} ms"
     why = f"{'TO keeps' if output else 'it keeps'} {limit} of this MsgId and "
     why += f"{'sends' if output else 'SBN empties it'} every {every}: {rate:.0f} a second get through"
+    why = why if limit else "TO keeps none of this MsgId"
     names = (loss.msg_id, "to_wake_ns") if output else ("sbn_msg_limit", "sbn_wake_ns")
     why += set_by(case, loss, limit) or f" ({'measured' if measured else case.origin(*names)})"
     queue = replace(queue, depth=depth_at(case, loss, queue))
@@ -382,11 +393,7 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     arrivals = Arrivals(case.rows.time_ns[rows], case.rows.msg_id[rows].astype(np.int64))
     arrivals = arrivals.around(loss, pipe.round_ns)
     own, way = arrivals.only(stream.msg_id), (pipe,) if over_network else (socket, pipe)
-    lost = sum(
-        item.lost
-        for item in case.losses_of(stream)
-        if item.kind in {"limit", "socket"} and item.start_ns < loss.end_ns and loss.start_ns < item.end_ns
-    )
+    lost = _meanwhile(case, loss, "limit") + _meanwhile(case, loss, "socket")
     waiting = sum(item.waiting for item in case.ingests_at(stream.receiver))
     fits = _explains(
         arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id), lost or loss.lost, waiting
@@ -397,17 +404,35 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     if senders > 1:
         slower += f" in all, {_safe(clean / senders):g} Hz each of {plural(senders, 'sender')}"
     at_once = arrivals.most(pipe.round_ns)
-    if at_once > socket.reads and own.most(pipe.round_ns) <= limit and not over_network:
+    crowds = at_once > socket.reads and own.most(pipe.round_ns) <= limit and not over_network
+    if crowds:
         reads = f"it reads {socket.reads} {every} (up to {at_once} were), and the rest comes late"
-        slower = f"spread all that is sent to CI: {reads}"
+        slower = f"spread all that is sent to CI{_most_by(case, rows, stream.sender)}: {reads}"
     else:
         slower = _spread(case, own, pipe, limit, slower, ("sent", "the application's task"))
     need = min(own.most(pipe.round_ns * _LATE) + 1, pipe.depth if over_network else socket.reads)
     higher = (*way[:-1], pipe.with_limit(stream.msg_id, need))
-    if need > limit and not max(arrivals.lost(higher, stream.msg_id)):
+    if need > limit and not (_meanwhile(case, loss, "socket") or max(arrivals.lost(higher, stream.msg_id))):
         slower += f", or {_subscribed(f'a limit of {need:,}')}"
     paced = arrivals.spaced(SECOND / _safe(clean), stream.msg_id)
+    if loss.kind == "socket" and not crowds and len(own.time_ns) < _MOSTLY * len(arrivals.time_ns):
+        all_hz = _safe(socket.rate_hz(socket.reads))
+        slower = f"send CI at most {all_hz:g} Hz in all, {_safe(clean):g} Hz of each MsgId"
+        return Advice(why, f"{slower} (up to {arrivals.rate():,} a second were sent)")
     return Advice(why, slower, max(paced.lost(way, stream.msg_id)) if fits else None)
+
+
+def _meanwhile(case: Case, loss: Loss, kind: str) -> int:
+    """Return how many messages the stream of a loss lost during it in one way."""
+    others = case.losses_of(loss.stream) if loss.stream else []
+    near = (item for item in others if item.start_ns < loss.end_ns and loss.start_ns < item.end_ns)
+    return sum(item.lost for item in near if item.kind == kind)
+
+
+def _most_by(case: Case, rows: Places, sender: int) -> str:
+    """Return who sent most of some rows, as a clause; empty if it was ``sender``."""
+    most = int(np.bincount(case.rows.source[rows]).argmax())
+    return f", most of it by {case.endpoints[most]}" if most != sender else ""
 
 
 def _subscribed(limit: str) -> str:

@@ -123,10 +123,12 @@ CAUSES: Final[Mapping[str, LossCause]] = {
     ),
     "away": LossCause("while the SBN peer was away", "the SBN peer was away"),
     "unsubscribed": LossCause("to an SBN peer that did not subscribe", "the SBN peer had not subscribed"),
-    "disabled": LossCause(
-        "while Telemetry Output was not to send them", "Telemetry Output was not to send it"
-    ),
+    "disabled": LossCause("while Telemetry Output was not enabled", "Telemetry Output was not enabled"),
     "route": LossCause("while their route on the bus was disabled", "its route on the bus was disabled"),
+    PORT_CLOSED: LossCause("to a port where nobody listened", "nobody listened on {}"),
+    REFUSED: LossCause(
+        "turned away on the way: ICMP errors came back", "an ICMP error came back from the way to {}"
+    ),
     "beside": LossCause("to a second cFS, started beside the first", "a second cFS had CI's port"),
     PEER_RESTARTED: LossCause("sent to an SBN peer that restarted"),
     UNHEARD: LossCause("sent to a silent SBN peer"),
@@ -150,12 +152,6 @@ CAUSES: Final[Mapping[str, LossCause]] = {
 def cause_text(cause: str) -> str:
     """Return the place or reason of a loss for the first screen; the cause itself if it has no text."""
     return CAUSES[cause].text if cause in CAUSES else cause
-
-
-_UNREACHED: Final = {
-    PORT_CLOSED: "nobody listened on {}",
-    REFUSED: "an ICMP error came back from the way to {}",
-}
 
 
 class LedgerTraffic(msgspec.Struct, frozen=True):
@@ -385,9 +381,7 @@ class LedgerWay:
         """Add an entry at the last hop for each loss of the named kinds."""
         for loss in losses:
             if loss.kind in kinds:
-                cause = CAUSES.get(loss.kind)
-                listed = cause.listed if cause else _UNREACHED[PORT_CLOSED]
-                text = listed.format(f"the port of {loss.hop}", hop=loss.hop)
+                text = CAUSES[loss.kind].listed.format(f"the port of {loss.hop}", hop=loss.hop)
                 times = loss.start_ns, loss.end_ns
                 self.end("lost", loss.lost, loss.kind, text=text, times_ns=times, among=loss.among)
 
@@ -468,7 +462,7 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
     for flow, number, rest in case.unreached_flows:
         way = LedgerWay(LedgerTraffic(link=flow.looks_like.label), number + rest)
         way.hop(f"{UDP_PORT} {flow.destination}", dict.fromkeys(("in", "lost"), "ICMP errors"))
-        text, times = _UNREACHED[PORT_CLOSED].format(flow.destination), (flow.first_ns, flow.last_ns)
+        text, times = CAUSES[PORT_CLOSED].listed.format(flow.destination), (flow.first_ns, flow.last_ns)
         way.end("lost", number, PORT_CLOSED, text=text, times_ns=times)
         way.end("uncertain", rest)
         yield way
@@ -702,7 +696,7 @@ def _to_port(case: Case, way: LedgerWay, item: Unreached) -> None:
     way.hop(f"{UDP_PORT} {endpoint}", sources, onward=way.onward)
     for cause, rows in item.lost.items():
         about = _span_of(case, Among(item.stream, rows))
-        way.end("lost", len(rows), cause, text=_UNREACHED[cause].format(endpoint), **about)
+        way.end("lost", len(rows), cause, text=CAUSES[cause].listed.format(endpoint), **about)
     way.end("uncertain", len(item.uncertain))
 
 

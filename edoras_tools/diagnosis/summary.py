@@ -11,6 +11,8 @@ MsgId, if a verdict names the MsgId, because each MsgId has its own remedy.
 
 from __future__ import annotations
 
+from collections import Counter
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -18,18 +20,18 @@ import msgspec
 from msgspec.structs import replace
 
 from edoras_tools.cfs import sbn
-from edoras_tools.diagnosis.accounting.closed import UDP_PORT
-from edoras_tools.diagnosis.accounting.losses import APP, SBN_SOCKET
+from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, UDP_PORT
+from edoras_tools.diagnosis.accounting.losses import APP, BUS, SBN_SOCKET
 from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
 from edoras_tools.diagnosis.ledger import CAPTURE, CAUSES, PEER, Row, cause_text
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, NOTHING_SENT, Severity, alike, group_verdicts
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_key
-from edoras_tools.words import plural
+from edoras_tools.words import either, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.diagnosis.verdict import Verdict
@@ -157,7 +159,8 @@ def _apart(groups: Sequence[Sequence[Verdict]]) -> Problem:
     """Return the problem that verdicts of one rule, which are about no loss, describe."""
     every = [item for members in groups for item in members]
     worst = every[0]
-    return Problem(None, _more(worst.reason, every), _useful(worst.remedy), worst.severity, tuple(every))
+    more = f" (and {len(every) - 1:,} more of this kind)" if every[1:] else ""
+    return Problem(None, f"{worst.reason}{more}", _useful(worst.remedy), worst.severity, tuple(every))
 
 
 def _useful(remedy: str) -> str:
@@ -178,7 +181,8 @@ def _losses(whole: Diagnosis) -> tuple[list[Problem], set[int]]:
                 explained[place] = _explaining(whole.verdicts, cause, row)
             own = explained[place]
             by_msg_id = cause == "limit" and any(item.msg_id is not None for item in own)
-            key = cause, row.hop, row.instance, whole.topics.get(row.route, row.msg_id) if by_msg_id else None
+            instance = "" if row.hop.startswith(PEER) else row.instance  # what is sent to one peer
+            key = cause, row.hop, instance, whole.topics.get(row.route, row.msg_id) if by_msg_id else None
             groups.setdefault(key, []).append((row, number))
             verdicts.setdefault(key, {}).update((id(item), item) for item in own)
     alone = len({(row.route, row.link, row.msg_id) for members in groups.values() for row, _ in members}) == 1
@@ -219,16 +223,24 @@ def _problem(
     """
     rows, lost = [row for row, _ in members], sum(number for _, number in members)
     remedy, advice = (_useful(own[0].remedy), own[0].advice) if own else ("", None)
+    of = sent_of(result, rows)
+    unseen = of < lost or not rows[0].link or rows[0].msg_id is None
+    whole = "of " * (rows[0].msg_id is None) if unseen else f"of {of:,} "
+    about = f"{whole}{_names(result, rows)}"
     if cause not in CAUSES:
-        text = _each(cause, own, lost) if own else f"{_names(result, rows)}: {cause.replace('_', ' ')}"
+        text = _each(cause, own, lost, about) if own else f"{about}: {cause.replace('_', ' ')}"
     else:
-        of = sent_of(result, rows)
-        unseen = of < lost or not rows[0].link
-        whole = "of " * (rows[0].msg_id is None) if unseen else f"of {of:,} "
-        about = f"{whole}{_names(result, rows)} "
-        text = f"{'' if alone else about}{_place(cause, rows, own)}{_when(result, own)}"
+        alone |= cause == PORT_CLOSED and not rows[0].link  # else the port would be named twice
+        place, whose = _place(cause, rows, own), rows[0].instance
+        if len({row.instance for row in result.balance if row.instance}) > 1:
+            place += f" of {whose}" * (cause in {"limit", "overflow"})
+            place = place.replace("while cFS was", f"while {whose} was")
+        text = f"{'' if alone else f'{about} '}{place}{_when(result, own)}"
         why = advice.why if advice else own[0].reason.partition(": ")[2] if own else ""
-        if cause in _AT_QUEUES and why:
+        whys = dict.fromkeys(item.advice.why for item in own if item.advice and item.advice.why)
+        if cause not in _AT_QUEUES:
+            text += f", after {' and '.join(whys)}" if whys else ""
+        elif why:
             text += f": {why}"
     return Problem(lost, text, remedy, Severity.ERROR, tuple(own), advice.left if advice else None)
 
@@ -244,28 +256,26 @@ def _promising(result: Diagnosis, problems: Sequence[tuple[Problem, Sequence[Row
         yield replace(item, left=rest, of=sent_of(result, rows) if lost <= cured else cured)
 
 
-def _more(reason: str, own: Sequence[Verdict]) -> str:
-    return reason if len(own) == 1 else f"{reason} (and {len(own) - 1:,} more of this kind)"
-
-
-def _each(cause: str, own: Sequence[Verdict], lost: int) -> str:
-    """Return one text for the verdicts of one cause, which lost ``lost`` messages together."""
+def _each(cause: str, own: Sequence[Verdict], lost: int, about: str) -> str:
+    """Return one text for the verdicts of one cause, which lost ``lost`` messages: ``about``."""
     which, _, text = own[0].reason.partition(": ")
-    if len(own) == 1 or not cause.startswith("bad_"):
-        return "e.g. " * (len(own) > 1) + _more(own[0].reason, own).removeprefix(f"{lost:,} ")
-    others = len({item.reason.partition(": ")[2] for item in own}) - 1
-    return f"{text} (first: {which})" + f", and {plural(others, 'other fault')}" * (others > 0)
+    if not cause.startswith("bad_"):
+        return f"{about}: e.g. {own[0].reason}" if own[1:] else own[0].reason.removeprefix(f"{lost:,} ")
+    faults = len({item.reason.partition(": ")[2] for item in own})
+    if faults > 1:
+        return f"{about}, {faults} faults; the first, {which}: {text}"
+    return f"{about}: {text}" + f" (first: {which})" * (len(own) > 1)
 
 
 def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
     """Return the place of a loss in words, with the name of the pipe, application or peer."""
     hops = {item.hop for item in own if item.hop}
     hop = (" or ".join(sorted(hops - {APP} or hops)) or rows[0].hop).replace(APP, "the application's pipe")
-    if (cause == "limit" and own) or hop.startswith(RELAY_HOP):
-        return f"at {hop}"
+    if (cause in {"limit", "overflow"} and own) or hop.startswith(RELAY_HOP):
+        return f"at {hop}".replace(f"at {BUS}", f"on the {BUS}")
     if cause in {"limit", "overflow"}:
         return f"{cause_text(cause)}, {hop}"
-    text = cause_text(cause).replace("the application", hop)
+    text = cause_text(cause).replace("the application", hop).replace("a port where", f"{hop}, where")
     text = text.replace("before CI", f"before {sbn.NAME}") if hop == SBN_SOCKET else text
     return text.replace("a silent SBN peer", f"{hop} while it was silent")
 
@@ -288,9 +298,9 @@ def sent_of(result: Diagnosis, rows: Iterable[Row]) -> int:
 
 
 def _name(result: Diagnosis, row: Row) -> str:
-    unnamed = "an unknown MsgId" if row.msg_id is None else f"0x{row.msg_id:04x}"
+    unnamed = "unknown MsgIds" if row.msg_id is None else f"0x{row.msg_id:04x}"
     if among := {f"0x{msg_id:04x}" for _, msg_id, _ in row.among}:
-        unnamed = " or ".join(sorted(among)) if len(among) <= _NAMED else f"one of {len(among)} MsgIds"
+        unnamed = either(sorted(among)) if len(among) <= _NAMED else f"one of {len(among)} MsgIds"
     elif row.msg_id is None and row.hop.startswith(UDP_PORT):
         unnamed = f"sent to {row.hop}"
     return result.topics.get(row.route) or row.topic or row.name or unnamed
@@ -327,7 +337,8 @@ def _total(result: Diagnosis, problems: Sequence[Problem]) -> str:
     if result.without_evidence:
         noun = f"{sent(result.balance):,} {_names(result, result.balance)}"
         text = f"No evidence: nothing here counts what arrived of {noun}"
-    counts = _counts(item for item in problems if item.verdicts[0].rule != "not_examined")
+    first = {"not_examined"} if result.unnamed else set()  # line 1 begins with it
+    counts = _counts(item for item in problems if item.verdicts[0].rule not in first)
     others = f" {' and '.join(counts)}:" if counts else ""
     text = _nothing_sent(result) + text
     if more:
@@ -348,7 +359,8 @@ def _copies(result: Diagnosis, proven: int) -> str:
     number = f"{least:,} to {most:,}" if least < most else f"{most:,}"
     if not most and proven:
         return " They are copies: every message arrived."
-    return f" Some are copies: {number} of their messages never arrived." if least < proven else ""
+    some = "Some are" if most < proven else "Some may be"
+    return f" {some} copies: {number} of their messages never arrived." if least < proven else ""
 
 
 def _counts(problems: Iterable[Problem], kind: str = "") -> list[str]:
@@ -378,29 +390,38 @@ def _lost(result: Diagnosis, proven: int) -> str:
         if proven == of:
             return f"None of the {of:,} {name} {noun} arrived{whole}."
         return f"{_share(proven, of, noun)} never arrived{whole}: {proven:,} of {of:,} {name} {were} lost."
-    parts = _parts(result, proven, len(routes), shared)
+    parts = _parts(result, rows)
     return f"{proven:,} {noun} {were} lost: {', '.join(parts) or _names(result, rows)}."
 
 
-def _parts(result: Diagnosis, proven: int, routes: int, shared: int) -> list[str]:
-    """Return the losses of the routes that lost most, by name, and of the rest together; empty without names.
+def _parts(result: Diagnosis, rows: Sequence[Row]) -> list[str]:
+    """Return the losses of the routes that lost most, by name, and of the rest together; empty for one name.
 
     Args:
         result: the diagnosis.
-        proven: number of lost messages.
-        routes: number of routes that lost some.
-        shared: number of lost messages that belong to one of several routes.
+        rows: rows of the balance that lost something.
     """
+    own, shared = [row for row in rows if not row.among], [row for row in rows if row.among]
+    routes = len({row.key for row in own})
     lines = sorted((item for item in result.headlines if item.missing), key=lambda item: -item.missing)
     if len(lines) < routes or len(lines) > _NAMES + 1:
         del lines[_NAMES:]
     parts = [f"{item.missing:,} of {item.sent:,} {item.name}" for item in lines]
-    if lines and (other := routes - len(lines)):
-        rest = proven - shared - sum(item.missing for item in lines)
-        parts.append(f"{rest:,} with {plural(other, 'other MsgId')}")
-    if lines and shared:
-        parts.append(f"{shared:,} of one of several MsgIds")
-    return parts
+    if other := routes - len(lines):
+        rest = by_key(own, partial(_name, result))
+        for line in lines:
+            rest.pop(line.topic, None)
+        number = sum(row.proven for row in own) - sum(item.missing for item in lines)
+        parts += _others(rest, 1 if lines else _NAMES) or [f"{number:,} with {plural(other, 'other MsgId')}"]
+    if shared:
+        parts.append(f"{sum(row.proven for row in shared):,} of {_names(result, shared)}")
+    return parts if parts[1:] or lines else []
+
+
+def _others(rows: Mapping[str, Sequence[Row]], most: int) -> list[str]:
+    """Return the losses of some routes by name; empty if these are more than ``most``."""
+    lost = Counter({name: sum(row.proven for row in own) for name, own in rows.items()})
+    return [f"{number:,} with {name}" for name, number in lost.most_common()] if len(lost) <= most else []
 
 
 def _share(part: int, of: int, noun: str) -> str:
@@ -428,9 +449,10 @@ def _fine(result: Diagnosis) -> str:
     arrival = "arrived, as far as this capture shows." if _leaves_host(result) else "arrived."
     parts = []
     if arrived and not (open_ended or hides) and fates.keys() <= {"arrived", "lost"}:
-        parts.append(f"All {'else' if 'lost' in fates else whole} {arrival}")
+        parts.append(f"All {'else' if result.lost + result.unaccounted else whole} {arrival}")
     elif others:
-        parts.append(f"{plural(others, 'other message' if 'lost' in fates else 'message')} {arrival}")
+        proven = result.lost + result.unaccounted
+        parts.append(f"{plural(others, 'other message' if proven else 'message')} {arrival}")
     if result.superseded:
         parts.append(f"{result.superseded:,} gave way to newer ones, as the application does.")
     if unseen:

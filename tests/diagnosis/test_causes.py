@@ -82,7 +82,7 @@ def test_limits_that_commands_set_are_named_and_nothing_is_missing_between(lab):
     assert any("2 of this MsgId may wait (set by a command at 51.8 s)" in line for line in reasons)
     (problem,) = (item for item in summarize(found).problems if item.lost == 254)
     assert "TO keeps 1 of this MsgId" in problem.text
-    assert "(set by a command at 21.0 s); 206 of these when it kept 2, set at 51.8 s" in problem.text
+    assert "(set by a command at 21.0 s); 2 from 51.8 s on: 206 of these" in problem.text
     stops = told(found, "to_stopped")
     assert [item.reason.partition("0x0827 at ")[2] for item in stops] == [
         "19.8 s, and to send it again, at most 1 a round, at 21.0 s",

@@ -233,7 +233,7 @@ def test_what_ci_read_before_a_command_that_came_out_does_not_wait_in_its_socket
 
 def test_a_sender_that_is_named_by_his_processor_too_is_no_other():
     (verdict,) = found(examined("network_bad"), "unknown_peer")
-    assert (verdict.lost, verdict.reason[:27]) == (1, "153:3 sent 1 SBN datagram, ")
+    assert (verdict.lost, verdict.reason[:28]) == (1, "SBN messages of 153:3, which")
 
 
 def test_a_command_that_leaves_to_the_robot_and_on_sbn_is_not_put_behind_the_robot():
@@ -291,7 +291,7 @@ def test_what_became_of_bad_datagrams_is_told_by_events_alone():
     assert not any("receive task" in item.reason for item in verdicts)
     short = [item for item in verdicts if "shorter than" in item.reason]
     assert {item.lost for item in short} == {None}
-    assert all("it may have been taken as that one again" in item.reason for item in short)
+    assert all("perhaps taken with older bytes" in item.reason for item in short)
     task = examine(ROOT / "tests/captures/f_sbn_disconnect.pcap.zst", Options())
     refused = [item for item in found(task, "bad_network_message") if item.lost]
     assert refused
@@ -331,7 +331,7 @@ def test_what_came_over_the_network_while_cfs_was_down_is_lost_there():
     assert (row.msg_id, row.came, row.lost) == (0x1829, 250, {"down": 43})
     (crossing,) = found(diagnosis, "crossing_loss")
     assert (crossing.lost, crossing.cause) == (53, "disabled")
-    assert crossing.reason.endswith("while Telemetry Output was not to send them")
+    assert crossing.reason.endswith("while Telemetry Output was not enabled")
 
 
 def test_commands_without_values_are_those_that_the_counter_has():

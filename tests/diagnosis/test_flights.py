@@ -664,7 +664,7 @@ def test_the_limit_is_that_of_the_command_that_was_in_force():
 
 def test_a_limit_of_none_is_raised_and_no_rate_gets_through():
     text = first_screen(examined("limit_of_none"))
-    assert "TO keeps 0 of this MsgId" in text
+    assert "TO keeps none of this MsgId (set by a command at " in text
     assert "publish" not in text
 
 
@@ -690,7 +690,7 @@ def test_a_message_that_is_the_same_all_the_time_is_no_state_of_a_robot_that_wai
 def test_a_command_that_was_refused_changes_no_application():
     text = first_screen(examined("refused_starts"))
     assert "started again" not in text
-    assert "length that its function code does not take" in text
+    assert "wrong length for its function code" in text
 
 
 def never_loaded(tmp_path, uneven):
@@ -982,7 +982,7 @@ def test_what_is_there_again_much_later_is_no_second_place(tmp_path, share):
 def test_commands_to_a_port_that_nobody_named_are_not_examined_unless_errors_quote_each():
     found = examined("sent_to_another_port")
     assert not found.unnamed
-    assert "nobody listened on 127.0.0.1:1334" in first_screen(found)
+    assert "to port 127.0.0.1:1334, where nobody listened" in first_screen(found)
     assert summarize(found).headline == "36 commands were lost: sent to port 127.0.0.1:1334."
 
 
@@ -1114,7 +1114,7 @@ def test_a_peer_that_goes_on_without_subscribing_anew_stood_still(tmp_path):
 def test_a_limit_that_an_event_tells_is_none_that_is_assumed():
     """A command without its limit was accepted: 0 may wait, and adding it again changes nothing."""
     text = first_screen(examined("added_too_short"))
-    assert "TO keeps 0 of this MsgId" in text
+    assert "TO keeps none of this MsgId (set by a command at " in text
     assert "to-add 0x082e --limit 4" in text
     assert "keeps 4" not in text
 
@@ -1258,7 +1258,7 @@ def test_what_a_dead_uplink_lost_is_no_backlog():
 
 def test_of_several_rows_that_share_losses_each_msg_id_is_named_once():
     text = first_screen(examined("bursts_around_a_restart"))
-    assert "of 0x082d or 0x1827 or 0x1885 at software bus" in text
+    assert "of 0x082d, 0x1827 or 0x1885 on the software bus" in text
 
 
 def test_what_was_sent_before_the_first_that_came_out_is_told_so():

@@ -10,7 +10,7 @@ from rich.console import Console
 from truth import examined
 
 from edoras_tools.diagnosis.summary import summarize
-from edoras_tools.render.doctor import screen
+from edoras_tools.render.doctor import diagnosis, screen
 
 FOLDER = ROOT / "tests/captures"
 TOGETHER = "diagnoses"
@@ -23,7 +23,8 @@ FIRST = {
     "n11_jointstate_sizes": "44 messages were lost: 32 of 76 0x0828, 12 of 12 0x182a.",
     "n8_time_jumps": "No loss found, but 1 warning:",
     "q07_uplink_dup_loss_reorder_ground": "281 datagrams were not examined. "
-    "In the rest: 37 messages were lost: 0x1827 and an unknown MsgId.",
+    "In the rest: 37 messages were lost: "
+    "26 with unknown MsgIds, 11 with 0x1827.",
 }
 
 
@@ -98,12 +99,52 @@ def test_all_that_is_told_of_a_loss_is_told_once(diagnosed):
             "scheduler_stopped",
             "9 topics (0x0805 (TIME_HK), 0x0884 (CI_HK), 0x0801 (EVS_HK), 0x0803 (SB_HK), ...)",
         ),
-        ("no_ops", "and a MsgId and function code that an application has"),
+        ("no_ops", "send whole commands of up to 768 bytes, with a MsgId and function code in use"),
+        ("refused_and_over_limits", "200 of 481 TO_CMD: unknown function code; it is refused"),
+        ("refused_by_length", "3 faults; the first, 0x1827, packet 186: unknown function code"),
+        ("damaged_commands", "send CDR of the configured type, and its length in buffer_length"),
+        (
+            "both_bridges_off",
+            "38 of 782 messages of 9 MsgIds to port 127.0.0.1:1235, where nobody listened, 17",
+        ),
+        ("doubled_uplink", "Some may be copies: 0 to 11 of their messages never arrived."),
+        ("burst_at_the_end", "11 of 0x082d, 0x1827 or 0x1828 on the software bus"),
+        ("burst_at_the_end", "5 of 220 0x1827, 11 of 0x082d, 0x1827 or 0x1828. Up to 2 more may be lost."),
+        ("added_too_short", "135 messages were lost: 133 with 0x082e, 2 with TO_CMD."),
+        ("ci_stopped_for_good", "68 messages were lost: 66 of 132 0x1827, 2 with CI_SEND_HK."),
+        ("flood_of_a_stranger", "spread all that is sent to CI, most of it by 127.0.0.1:42694: it reads 11"),
+        ("flood_of_four_kinds", "send CI at most 21.7 Hz in all, 7.9 Hz of each MsgId (up to 79 a second"),
+        ("captured_amid_a_flood", "do send at most 7.9 Hz (up to 50 a second were sent) left 0 of 290"),
+        ("limits_one_three_seven", "(set by a command at 8.0 s); 3 from 15.0 s on, 7 from 22.0 s on"),
+        ("processor_restarted", "56 while cFS was down, 12.2 to 18.3 s, after ES RESTART (packet 297)"),
+        ("stop_without_events", "146 while EDORAS_APP did not run, after STOP_APP EDORAS_APP"),
+        ("all_restarted", "20.3 to 35.7 s, after RESTART_APP EDORAS_APP and RESTART_APP SBN"),
+        ("peers_flood_each_other", "957 of 1,025 0x0828 at TO_LAB_TLM_PIPE of cFS 66:2, 12.4 to 20.9 s: TO"),
+        ("processor_of_peers_restarted", "28 of 444 0x1827 and 0x1828 while cFS 66:1 was down"),
+        ("peer_killed_and_stopped", "371 of 1,968 messages of 22 MsgIds sent to SBN peer 66:2 while it was"),
+        ("frames_in_bursts", "No loss found. Up to 17 messages may be lost. 2 warnings:"),
+        ("bursts_at_a_pipe_of_four", "89 of 799 messages of 3 MsgIds at EDORAS_APP_PIPE: the pipe was full"),
+        ("robot_ends_after_its_commands", "see whether the robot, or its simulator, runs"),
+        ("few_errors_come_back", "All else arrived, as far as this capture shows."),
+        (
+            "stopped_out_of_sight",
+            "may be lost: nothing here shows whether an application took them (STOP_APP",
+        ),
     ],
 )
 def test_sentences_fit_what_they_tell(name, sentence, diagnosed):
-    shown = " ".join(line.strip() for line in lines(diagnosed(name), 120))
+    shown = " ".join(" ".join(lines(diagnosed(name), 120)).split())
     assert sentence in shown
+
+
+def test_of_what_is_lost_long_after_it_was_sent_no_share_is_shown(diagnosed):
+    """A span of losses has fewer messages that were sent in it than were lost, if these waited before."""
+    console = Console(width=80, color_system=None)
+    with console.capture() as shown:
+        console.print(diagnosis(diagnosed("three_losses_flight"), "flight", 80))
+    (line,) = (line for line in shown.get().splitlines() if line.strip().startswith("35.0 to 40.8 s"))
+    assert line.split()[4:6] == ["52", "24"]
+    assert "%" not in line
 
 
 def test_a_clean_rate_is_known_as_in_the_advice(diagnosed):

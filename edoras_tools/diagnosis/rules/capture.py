@@ -47,7 +47,7 @@ def not_examined(case: Case) -> Iterator[Verdict]:
     gaps = f"sequence counts: {plural(missing, 'message')} that span such a time are not captured"
     for reason, why, span in away:
         facts = [why, gaps] if missing else [why]
-        remedy = "what spans it says nothing of the link: examine before and after, --start and --end"
+        remedy = "examine the time before it and the time after it alone: --start and --end"
         yield warning(reason, *facts, hop="capture", span=span, remedy=remedy)
 
 
@@ -170,7 +170,7 @@ def out_of_order(case: Case) -> Iterator[Verdict]:
     Say that they were sorted.
     """
     if count := case.prepared.disordered:
-        reason = f"{count:,} records of the capture stand behind later ones; all were put in order of time"
+        reason = f"{plural(count, 'record')} out of order in the capture; all were put in order of time"
         why = "capture times run back, and the times in cFS's packets with them"
         yield note(reason, why, hop="capture", remedy="none; reordercap writes such a file in order")
 

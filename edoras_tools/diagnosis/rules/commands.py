@@ -25,7 +25,7 @@ from edoras_tools.wire.arrays.order import Places, by_value, groups, numbered
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
@@ -55,6 +55,10 @@ _SHORT_EVENT: Final = f"{command_ingest.TOO_SHORT.phrase}|{command_ingest.TOO_SH
 _MSG_ID_EVENT: Final = re.escape(software_bus.EVENTS[software_bus.INVALID_MSG_ID].phrase)
 _CODE_EVENT: Final = r"Invalid ground command code|Function Code|Invalid.*CC = "
 _LENGTH_EVENT: Final = rf"[Ii]nvalid [Mm]sg length|Invalid cmd length|{telemetry_output.ENABLED.phrase}"
+_WRONG_LENGTH: Final = "wrong length for its function code"
+_NOT_READ: Final = "the application cannot decode it, and says so on its console alone"
+_READ_BEYOND: Final = "the application reads what is behind, and says nothing"
+_OLD_BYTES: Final = "accepted; CI fills up what is missing with bytes of an older command"
 _KINDS: Final = (
     BadCommand(Finding.TRUNCATED, "shorter than a command header", "CI drops it", _SHORT_EVENT),
     BadCommand(
@@ -66,55 +70,29 @@ _KINDS: Final = (
         "the software bus refuses it",
         software_bus.EVENTS[software_bus.MSG_TOO_BIG].phrase,
     ),
-    BadCommand(
-        Finding.UNKNOWN_FUNCTION_CODE,
-        "function code that the application does not have",
-        "the application refuses it",
-        _CODE_EVENT,
-    ),
-    BadCommand(
-        Finding.COMMAND_LENGTH,
-        "length that its function code does not take",
-        "the application refuses it, or reads what its buffer held before",
-        _LENGTH_EVENT,
-    ),
-    BadCommand(
-        Finding.WRONG_DIRECTION,
-        "telemetry MsgId sent as a command",
-        "CI publishes it silently; who subscribes to that telemetry takes it for real",
-    ),
-    BadCommand(
-        Finding.CDR_INVALID,
-        "CDR that does not decode as the configured type",
-        "the application fails to deserialise it, on its console only",
-    ),
-    BadCommand(
-        Finding.CDR_TOO_LONG, "CDR longer than the configured type", "accepted, and read as that type"
-    ),
-    BadCommand(
-        Finding.ENVELOPE_OVERRUN,
-        "buffer_length reaches past the packet",
-        "accepted silently; the application reads beyond the data",
-    ),
+    BadCommand(Finding.UNKNOWN_FUNCTION_CODE, "unknown function code", "it is refused", _CODE_EVENT),
+    BadCommand(Finding.COMMAND_LENGTH, _WRONG_LENGTH, "it is refused, or read with old bytes", _LENGTH_EVENT),
+    BadCommand(Finding.WRONG_DIRECTION, "telemetry sent as a command", "CI publishes it as if it were real"),
+    BadCommand(Finding.CDR_INVALID, "CDR that is not of the configured type", _NOT_READ),
+    BadCommand(Finding.CDR_TOO_LONG, "CDR longer than the configured type", "read as that type all the same"),
+    BadCommand(Finding.ENVELOPE_OVERRUN, "buffer_length reaches past the packet", _READ_BEYOND),
     BadCommand(Finding.CDR_BIG_ENDIAN, "CDR in big-endian order", "accepted, and read as such"),
-    BadCommand(
-        Finding.LENGTH_MISMATCH,
-        "packet data length disagrees with the datagram",
-        "accepted silently; bytes that it lacks are what CI's buffer held before",
-    ),
+    BadCommand(Finding.LENGTH_MISMATCH, "packet data length disagrees with the datagram", _OLD_BYTES),
     BadCommand(Finding.CHECKSUM_BAD, "wrong checksum", "obeyed all the same: no application here checks it"),
 )
 _BAD_COMMANDS: Final = {item.finding: item for item in _KINDS}
 _ANY: Final = reduce(or_, _BAD_COMMANDS)
 _MISMATCH: Final = _BAD_COMMANDS[Finding.LENGTH_MISMATCH]
 """CI of cFS 7 refuses it, and says so."""
-_SHORT = BadCommand(
-    Finding.TRUNCATED,
-    "ends before its message does",
-    "CI accepts it; the application fails to deserialise it, on its console only",
-)
+_SHORT = BadCommand(Finding.TRUNCATED, "ends before its message does", _NOT_READ)
 _EMPTY = BadCommand(Finding.TRUNCATED, "empty", "CI reads nothing and says nothing")
 _HARMLESS: Final = Finding.CDR_BIG_ENDIAN
+_IN_CDR: Final = (Finding.CDR_INVALID, Finding.CDR_TOO_LONG, _HARMLESS, Finding.ENVELOPE_OVERRUN)
+_REMEDIES: Final = {
+    **dict.fromkeys(_IN_CDR, "send CDR of the configured type, and its length in buffer_length"),
+    Finding.WRONG_DIRECTION: "send commands with MsgIds of commands",
+}
+_SEND_WHOLE: Final = f"send whole commands of up to {CI_BUFFER} bytes, with a MsgId and function code in use"
 _ACCEPTED: Final = (
     *(Finding.WRONG_DIRECTION, Finding.CDR_TOO_LONG, Finding.ENVELOPE_OVERRUN, Finding.CHECKSUM_BAD),
     *(_HARMLESS, _MISMATCH.finding),
@@ -219,8 +197,7 @@ def _verdict(case: Case, members: list[int], kind: BadCommand) -> Verdict:
         hop="CI_LAB_APP" if kind.finding is Finding.TRUNCATED or refused else None,
         lost=lost,
         of=len(members),
-        remedy=f"send commands of {cfe.COMMAND_HEADER_BYTES} to {CI_BUFFER} bytes with their length, and a "
-        "MsgId and function code that an application has",
+        remedy=_REMEDIES.get(kind.finding, _SEND_WHOLE),
         confidence="high" if events or not kind.event else "medium",
         by_type=kind.finding is Finding.CDR_INVALID or kind is _SHORT,
     )
@@ -411,18 +388,13 @@ def privileged_commands(case: Case) -> Iterator[Verdict]:
         times = [case.at(when) for when in rows.time_ns[members].tolist()]
         yield security(
             f"{plural(len(members), 'command')} {command_name(msg_id, code)} on {case.name(msg_id)} from "
-            f"{_some(senders)}: it can {PRIVILEGED[msg_id, code]}",
-            f"sent at {_some(times)}",
+            f"{listed(senders)}: it can {PRIVILEGED[msg_id, code]}",
+            f"sent at {listed(times)}",
             f"packet {rows.number[members[0]]} is the first",
             **subject(case, members),
             hop="CI_LAB_APP",
-            remedy="see that whoever sent it was meant to; CI asks nobody who he is",
+            remedy="see that its sender may do this: CI takes commands from everybody",
         )
-
-
-def _some(texts: Sequence[str]) -> str:
-    """Return the first of some texts, and how many more there are."""
-    return ", ".join(texts[:_MOST]) + (f" and {len(texts) - _MOST} more" if len(texts) > _MOST else "")
 
 
 def checksum(case: Case) -> Iterator[Verdict]:

@@ -22,7 +22,7 @@ from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reas
 from edoras_tools.diagnosis.matching.streams import Span, Stream, steady_rate
 from edoras_tools.diagnosis.rules.about import sent_before
 from edoras_tools.diagnosis.rules.pipes import START_AGAIN, revival
-from edoras_tools.diagnosis.verdict import Severity, Verdict, note, verdict, warning
+from edoras_tools.diagnosis.verdict import Advice, Severity, Verdict, note, verdict, warning
 from edoras_tools.links.bare import CI, ROBOT, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Finding
@@ -53,6 +53,7 @@ _IRREGULAR: Final = 3
 _LONG_NS: Final = 10 * SECOND
 """and for so long."""
 _PUBLISHER: Final = "what publishes them ended, or their sender stood still, or was cut off"
+_ROBOT: Final = "the robot's states"
 _LOOK_AT_NODE: Final = "look at the ROS 2 node that publishes them, and at the load of its host"
 _SLACK_NS: Final = SECOND
 _ALIKE: Final = 1.5
@@ -196,7 +197,7 @@ def _causes(case: Case, members: Sequence[Silence]) -> list[str]:
         left, sent = (times[times < members[0].end_ns - _SLACK_NS] for times in (item.time_ns, item.sent_ns))
         if len(left) and abs(left[-1] - first) < _SLACK_NS and sent[-1] < first + _SLACK_NS:
             name = case.name(item.msg_id)
-            closed.append(f"the robot's states stopped at {case.at(int(sent[-1]))}, and {name} with them")
+            closed.append(f"{_ROBOT} stopped at {case.at(int(sent[-1]))}, and {name} with them")
     return closed + [
         f"{item.app} was {'restarted' if item.restarted else 'stopped'} {case.end_of(item)}"
         for item in case.outages
@@ -322,7 +323,7 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
         msg_id=first.stream.msg_id if len(members) == 1 else None,
         place=(first.stream.link.label, "source"),
         span=(first.start_ns, max(item.end_ns for item in members)),
-        remedy=_LOOK_AT_NODE if fed and not outages else _remedy(case, outages, first),
+        remedy=_LOOK_AT_NODE if fed and not outages else _remedy(case, outages, first, "; ".join(causes)),
         confidence="medium" if causes else "low",
     )
 
@@ -330,7 +331,7 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
 def _stopped(case: Case, members: Sequence[Silence]) -> str:
     """Return who stopped, when, and for how long."""
     first = members[0]
-    names = [case.name(item.stream.msg_id) for item in members]
+    names = list(dict.fromkeys(case.name(item.stream.msg_id) for item in members))
     rate = first.rate if len(members) == 1 else None
     who = names[0] if len(names) == 1 else f"{len(names)} topics ({listed(names, _NAMED)})"
     before = f" ({_hz(rate.hz, 2)} before)" if rate else ""
@@ -339,9 +340,11 @@ def _stopped(case: Case, members: Sequence[Silence]) -> str:
     return f"{who} stopped at {case.at(first.start_ns)}{until}{before}"
 
 
-def _remedy(case: Case, outages: Sequence[Outage], silence: Silence) -> str:
+def _remedy(case: Case, outages: Sequence[Outage], silence: Silence, why: str) -> str:
     """Return what helps: what helps the application, where one was stopped or started again."""
     if not outages:
+        if why.startswith(_ROBOT):
+            return "see whether the robot, or its simulator, runs"
         return "look at the application's console and events; capture what goes into it, or its SBN link"
     last = outages[-1]
     runs = last.restarted or last.end_ns is not None
@@ -405,6 +408,7 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, beside_n
     rows, down = case.rows, _down(case, *span)
     commanded = (rows.known_id == ES_COMMAND_MSG_ID) & (rows.function_code == RESTART)
     commanded &= (rows.time_ns > span[0] - SECOND) & (rows.time_ns < span[1])
+    numbers = rows.number[commanded].tolist()
     lost, msg_ids = sum(loss.lost for loss in down), {loss.msg_id for loss in down}
     noun = "command" if all(loss.stream is None or loss.stream.is_command for loss in down) else "message"
     began = f"restarted between {case.at(span[0])} and {case.at(span[1])}"
@@ -421,7 +425,7 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, beside_n
         Severity.ERROR if lost else Severity.WARNING,
         f"{whose} {began}: {meanwhile}",
         how,
-        *(f"packet {at}: the processor was told to restart" for at in rows.number[commanded].tolist()),
+        *(f"packet {at}: the processor was told to restart" for at in numbers),
         *dict.fromkeys(line for loss in down for line in loss.evidence),
         msg_id=down[0].msg_id if len(msg_ids) == 1 else None,
         link=down[0].stream.link.label if len(msg_ids) == 1 and down[0].stream else "ci" if down else None,
@@ -430,6 +434,7 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, beside_n
         of=sum(loss.of or 0 for loss in down) or None,
         span=span,
         remedy=remedy,
+        advice=Advice(f"ES RESTART (packet {numbers[0]})", remedy) if numbers else None,
     )
 
 
@@ -448,7 +453,7 @@ def not_observable(case: Case) -> Iterator[Verdict]:
         remedy = "capture whole frames, without -s or with -s 0"
     elif not sent and not (rows.link == TO).any():
         if len(rows) and (rows.link == ROBOT).all():
-            reason = "only the robot link is here: nothing tells what was sent, so nothing what was lost"
+            reason = "only the robot link is here: it shows neither what was sent nor what was lost"
             yield warning(reason, hop="capture", remedy="capture what goes to CI and comes from TO, too")
         return
     elif not sent:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -38,7 +37,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.model import rate_hz
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_key
-from edoras_tools.words import listed, plural
+from edoras_tools.words import either, listed, plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -277,7 +276,7 @@ def _unfollowed(case: Case, fate: Fate) -> tuple[Integers, str, list[str], str]:
         why = f"Telemetry Output counted {fate.commanded:,} commands meanwhile"
         evidence = ["0x880: its counters of commands taken and refused, between the first and the last here"]
     else:
-        why = f"{fate.undecidable_since}; nothing here shows whether an application took them"
+        why = f"nothing here shows whether an application took them ({fate.undecidable_since})"
         times, lost = times[fate.undecidable], "may be lost"
     which = f"{fate.ends['unaccounted']:,} of {len(stream):,} messages sent to cFS on"
     remedy = "capture what comes out of the application too: the robot link (UDP 8080 to 8585), SBN"
@@ -398,7 +397,8 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
         msg_id=streams[0].msg_id if len(streams) == 1 else None,
         link=streams[0].link.label if len({stream.link for stream in streams}) == 1 else None,
         span=(int(min(own.time_ns[0] for own in streams)), int(max(own.time_ns[-1] for own in streams))),
-        remedy="these are lost if the kernel dropped none; pcapng has its count, and so has: edoras record",
+        remedy="see how many frames the kernel dropped while capturing: if none, these messages are lost. "
+        "pcapng has that count, and so has what this writes: edoras record",
         confidence="low",
     )
 
@@ -415,9 +415,7 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
         clean, pipe, why = limit(own.link, loss.msg_id, case.profile, to_cfs=False)
         offered, which = loss.offered_hz, f"{loss.lost:,} of {loss.of:,} messages on {case.name(loss.msg_id)}"
         likely = f"published at {offered:.0f}/s; {why}: {clean:g}/s, so {pipe} is the likely place"
-        reason = (
-            f"{which} are missing behind the point where they were counted; the capture cannot show where"
-        )
+        reason = f"{which} missing behind the last place that counts them; the capture cannot show where"
         remedy = "capture TO's link with 0x803 and 0x808 in its table: its counters and events tell"
         item = loss_verdict(case, loss, reason, remedy, likely if offered > clean else "")
         yield replace(item, hop=pipe if offered > clean else None, confidence="low")
@@ -455,7 +453,7 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
     for loss in case.losses:
         if loss.rivals or (loss.kind == "unknown" and loss.stream is None):
             where = f"on the {BUS}" if loss.hop == BUS else f"at {loss.hop}"
-            which = " or ".join(dict.fromkeys(case.name(msg_id) for _, msg_id, _ in loss.rivals))
+            which = either(list(dict.fromkeys(case.name(msg_id) for _, msg_id, _ in loss.rivals)))
             names = sorted({case.name(item.msg_id) for item in reported if item.instance == loss.instance})
             alone = f": events name {listed(names)} alone" * bool(names)
             question = f"whether of {which}" if which else f"which{alone}"
@@ -470,8 +468,7 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
                 span=(loss.start_ns, loss.end_ns),
                 remedy="none beside what helps each of these"
                 if helped
-                else f"{also}before the traffic starts let events name MsgId, pipe and "
-                f"sender: {case.inject(ENABLE_OUTPUT)}; "
+                else f"{also}let events name them from the start on: {case.inject(ENABLE_OUTPUT)}; "
                 f"{case.inject('evs-reset-filters', NAME)}",
                 confidence="low",
             )
@@ -520,37 +517,26 @@ def older_losses(case: Case) -> Iterator[Verdict]:
             )
 
 
-_NO_MORE_NS = 2 * SECOND
-_MOST_NAMED = 4
-
-
 def port_closed(case: Case) -> Iterator[Verdict]:
     """Nobody listened on a port for a time, as ICMP errors say; what was sent there meanwhile was lost.
 
-    Name the port, from when to when, how many messages of which MsgIds, and whether the port itself fell
-    silent.
+    Name the port, from when to when, how many messages, and whether the port itself fell silent.
     """
     before: dict[Endpoint, int] = {}
     for span in case.unreachable.spans:
         since_ns, before[span.port] = before.get(span.port, 0), span.end_ns
-        lost, uncertain = (_within(case, span, since_ns, cause) for cause in (PORT_CLOSED, None))
-        if not lost and not uncertain:
+        number, uncertain = (_within(case, span, since_ns, cause) for cause in (PORT_CLOSED, None))
+        if not number and not uncertain:
             continue
-        errors, number = plural(span.errors, "ICMP error"), lost.total()
-        start, last, until = case.at(span.start_ns), case.at(span.last_ns), "the end of the capture"
-        unread = (
-            f"{plural(uncertain.total(), 'more message')} may not have been read there" if uncertain else ""
-        )
-        names = listed([f"{count:,} of {name}" for name, count in lost.most_common()], _MOST_NAMED)
+        errors = plural(span.errors, "ICMP error")
+        start, last = case.at(span.start_ns), case.at(span.last_ns)
+        unread = f"{plural(uncertain, 'more message')} may not have been read there" if uncertain else ""
         again = "not open again in this capture"
         if span.end_ns != NEVER:
-            until = case.at(span.end_ns)
-            again = f"open again at {until}"
-        elif case.end_ns - span.last_ns > _NO_MORE_NS:
-            until = f"{last}, after which nothing was sent there"
-        reason = f"nobody listened on {span.port} from {start} to {until}"
-        if number:
-            reason += f": {plural(number, 'message')} reached nobody ({names})"
+            again = f"open again at {case.at(span.end_ns)}"
+        when = f"at {start}" if start == last else f"from {start} to {last}"
+        reason = f"nobody listened on {span.port} {when}"
+        reason += f": {plural(number, 'message')} reached nobody" if number else ""
         if span.step_ns:
             reason += f"; its own datagrams, {SECOND / span.step_ns:.1f} a second, stopped too"
         yield verdict(
@@ -561,9 +547,10 @@ def port_closed(case: Case) -> Iterator[Verdict]:
             link=next((s.link.label for s in case.streams if case.endpoints[s.receiver] == span.port), None),
             hop=f"{UDP_PORT} {span.port}",
             lost=number or None,
-            of=number + uncertain.total(),
+            of=number + uncertain,
             span=(span.start_ns, span.last_ns),
-            remedy="start the program that listens there before what sends to it; its own log may say more",
+            remedy="start the program that listens there first (its log may say why it ended), or send to "
+            "its port",
         )
     for flow, number, more in case.unreached_flows:
         yield error(
@@ -600,24 +587,23 @@ def unreachable(case: Case) -> Iterator[Verdict]:
         )
 
 
-def _within(case: Case, span: ClosedSpan, open_ns: int, cause: str | None) -> Counter[str]:
-    """Return how many messages of each name were lost in a span, or may be if there is no cause.
+def _within(case: Case, span: ClosedSpan, open_ns: int, cause: str | None) -> int:
+    """Return how many messages were lost in a span, or may be if there is no cause.
 
     Args:
         open_ns: when the span before it on this port ended.
     """
-    counts: Counter[str] = Counter()
+    number = 0
     for item in case.unreached:
         if case.endpoints[item.endpoint] == span.port:
             rows = item.uncertain if cause is None else item.lost.get(cause, np.zeros(0, np.intp))
-            name = case.name(item.stream.msg_id) if item.own else "robot commands"
-            counts[name] += _between(item.sent_ns[rows], open_ns, span.end_ns)
+            number += _between(item.sent_ns[rows], open_ns, span.end_ns)
     for loss in case.commands.losses if cause else ():
         if loss.kind == cause and loss.stream and case.endpoints[loss.stream.receiver] == span.port:
             assert loss.among is not None
             times = loss.stream.time_ns[loss.among.rows]
-            counts[case.name(loss.msg_id)] += _between(times, open_ns, span.end_ns)
-    return +counts
+            number += _between(times, open_ns, span.end_ns)
+    return number
 
 
 def _between(times: Integers, start_ns: int, end_ns: int) -> int:

@@ -104,7 +104,7 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
     away_s = (until - silent.start_ns) / SECOND
     returned = f"back after {away_s:.1f} s" if until < case.end_ns else "not back in this capture"
     why = "It was killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent"
-    remedy = "restart the peer: its first SUB or PROTO connects it. Send DISCONNECT before a planned stop"
+    remedy = "restart the peer: its first SUB or PROTO connects it"
     if silent.stood_still:
         why = "It was not started anew: it stood still, or was cut off, and may read late what it was sent"
         remedy = "look at the load of its host, at who may stop its process, and at the network"
@@ -157,8 +157,7 @@ def sbn_peer_restart(case: Case) -> Iterator[Verdict]:
                 lost=lost or None,
                 of=len(sent) or None,
                 span=(last_ns, back_ns),
-                remedy="send nothing while the peer starts again; its DISCONNECT before a planned stop makes "
-                "cFS hold back what is for it",
+                remedy="send nothing while the peer starts again",
             )
 
 
@@ -358,14 +357,8 @@ _SHORT: Final = BadMessage(
     "read together with what the last datagram left behind, then refused",
     (facts.BAD_MSG_ID, facts.NOT_UNPACKED, facts.UNKNOWN_PEER, facts.UNKNOWN_TYPE),
 )
-_COMPLETED: Final = BadMessage(
-    _SHORT.problem,
-    "no event here says that it was refused: completed by what the last datagram left behind, it may have "
-    "been taken as that one again",
-)
-_TOO_LARGE: Final = BadMessage(
-    "MsgSz above 32,767, which reads as negative", "refused", (facts.NOT_UNPACKED,)
-)
+_COMPLETED: Final = BadMessage(_SHORT.problem, "no event refuses it: perhaps taken with older bytes")
+_TOO_LARGE: Final = BadMessage("MsgSz above 32,767, so negative", "refused", (facts.NOT_UNPACKED,))
 _WRONG_SIZE: Final = BadMessage("MsgSz is not the size of what follows", "ignored silently")
 _UNKNOWN_TYPE: Final = BadMessage("MsgType that SBN does not know", "refused", (facts.UNKNOWN_TYPE,))
 _LEGACY_HEADER: Final = BadMessage(
@@ -422,8 +415,7 @@ def _malformed(case: Case, members: list[int], kind: BadMessage) -> Verdict:
         hop="SBN",
         lost=len(members) if kind.events else None,
         of=len(members),
-        remedy="write the 11-byte header: MsgSz of the payload alone, a known MsgType, ProcessorID, "
-        "SpacecraftID",
+        remedy="write 11 bytes of header: MsgSz of the payload alone, a known MsgType, both IDs",
         confidence="high" if lines or not kind.events else "medium",
     )
 
@@ -554,12 +546,13 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         refused = _refused(
             case,
             members,
-            f"{peer} sent {plural(len(members), 'SBN datagram')}, and is not the peer known at "
+            f"SBN messages of {peer}, which is not the peer known at "
             f"{case.endpoints[rows.source[members[0]]]}: "
             + ("cFS refuses them" if lines else "a cFS whose table does not name it refuses them"),
             "make spacecraft_id and processor_id of the bridge agree with cFS's SBN table (sbn_conf_tbl)"
             + (_CRASH if rows.streamed[members].any() else ""),
             lines,
+            f", the first of {plural(len(members), 'datagram')}",
         )
         if len(messages):  # subscriptions are no messages
             refused = replace(refused, lost=len(messages), of=len(messages))

@@ -256,8 +256,8 @@ def _silent(case: Case) -> Iterator[Verdict]:
                 why = f"it sent to {order.value}, for which it was enabled at {case.at(order.not_before_ns)}"
             yield verdict(
                 Severity.ERROR if failed else Severity.WARNING,
-                f"Telemetry Output sent nothing from {case.at(start_ns)} to {case.at(end_ns)}, until it was "
-                f"enabled: {why}",
+                f"nothing came from Telemetry Output from {case.at(start_ns)} to {case.at(end_ns)}, until it "
+                f"was enabled: {why}",
                 f"sequence counts: {plural(number, 'message')} that the software bus did not lose",
                 failed,
                 order.witness if order else "",

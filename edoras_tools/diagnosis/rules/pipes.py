@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from typing import TYPE_CHECKING, Final
 
@@ -19,7 +20,7 @@ from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
 from edoras_tools.diagnosis.ledger import CAUSES
 from edoras_tools.diagnosis.rules.about import loss_verdict, lost_at, of_messages, packet
 from edoras_tools.diagnosis.rules.commands import refusals
-from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, warning
+from edoras_tools.diagnosis.verdict import Advice, Severity, Verdict, error, note, warning
 from edoras_tools.links.bare import CI, TO
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.units import MILLISECOND, SECOND
@@ -130,9 +131,10 @@ def _over_limit(case: Case, loss: Loss, link: str, text: str) -> Verdict:
     rounds = text.format(set_by(case, loss, limit), period_ms, rate)
     clean = f": {rate:.1f} Hz is clean" if link == "to" else ""
     rounds_text = f"at most {limit} came in one round, every {period_ms:.1f} ms{clean}" if measured else ""
-    rounds = f"{limit} of {rounds}"
+    rounds = f"{limit or 'none'} of {rounds}"
     if loss.offered_hz:
-        rounds = f"published at {loss.offered_hz:.0f}/s, {rounds}"
+        bursts = ", in bursts" * (0 < loss.offered_hz <= rate)
+        rounds = f"published at {loss.offered_hz:,.0f}/s{bursts}, {rounds}"
     reason = f"{lost_at(case, loss)}: {rounds}"
     return loss_verdict(case, loss, reason, advise(case, loss), rounds_text, link=link)
 
@@ -382,6 +384,8 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
         )
 
 
+_COMMAND: Final = re.compile(r"\b(?:STOP|RESTART|RELOAD)_APP \w+")
+"""A command that ends an application, in a witness."""
 _KINDS: Final = frozenset({"restart", "ci_stopped", "stopped", "restart_failed"})
 
 
@@ -396,8 +400,10 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             losses.append(loss)
             noun = "commands" if loss.stream is None or loss.stream.is_command else "messages"
             reason = f"{lost_at(case, loss, noun)}: {CAUSES[loss.kind].listed.format(hop=loss.hop)}"
-            again = START_AGAIN if loss.kind == "restart_failed" else revival(case, case.called(loss.hop))
-            yield loss_verdict(case, loss, reason, again, link=None if loss.stream else "ci")
+            command = _COMMAND.search("\n".join(loss.evidence))
+            again, why = revival(case, case.called(loss.hop)), command[0] if command else ""
+            advice = Advice("", START_AGAIN) if loss.kind == "restart_failed" else Advice(why, again)
+            yield loss_verdict(case, loss, reason, advice, link=None if loss.stream else "ci")
     for item in case.outages:
         start_ns = max(item.start_ns, case.start_ns)
         end_ns = max(start_ns, item.end_ns if item.end_ns is not None else case.end_ns)
