@@ -549,8 +549,7 @@ def port_closed(case: Case) -> Iterator[Verdict]:
             lost=number or None,
             of=number + uncertain,
             span=(span.start_ns, span.last_ns),
-            remedy="start the program that listens there first (its log may say why it ended), or send to "
-            "its port",
+            remedy="start what listens there first (its log may say why it ended), or send to its port",
         )
     for flow, number, more in case.unreached_flows:
         yield error(

@@ -400,9 +400,10 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             losses.append(loss)
             noun = "commands" if loss.stream is None or loss.stream.is_command else "messages"
             reason = f"{lost_at(case, loss, noun)}: {CAUSES[loss.kind].listed.format(hop=loss.hop)}"
-            command = _COMMAND.search("\n".join(loss.evidence))
-            again, why = revival(case, case.called(loss.hop)), command[0] if command else ""
-            advice = Advice("", START_AGAIN) if loss.kind == "restart_failed" else Advice(why, again)
+            app, failed = case.called(loss.hop), loss.kind == "restart_failed"
+            over = [item.witness for item in case.outages if item.app == app and item.start_ns <= loss.end_ns]
+            command = None if failed else _COMMAND.search("\n".join((*loss.evidence, *over[::-1])))
+            advice = Advice(command[0] if command else "", START_AGAIN if failed else revival(case, app))
             yield loss_verdict(case, loss, reason, advice, link=None if loss.stream else "ci")
     for item in case.outages:
         start_ns = max(item.start_ns, case.start_ns)
