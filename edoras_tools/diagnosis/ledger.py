@@ -125,6 +125,7 @@ CAUSES: Final[Mapping[str, LossCause]] = {
     "unsubscribed": LossCause("to an SBN peer that did not subscribe", "the SBN peer had not subscribed"),
     "disabled": LossCause("while Telemetry Output was not enabled", "Telemetry Output was not enabled"),
     "route": LossCause("while their route on the bus was disabled", "its route on the bus was disabled"),
+    "no_subscriber": LossCause("without a subscriber in cFS"),
     PORT_CLOSED: LossCause("to a port where nobody listened", "nobody listened on {}"),
     REFUSED: LossCause(
         "turned away on the way: ICMP errors came back", "an ICMP error came back from the way to {}"

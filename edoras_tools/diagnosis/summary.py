@@ -31,7 +31,7 @@ from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.words import either, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.diagnosis.verdict import Verdict
@@ -261,8 +261,7 @@ def _each(cause: str, own: Sequence[Verdict], lost: int, about: str) -> str:
     which, _, text = own[0].reason.partition(": ")
     if not cause.startswith("bad_"):
         return f"{about}: e.g. {own[0].reason}" if own[1:] else own[0].reason.removeprefix(f"{lost:,} ")
-    faults = len({item.reason.partition(": ")[2] for item in own})
-    if faults > 1:
+    if (faults := len({item.reason.partition(": ")[2] for item in own})) > 1:
         return f"{about}, {faults} faults; the first, {which}: {text}"
     return f"{about}: {text}" + f" (first: {which})" * (len(own) > 1)
 
@@ -408,20 +407,20 @@ def _parts(result: Diagnosis, rows: Sequence[Row]) -> list[str]:
         del lines[_NAMES:]
     parts = [f"{item.missing:,} of {item.sent:,} {item.name}" for item in lines]
     if other := routes - len(lines):
-        rest = by_key(own, partial(_name, result))
-        for line in lines:
-            rest.pop(line.topic, None)
-        number = sum(row.proven for row in own) - sum(item.missing for item in lines)
-        parts += _others(rest, 1 if lines else _NAMES) or [f"{number:,} with {plural(other, 'other MsgId')}"]
+        first = sum((Counter({item.topic: item.missing}) for item in lines), Counter[str]())
+        lost = _by_name(result, own) - first
+        if len(lost) > (1 if lines else _NAMES):
+            lost = Counter({plural(other, "other MsgId"): lost.total()})
+        parts += [f"{count:,} with {name}" for name, count in lost.most_common()]
     if shared:
         parts.append(f"{sum(row.proven for row in shared):,} of {_names(result, shared)}")
     return parts if parts[1:] or lines else []
 
 
-def _others(rows: Mapping[str, Sequence[Row]], most: int) -> list[str]:
-    """Return the losses of some routes by name; empty if these are more than ``most``."""
-    lost = Counter({name: sum(row.proven for row in own) for name, own in rows.items()})
-    return [f"{number:,} with {name}" for name, number in lost.most_common()] if len(lost) <= most else []
+def _by_name(result: Diagnosis, rows: Iterable[Row]) -> Counter[str]:
+    """Return the proven losses of each name."""
+    groups = by_key(rows, partial(_name, result)).items()
+    return Counter({name: sum(row.proven for row in own) for name, own in groups})
 
 
 def _share(part: int, of: int, noun: str) -> str:

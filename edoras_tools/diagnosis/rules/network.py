@@ -552,7 +552,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             "make spacecraft_id and processor_id of the bridge agree with cFS's SBN table (sbn_conf_tbl)"
             + (_CRASH if rows.streamed[members].any() else ""),
             lines,
-            f", the first of {plural(len(members), 'datagram')}",
+            f", the first of {len(members):,} datagrams" * (len(members) > 1),
         )
         if len(messages):  # subscriptions are no messages
             refused = replace(refused, lost=len(messages), of=len(messages))
