@@ -407,10 +407,10 @@ def _parts(result: Diagnosis, rows: Sequence[Row]) -> list[str]:
         del lines[_NAMES:]
     parts = [f"{item.missing:,} of {item.sent:,} {item.name}" for item in lines]
     if other := routes - len(lines):
-        first = sum((Counter({item.topic: item.missing}) for item in lines), Counter[str]())
-        lost = _by_name(result, own) - first
-        if len(lost) > (1 if lines else _NAMES):
-            lost = Counter({plural(other, "other MsgId"): lost.total()})
+        lost = _by_name(result, own) - sum((Counter({x.topic: x.missing}) for x in lines), Counter[str]())
+        number = sum(row.proven for row in own) - sum(item.missing for item in lines)
+        if lost.total() != number or len(lost) > (1 if lines else _NAMES):
+            lost = Counter({plural(other, "other MsgId"): number})
         parts += [f"{count:,} with {name}" for name, count in lost.most_common()]
     if shared:
         parts.append(f"{sum(row.proven for row in shared):,} of {_names(result, shared)}")

@@ -82,6 +82,14 @@ def test_line_1_says_the_total(name, diagnosed):
     assert summarize(diagnosed(name)).headline == FIRST[name]
 
 
+def test_the_figures_of_line_1_add_up_with_names_of_a_mission():
+    """One MsgId may have a topic on one link alone."""
+    missions = tuple(sorted((ROOT / "samples/missions").glob("two_rovers_*.yaml")))
+    headline = summarize(examined(ROOT / "samples/captures/d3_cpu1_cpu2.pcap.gz", (), missions)).headline
+    assert "6,599 messages were lost: 3,641 of 4,239 /robot_1/ground/pose, 2,214 of 3,719 0x0828" in headline
+    assert "744 with 18 other MsgIds." in headline
+
+
 def test_all_that_is_told_of_a_loss_is_told_once(diagnosed):
     for name in CAPTURES if LONG else FIRST:
         summary = summarize(diagnosed(name))
