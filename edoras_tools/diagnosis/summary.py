@@ -275,6 +275,8 @@ def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
     if cause in {"limit", "overflow"}:
         return f"{cause_text(cause)}, {hop}"
     text = cause_text(cause).replace("the application", hop).replace("a port where", f"{hop}, where")
+    doubt = ", or what an application sends on for them"
+    text += doubt * any(doubt in item.reason for item in own)
     text = text.replace("before CI", f"before {sbn.NAME}") if hop == SBN_SOCKET else text
     return text.replace("a silent SBN peer", f"{hop} while it was silent")
 
@@ -336,8 +338,7 @@ def _total(result: Diagnosis, problems: Sequence[Problem]) -> str:
     if result.without_evidence:
         noun = f"{sent(result.balance):,} {_names(result, result.balance)}"
         text = f"No evidence: nothing here counts what arrived of {noun}"
-    first = {"not_examined"} if result.unnamed else set()  # line 1 begins with it
-    counts = _counts(item for item in problems if item.verdicts[0].rule not in first)
+    counts = _counts(x for x in problems if not result.unnamed or x.verdicts[0].rule != "not_examined")
     others = f" {' and '.join(counts)}:" if counts else ""
     text = _nothing_sent(result) + text
     if more:

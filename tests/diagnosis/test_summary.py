@@ -123,6 +123,10 @@ def test_all_that_is_told_of_a_loss_is_told_once(diagnosed):
         ("ci_stopped_for_good", "68 messages were lost: 66 of 132 0x1827, 2 with CI_SEND_HK."),
         ("flood_of_a_stranger", "spread all that is sent to CI, most of it by 127.0.0.1:42694: it reads 11"),
         ("flood_of_four_kinds", "send CI at most 21.7 Hz in all, 7.9 Hz of each MsgId (up to 79 a second"),
+        (
+            "flood_of_four_kinds",
+            "108 of 200 0x18ee without a subscriber in cFS, or what an application sends on",
+        ),
         ("captured_amid_a_flood", "do send at most 7.9 Hz (up to 50 a second were sent) left 0 of 290"),
         ("limits_one_three_seven", "(set by a command at 8.0 s); 3 from 15.0 s on, 7 from 22.0 s on"),
         ("processor_restarted", "56 while cFS was down, 12.2 to 18.3 s, after ES RESTART (packet 297)"),

@@ -531,9 +531,8 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         errors = plural(span.errors, "ICMP error")
         start, last = case.at(span.start_ns), case.at(span.last_ns)
         unread = f"{plural(uncertain, 'more message')} may not have been read there" if uncertain else ""
-        again = "not open again in this capture"
-        if span.end_ns != NEVER:
-            again = f"open again at {case.at(span.end_ns)}"
+        opens = "not open again in this capture"
+        again = opens if span.end_ns == NEVER else f"open again at {case.at(span.end_ns)}"
         when = f"at {start}" if start == last else f"from {start} to {last}"
         reason = f"nobody listened on {span.port} {when}"
         reason += f": {plural(number, 'message')} reached nobody" if number else ""
