@@ -351,8 +351,7 @@ def program(*names: str, completes: bool = False) -> typer.Typer:
         if isinstance(command, typer.Typer):
             app.add_typer(command, name=name, rich_help_panel=heading)
         elif isinstance(command, ConfigError):
-            absent = _absent(name, command)
-            app.command(name, cls=_Absent, rich_help_panel=heading)(absent)
+            app.command(name, cls=_Absent, rich_help_panel=heading)(_absent(name, command))
         else:
             app.command(name, cls=Command, rich_help_panel=heading)(command)
     return app

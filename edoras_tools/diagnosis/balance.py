@@ -307,10 +307,8 @@ def chains(
         bridges: (label of the link, MsgId) to the count of a bag.
     """
     whole = summed(rows)
-    groups: dict[tuple[int, int, str | None], list[Row]] = {}
-    for row in whole:
-        if row.link == CI.label and row.msg_id is not None and not row.name:
-            groups.setdefault((row.route, row.msg_id, row.instance), []).append(row)
+    mine = (row for row in whole if row.link == CI.label and row.msg_id is not None and not row.name)
+    groups = by_key(mine, lambda row: (row.route, row.msg_id or 0, row.instance))
     result = []
     for (route, msg_id, instance), own in groups.items():
         if (topics and route == NO_ROUTE) or not any(row.hop == BUS and (row.out or topics) for row in own):

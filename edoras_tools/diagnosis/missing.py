@@ -168,8 +168,7 @@ def _together(case: Case, shares: Sequence[_ShareUnits], most: int) -> Iterator[
             yield from [_entry(case, entry, len(free))] * min(entry.number, most)
             continue
         used = np.concatenate((used, free))
-        for unit in free[-most:].tolist():
-            yield _message(case, (entry, among), unit, entry.text)
+        yield from (_message(case, (entry, among), unit, entry.text) for unit in free[-most:].tolist())
         yield from [_entry(case, entry)] * min(entry.number - len(free), most)
 
 

@@ -16,6 +16,7 @@ from edoras_tools.ros.cdr.plan import ROUNDING, CdrPlan, Compiler
 from edoras_tools.ros.cdr.values import ENCAPSULATION_BYTES, ValueSpan, Writer, decode, value_spans
 from edoras_tools.ros.types.library import Library
 from edoras_tools.ros.types.schema import Definition, MessageField, complete_text, full_name, with_used
+from edoras_tools.wire.arrays.order import by_key
 
 if TYPE_CHECKING:
     import os
@@ -76,9 +77,7 @@ class TypeStore:
     def nearest(self, type_name: str) -> list[str]:
         """Return the most similar known type names, best first, at most three."""
         package, _, last = type_name.rpartition("/")
-        by_last: dict[str, list[str]] = {}
-        for name in self.types():
-            by_last.setdefault(name.rpartition("/")[2].lower(), []).append(name)
+        by_last = by_key(self.types(), lambda name: name.rpartition("/")[2].lower())
         close = get_close_matches(last.lower(), by_last, 3, 0.6)
         package = package.partition("/")[0] + "/"
         return [

@@ -40,6 +40,7 @@ from edoras_tools.structs.bindings import Bound, Encoded, Held, payloads
 from edoras_tools.structs.messages import INLINED, aliased, field_name
 from edoras_tools.structs.shapes import PACKETS, UDP_KEY
 from edoras_tools.wire import cfe
+from edoras_tools.wire.arrays.order import by_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -84,13 +85,10 @@ class MessageFieldFinder:
         self._first: Collection[str] = ()
         self._definitions: dict[str, schema.Definition] = dict(context.structs.definitions)
         self._own = frozenset(self._definitions)
-        self._structs: dict[str, list[Bound]] = {}
-        services: dict[str, list[Bound]] = {}
-        for bound in context.structs.all:
-            self._structs.setdefault(bound.name, []).append(bound)
-            if bound.command:
-                service = SERVICES[context.msg_ids.standard(bound.key.msg_id)][0]
-                services.setdefault(service, []).append(bound)
+        self._structs = by_key(context.structs.all, lambda bound: bound.name)
+        commands = (bound for bound in context.structs.all if bound.command)
+        standard = context.msg_ids.standard
+        services = by_key(commands, lambda bound: SERVICES[standard(bound.key.msg_id)][0])
         self._services = {name: bounds for name, bounds in services.items() if name not in self._structs}
         for index, route in enumerate(context.mission.routes):
             self._add(route.type, index)

@@ -27,7 +27,7 @@ from edoras_tools.diagnosis.evidence.table import Rows, number_hosts, peer_of
 from edoras_tools.sessions.sequence import BOOT_APART_NS, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_value, distinct, distinct_rows, groups, numbered
+from edoras_tools.wire.arrays.order import by_key, by_value, distinct, distinct_rows, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
@@ -210,8 +210,7 @@ class Instances:
             apart = np.concatenate(([True], np.diff(windows) > 1, [True]))
             before = np.where(apart[:-1], least[1:-1], least[:-2])
             after = np.where(apart[1:], least[1:-1], least[2:])
-            quickest = np.minimum(np.minimum(before, after), least[1:-1])
-            made_ns[own] -= delay - quickest[window]
+            made_ns[own] -= delay - np.minimum(np.minimum(before, after), least[1:-1])[window]
         return made_ns
 
     def _find_owners(self, rows: Rows) -> dict[int, list[tuple[int, int]]]:
@@ -280,8 +279,7 @@ class Instances:
 
         def away(index: int) -> tuple[int, bool]:
             item = self.items[index]
-            away_ns = max(item.first_ns - time_ns, time_ns - item.last_ns, 0)
-            return away_ns, not item.name.endswith(processor)
+            return max(item.first_ns - time_ns, time_ns - item.last_ns, 0), not item.name.endswith(processor)
 
         return min(near or fits, key=away)
 

@@ -386,8 +386,7 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint], unsteady_ns: int = 0
     early_ns, host = max(_CLOCKS_NS, unsteady_ns), number_hosts(endpoints)
     if not len(rows) or len(distinct(host[rows.source])) < 2:
         return []
-    ways = (own for _, own in by_value(rows.way()))
-    leaving = by_key(ways, lambda own: int(host[rows.source[own[0]]]))
+    leaving = by_key((own for _, own in by_value(rows.way())), lambda own: int(host[rows.source[own[0]]]))
     every = [item for own in leaving.values() for item in own] if len(leaving) <= _MOST_HOSTS else []
     relayed = []
     for relay, before in by_value(rows.destination):

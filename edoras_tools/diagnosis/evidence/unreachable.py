@@ -192,8 +192,7 @@ def _events(
     row = np.concatenate((to, quoted, np.full(int((kind == _VOICE).sum()), -1)))
     order = np.lexsort((kind, times, port))
     row, kind = row[order], kind[order]
-    unanswered = (kind == _DATAGRAM) & ~closed[row]
-    return _Events(port[order], times[order], row, kind, order - len(to), unanswered)
+    return _Events(port[order], times[order], row, kind, order - len(to), (kind == _DATAGRAM) & ~closed[row])
 
 
 def _telling(rows: Rows, errors: PortErrors, events: _Events, endpoints: Sequence[Endpoint]) -> Mask:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import cache, partial, reduce
-from operator import or_
+from operator import itemgetter, or_
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import Places, by_value, groups, numbered
+from edoras_tools.wire.arrays.order import Places, by_key, by_value, groups, numbered
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
@@ -137,8 +137,7 @@ def bad_command(case: Case) -> Iterator[Verdict]:
     # Where an application says which it refused, that is what it got.
     by_kind = by_mission | by_kind
     for (kind, _), members in by_kind.items():
-        for together in one_by_one(members):
-            yield _verdict(case, together, kind)
+        yield from (_verdict(case, together, kind) for together in one_by_one(members))
 
 
 @cache
@@ -281,11 +280,9 @@ def stranger_commands(case: Case) -> Iterator[Verdict]:
     Name every such address; silent where the capture shows no telemetry of that cFS.
     """
     rows = case.rows
-    stations: dict[str, set[str]] = {}
-    for (cfs, station), _ in _ways(case, np.flatnonzero(rows.link == TO)):
-        stations.setdefault(cfs, set()).add(station)
+    stations = by_key((way for way, _ in _ways(case, np.flatnonzero(rows.link == TO))), itemgetter(0))
     for (sender, target), members in _ways(case, _sound_commands(case)):
-        addresses = stations.get(target)
+        addresses = {station for _, station in stations.get(target, ())}
         if not addresses or sender in addresses or sender == target:  # the flight host itself is no stranger
             continue
         kinds = members[numbered(rows.msg_id[members], rows.function_code[members])[0]].tolist()

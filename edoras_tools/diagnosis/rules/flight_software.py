@@ -538,8 +538,7 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
     told_texts = {text for text in {record.message for record in errors} if text in quoted}
     untold = (item for item in errors if item.message not in told_texts and not _is_reported(case, item))
     groups = by_key(untold, lambda item: (item.sender, item.app, item.event_id))
-    for members in groups.values():
-        yield _error(case, members)
+    yield from (_error(case, members) for members in groups.values())
     every = case.reported_losses.items()
     refused = sum(events.count for item, events in every if item.kind in {"invalid", "too_big"})
     for instance, track in case.tracks.items():

@@ -383,8 +383,7 @@ def bad_network_message(case: Case) -> Iterator[Verdict]:
     wrong &= ~inside | rows.has(Finding.SBN_SIZE_MISMATCH | Finding.SBN_LEGACY_HEADER)
     by_kind = by_key(np.flatnonzero(wrong).tolist(), lambda row: (_kind(case, row), int(rows.msg_id[row])))
     for (kind, _), members in by_kind.items():
-        for together in one_by_one(members):
-            yield _malformed(case, together, kind)
+        yield from (_malformed(case, together, kind) for together in one_by_one(members))
 
 
 def _kind(case: Case, row: int) -> BadMessage:

@@ -151,8 +151,7 @@ def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
     others = [item for item in full if item not in routes]
     for loss in routes:
         yield _output_overflow(case, loss, [item for item in others if _together(item, loss)])
-    for own in by_key(others, lambda item: item.instance).values():
-        yield _with_them(case, own)
+    yield from (_with_them(case, own) for own in by_key(others, lambda item: item.instance).values())
 
 
 def _is_route(loss: Loss) -> bool:

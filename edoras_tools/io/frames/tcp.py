@@ -328,8 +328,7 @@ class _Follow:
             order = np.argsort(start, kind="stable")
             members, start, length = members[order], start[order], length[order]
         stop = start + length
-        before = np.maximum(np.append(0, np.maximum.accumulate(stop)[:-1]), 0)
-        twice = start < before
+        twice = start < np.maximum(np.append(0, np.maximum.accumulate(stop)[:-1]), 0)
         if not twice.any():
             whole = np.ones(len(members), bool)
             return _Pieces(members, segments.start[members], start, length, whole), members[:0]

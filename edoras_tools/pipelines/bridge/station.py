@@ -37,6 +37,7 @@ from edoras_tools.sessions.bridge.bridge import CI_LARGEST, SBN_LARGEST, BridgeO
 from edoras_tools.sessions.bridge.ends import FlightSession, GroundSession
 from edoras_tools.sessions.bridge.packets import PacketWriter
 from edoras_tools.wire import cfe
+from edoras_tools.wire.arrays.order import by_key
 from edoras_tools.wire.envelope import DEFAULT
 
 if TYPE_CHECKING:
@@ -319,12 +320,9 @@ class Station:
 
     def _record(self, count: int) -> None:
         assert self.recorder is not None
-        senders = self._buffer.senders(count)
-        slots: dict[bytes, list[int]] = {}
-        for slot, packed in enumerate(senders.view("V32").ravel().tolist()):
-            slots.setdefault(packed, []).append(slot)
-        for packed, rows in slots.items():
-            self.recorder.take(self._buffer, np.array(rows), self._times, self._ends_with(packed))
+        senders: list[bytes] = self._buffer.senders(count).view("V32").ravel().tolist()
+        for sender, slots in by_key(range(len(senders)), senders.__getitem__).items():
+            self.recorder.take(self._buffer, np.array(slots), self._times, self._ends_with(sender))
 
     def _ends_with(self, sender: bytes | None) -> NDArray[np.void]:
         """Return the endpoints of a datagram: from a socket address to us; for None from us to the target."""

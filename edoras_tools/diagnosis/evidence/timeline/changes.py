@@ -294,16 +294,14 @@ def _goodbyes(
     """Yield the changes of a cFS's SBN application that ended after a DISCONNECT to its peer."""
     places = [place for place in distinct(rows.source).tolist() if network.party(place) == observer]
     speaks = np.isin(rows.source, places) & (rows.sbn_msg_type >= 0)
-    said_ns = rows.time_ns[
-        speaks & (rows.sbn_msg_type != MsgType.DISCONNECT)
-    ]  # it leaves one after the other
+    # It leaves one peer after the other.
+    said_ns = rows.time_ns[speaks & (rows.sbn_msg_type != MsgType.DISCONNECT)]
     subject = StateOwner("app", sbn.NAME)
     for item in (item for item in connection.changes if item.why == SAID_GOODBYE):
         later = said_ns[said_ns > item.time_ns][:1].tolist()
         if not later or later[0] - item.time_ns > _SLACK_NS:
             text = "it sent its peer DISCONNECT, and then nothing"
-            state = "stopped" if later else "failed"
-            yield Change(system, subject, state, item.time_ns, item.time_ns, text)
+            yield Change(system, subject, "stopped" if later else "failed", item.time_ns, item.time_ns, text)
         for when in later:
             yield Change(system, subject, "running", when, when, "it speaks to its peers again")
 

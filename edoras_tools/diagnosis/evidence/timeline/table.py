@@ -257,8 +257,7 @@ def _blocking(way: Way) -> Iterator[tuple[int, StateOwner, Sequence[str]]]:
     yield way.system, StateOwner("cfs"), NOT_RUNNING
     yield way.system, StateOwner("route", "", way.msg_id), ("cut",)
     if way.link.only_from_cfs:
-        for app in telemetry_output.NAMES:
-            yield way.system, StateOwner("app", app), NOT_RUNNING
+        yield from ((way.system, StateOwner("app", app), NOT_RUNNING) for app in telemetry_output.NAMES)
         yield way.system, StateOwner("output"), ("disabled", "suppressed")
         yield way.system, StateOwner("entry", "", way.msg_id), ("unsubscribed",)
     elif way.link.peers:
