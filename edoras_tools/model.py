@@ -551,13 +551,13 @@ class Decoded(msgspec.Struct, frozen=True):
 
 
 class CutDatagram(msgspec.Struct, frozen=True):
-    """A datagram that was never complete: only its first fragment came.
+    """A datagram that was never complete: it lacks fragments.
 
     Attributes:
         time_ns: capture time, ns since 1970-01-01 UTC.
-        source: sender.
-        destination: receiver.
-        head: first bytes of the UDP payload, at most 56.
+        source: sender; its port is 0 if ``head`` is empty.
+        destination: receiver, likewise.
+        head: first bytes of the UDP payload, at most 56; empty unless just its first fragment came.
     """
 
     time_ns: int
@@ -666,8 +666,7 @@ class SourceStatistics(msgspec.Struct):
         warnings: warnings for people, one line each.
         outages: outages of interfaces, in order of time; the last one may still last.
         passed_over: datagrams of a recording that were not read, because nothing needs them.
-        cut: datagrams of which only the first fragment came, at most 16,384 and those that still wait; filled
-            at the end.
+        cut: datagrams that lack fragments, at most 16,384 and those that still wait; filled at the end.
         shared: datagrams left out because another capture, read together with this one, has them.
         astray: for each datagram that did not reach the place of another capture on its way, which is read
             together with this one: time (ns since 1970), fingerprint, and whether this is certain.

@@ -181,11 +181,10 @@ class Demux:
         return self._reassembler.abandoned + self._reassembler.pending
 
     def beginnings(self) -> list[CutDatagram]:
-        """Return the datagrams of which only the first fragment came."""
+        """Return the datagrams that lack fragments."""
         return [
             CutDatagram(item.time_ns, *_ends(item), item.head[UDP_BYTES:])
             for item in self._reassembler.beginnings()
-            if len(item.head) >= UDP_BYTES
         ]
 
     def demux(self, frames: FrameBatch) -> PacketBatch:

@@ -75,6 +75,7 @@ MAX_PAYLOAD = 65535
 QUOTED_BYTES = 64
 """Bytes of an incomplete datagram's IP payload that are kept: ports and the first headers."""
 _MOST_LACKING = 1 << 14
+_MOST_UNLISTED = 1 << 20
 _PIECE_OVERHEAD = 128
 """Memory of a stored piece besides its bytes; counted so that floods of tiny fragments are limited, too."""
 
@@ -121,13 +122,14 @@ class Fragment(msgspec.Struct, frozen=True):
 
 
 class Beginning(msgspec.Struct, frozen=True):
-    """The first fragment of a datagram of which no other fragment came.
+    """What came of a datagram that lacks fragments.
 
     Attributes:
         time_ns: capture time of the first of its fragments.
         source: source IP address, 4 or 16 bytes.
         destination: destination IP address, 4 or 16 bytes.
-        head: at most ``QUOTED_BYTES`` of the IP payload: the UDP header and the bytes after it.
+        head: at most ``QUOTED_BYTES`` of the IP payload, UDP header first, if its first fragment came and no
+            other; else empty.
     """
 
     time_ns: int
@@ -144,7 +146,8 @@ class Reassembler:
 
     Attributes:
         abandoned: number of datagrams dropped after a timeout or at the memory limit.
-        lacking: beginnings of the dropped datagrams of which only the first fragment came; at most 16,384.
+        lacking: dropped datagrams that did not come whole before, and of which the capture cut no
+            fragment; at most 16,384.
     """
 
     def __init__(self, *, timeout_ns: int = 30_000_000_000, limit: int = 16 << 20) -> None:
@@ -154,6 +157,7 @@ class Reassembler:
         self._limit = limit
         self._stored = 0
         self._partials: dict[tuple[int, int, bytes, bytes], _Partial] = {}
+        self._unlisted: set[tuple[int, int, bytes, bytes]] = set()
 
     @property
     def pending(self) -> int:
@@ -161,14 +165,15 @@ class Reassembler:
         return len(self._partials)
 
     def beginnings(self) -> list[Beginning]:
-        """Return ``lacking``, and the beginnings of datagrams that still wait for fragments."""
+        """Return ``lacking``, and the datagrams like these that still wait for fragments."""
         return [*self.lacking, *(item for key in self._partials if (item := self._beginning(key)))]
 
     def _beginning(self, key: tuple[int, int, bytes, bytes]) -> Beginning | None:
         partial = self._partials[key]
-        (start, head), *later = partial.pieces or [(0, b"")]
-        alone = head and not start and not later
-        return Beginning(partial.time_ns, key[2], key[3], head[:QUOTED_BYTES]) if alone else None
+        if key in self._unlisted or not partial.pieces:
+            return None
+        (start, head), *later = partial.pieces
+        return Beginning(partial.time_ns, key[2], key[3], b"" if start or later else head[:QUOTED_BYTES])
 
     def add(self, fragment: Fragment) -> tuple[bytes | None, tuple[int, int]]:
         """Add a fragment.
@@ -179,7 +184,10 @@ class Reassembler:
         self._expire(fragment.time_ns)
         partial = self._partials.setdefault(fragment.key, _Partial(fragment.time_ns))
         self._store(partial, fragment)
-        if partial.total >= 0 and partial.units == (1 << -(-partial.total // 8)) - 1:
+        is_whole = partial.total >= 0 and partial.units == (1 << -(-partial.total // 8)) - 1
+        if (is_whole or not fragment.whole) and len(self._unlisted) < _MOST_UNLISTED:
+            self._unlisted.add(fragment.key)
+        if is_whole:
             del self._partials[fragment.key]
             self._stored -= partial.size_stored
             return _join(partial), partial.ports
