@@ -7,7 +7,7 @@ identification with each datagram. So:
    unless the sender reuses one identification for many. It is a *copy*, made by the capture and counted once,
    if it was captured at two places (another link layer header, interface or time to live), or if four of five
    datagrams of the conversation are doubled. Else it is a *duplicate*, made by the network and received
-   twice, unless rules 3 to 7 show the opposite.
+   twice, unless rules 3 to 7 show the opposite; these are asked about the copies of one place, too.
 2. If the identification is 0, which is allowed for datagrams that must not be fragmented, equal bytes are a
    copy only if captured at two places, or if the whole conversation comes in pairs: at least eight groups of
    equal datagrams within 5 ms, nearly all of exactly two. A burst of 50 equal datagrams is one group, and
@@ -75,6 +75,8 @@ _MOST_AGAIN: Final = 1.5
 _WINDOW_BITS: Final = 20
 """Bits for the number of a half-second window: some days in one batch; later windows share a number."""
 _NEVER_NS: Final = (1 << 63) - 1
+_COOKED_BYTES: Final = {113: 12, 276: 18}
+"""Bytes of a Linux cooked header up to the end of the sender's address; two of any value follow it."""
 
 
 class Copies(NamedTuple):
@@ -83,6 +85,7 @@ class Copies(NamedTuple):
     Attributes:
         copy: bool (n,), captured twice: not to be counted.
         duplicate: bool (n,), there twice at one place: the network or the capture doubled it.
+        steady: bool (n,), ``copy`` only because nearly all of its conversation is there twice at one place.
         at_once: bool (n,), captured at the same time as the equal one before it.
         alone: bool (n,), captured at only one of two places that are merged into one file.
         behind_ns: i64 (n,), if only the second place has it, by how much its clock is ahead; else 0.
@@ -90,6 +93,7 @@ class Copies(NamedTuple):
 
     copy: Mask
     duplicate: Mask
+    steady: Mask
     at_once: Mask
     alone: Mask
     behind_ns: Integers
@@ -108,8 +112,8 @@ def find_copies(
         prints: u64 (n,), fingerprints of the datagrams.
     """
     count = len(time_ns)
-    copy, duplicate, at_once, alone = np.zeros((4, count), bool)
-    out = Copies(copy, duplicate, at_once, alone, np.zeros(count, np.int64))
+    copy, duplicate, steadily, at_once, alone = np.zeros((5, count), bool)
+    out = Copies(copy, duplicate, steadily, at_once, alone, np.zeros(count, np.int64))
     key = (prints ^ conversation.astype(np.uint64) * MIX) * MIX ^ identification
     ranked = np.sort(key)  # several times as fast as ordering all rows, most of which are unique
     several = np.flatnonzero(perhaps_in(key, ranked[1:][ranked[1:] == ranked[:-1]]))
@@ -150,8 +154,7 @@ def find_copies(
         if apart_ns > _WITHIN_NS:
             at, place = np.flatnonzero(far[1:]), conversation.astype(np.int64) << 16 | identification
             pairs = order[at[np.argsort(place[order[at]])]]
-            second = _at_second(time_ns, place, pairs, np.flatnonzero(single), apart_ns)
-            out.behind_ns[second] = apart_ns
+            out.behind_ns[_at_second(time_ns, place, pairs, np.flatnonzero(single), apart_ns)] = apart_ns
     bare, mostly = identification == 0, _NEARLY_ALL
     if _of_most(conversation, np.flatnonzero(repeated & bare), np.flatnonzero(bare & ~repeated)):
         mostly = _MOSTLY  # the capture doubles all datagrams that it does not miss
@@ -168,6 +171,7 @@ def find_copies(
             steady |= len(sizes) >= _LEAST_GROUPS and share >= (_STEADY if has_id else mostly)
             copied = np.ones(len(twice), bool) if steady else elsewhere[twice]
             out.copy[twice[copied]] = True
+            out.steady[twice[copied & ~elsewhere[twice] & has_id]] = True
             out.duplicate[twice[~copied & has_id]] = True
     return out
 
@@ -205,8 +209,7 @@ def _varied(conversation: Integers, identification: NDArray[np.uint16], rows: Pl
     own = np.flatnonzero(np.isin(conversation, distinct(conversation[rows])))
     _, which = numbered(conversation[own])
     first, _ = numbered(which, identification[own])
-    varied = 2 * np.bincount(which[first]) > np.bincount(which)
-    return np.asarray(varied[which[np.searchsorted(own, rows)]])
+    return np.asarray((2 * np.bincount(which[first]) > np.bincount(which))[which[np.searchsorted(own, rows)]])
 
 
 def _of_most(conversation: Integers, twice: Places, first: Places) -> bool:
@@ -221,6 +224,21 @@ def _of_most(conversation: Integers, twice: Places, first: Places) -> bool:
         return False
     ways, every = (len(np.unique(conversation[rows])) for rows in (twice, first))
     return ways > 1 and 2 * ways >= every
+
+
+def tap_prints(batch: PacketBatch, network: Integers, some: Places | slice) -> Prints:
+    """Return a fingerprint (u64) of the bytes before some network headers: it shows where they were captured.
+
+    Args:
+        batch: datagrams.
+        network: start of each network header of the batch.
+        some: which datagrams.
+    """
+    frame, link_type = batch.frame_offset[some], batch.link_type[some]
+    size = network[some] - frame
+    for kind, length in _COOKED_BYTES.items():
+        size = np.where(link_type == kind, length, size)
+    return of_bytes(batch.data, frame, size)
 
 
 class Once:
@@ -247,8 +265,7 @@ class Once:
 
         def whole(some: Places | slice) -> tuple[NDArray[Any], ...]:
             """Return the arguments of ``find_copies`` for some datagrams, and their quick keys."""
-            frame = batch.frame_offset[some]
-            tap = of_bytes(batch.data, frame, network[some] - frame) + life[some]
+            tap = tap_prints(batch, network, some) + life[some]
             prints = of_bytes(batch.data, batch.offset[some], batch.length[some])
             return *(column[some] for column in base), tap, prints, short[some]
 

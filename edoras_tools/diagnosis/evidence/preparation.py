@@ -234,13 +234,15 @@ def _doubled(
         sources: i32, endpoint that sent each sample of CI's counts.
     """
     pairs = copies.find_copies(rows.time_ns, rows.identification, rows.way(), rows.tap, rows.bytes_print)
+    pairs = pairs._replace(copy=pairs.copy & ~pairs.steady, duplicate=pairs.duplicate | pairs.steady)
     if not pairs.duplicate.any():
-        return pairs.copy, pairs.duplicate, pairs.duplicate, *pairs[3:]
+        return pairs.copy, pairs.duplicate, pairs.duplicate, *pairs[4:]
     who = copies.who_doubled(rows, pairs, payloads.ingest, sources, endpoints)
     if any(item.doubled for item in proxied.values()):
         who[pairs.duplicate & (who == 0)] = copies.BY_NETWORK  # the proxy's log shows repeated datagrams
+    who[pairs.steady & (who == 0)] = copies.BY_CAPTURE
     perhaps = pairs.duplicate & (who == 0)
-    return pairs.copy | perhaps | (who == copies.BY_CAPTURE), who == copies.BY_NETWORK, perhaps, *pairs[3:]
+    return pairs.copy | perhaps | (who == copies.BY_CAPTURE), who == copies.BY_NETWORK, perhaps, *pairs[4:]
 
 
 def in_time_order(recorder: Recorder) -> tuple[Rows, Payloads, int]:
