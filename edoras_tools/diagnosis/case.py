@@ -99,7 +99,7 @@ class Capture(msgspec.Struct, frozen=True):
         host: counters of the recording host's kernel, oldest first.
         evidence: link to the evidence that it collects by itself.
         unwrappers: link to the object that unpacked packets from their carriers.
-        lacking: datagrams whose first fragment was captured, and no later one.
+        lacking: datagrams that lack fragments.
         shared: number of datagrams left out because another capture, read beside this one, has them.
         astray: time in ns, fingerprint and certainty of each datagram that did not reach the place of the
             next capture on its path.
@@ -318,10 +318,13 @@ class Case:
         own = [item for item in self.ingests if item.not_captured and cut]
         counts = ((item.endpoint, item.read_count + item.not_captured, item.not_captured) for item in own)
         more = [Evidence("ci_counts", *item) for item in counts]
-        once = len(self.rows) - (twice := self.prepared.copies)
-        if once < twice and not self.prepared.perhaps_undelivered.any():  # Lincoln-Petersen
+        once, alone = len(self.rows) - (twice := self.prepared.copies), self.prepared.perhaps_undelivered
+        if once < twice and not alone.any():  # Lincoln-Petersen
             more.append(Evidence("copies", NOBODY, twice, once**2 // (4 * twice)))
-        return replace(quality, evidence=(*quality.evidence, *more))
+        # What either of two places has says nothing of what one of them missed.
+        merged = alone.any() and not self.capture.astray
+        fair = (item for item in quality.evidence if not (merged and item.kind == "periods"))
+        return replace(quality, evidence=(*fair, *more))
 
     @cached_property
     def confidence(self) -> float:
@@ -482,6 +485,21 @@ class Case:
                     times.setdefault((item.source, msg_id), []).append(item.time_ns)
         return times
 
+    def came_in_part(self, stream: Stream) -> Integers:
+        """Return how many messages to a CI lack fragments behind each row, less what it counted: i64 (rows,).
+
+        They are of this stream if no other one to a CI has fragments; most do not show their MsgId.
+        """
+        numbers, host = np.zeros(len(stream), np.int64), self.endpoints[stream.receiver].address
+        parts_ns = sorted(item.time_ns for item in self.capture.lacking if item.destination.address == host)
+        accounts = self.ingests_at(stream.receiver)
+        number = len(parts_ns) - sum(own.not_captured for own in accounts)
+        into = [item for item in self.streams if item.link.only_to_cfs] if accounts and number > 0 else []
+        if [item for item in into if self.rows.has(Finding.FRAGMENT, item.rows).any()] == [stream]:
+            after = np.searchsorted(stream.time_ns, parts_ns[-number:]) - 1
+            np.add.at(numbers, np.maximum(after, 0), 1)
+        return numbers
+
     def ingests_at(self, endpoint: int) -> list[ingest.Ingest]:
         """Return the accounts of the CI at an endpoint; none if nothing counts there."""
         return [item for item in self.ingests if item.endpoint == endpoint]
@@ -547,8 +565,7 @@ class Case:
             return self.instances.owner(stream.sender, start_ns)
         if stream.instance != NOBODY:
             return stream.instance
-        name = self.network.identity_of.get(stream.sender, "")
-        return self.instances.named(name, start_ns, stream.sender)
+        return self.instances.named(self.network.identity_of.get(stream.sender, ""), start_ns, stream.sender)
 
     def commanded_limit(self, stream: Stream) -> int | None:
         """Return the limit of a stream at Telemetry Output, if the last command on its entry set one."""

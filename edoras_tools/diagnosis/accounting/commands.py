@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Hashable
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -52,7 +52,7 @@ from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key, disti
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.diagnosis.accounting.bus import Telemetry
     from edoras_tools.diagnosis.accounting.claims import Claim, Shared
@@ -185,23 +185,24 @@ class Commands:
                     self.losses.append(fate.loss("damaged", rows, [text], hop=f"{UDP_PORT} {to}"))
 
     def _count(self, fate: Fate) -> None:
-        """Make losses of messages that are missing in the sequence counts of a sender in front of CI.
+        """Make losses of messages in front of CI that lack fragments, or are missing in a sender's counts.
 
         Those that CI counted beyond the captured ones were missed by the capture; without counts of CI, those
         that the capture may have missed.
         """
         case, stream = self._case, fate.stream
-        if not (stream.link.only_to_cfs and stream.counted):
+        if not stream.link.only_to_cfs:
             return
-        missing = counted_gaps(case.rows, stream)
+        way = "sequence count:" if stream.counted else "fragments of"
+        missing = counted_gaps(case.rows, stream) if stream.counted else case.came_in_part(stream)
         times = np.append(stream.time_ns, stream.time_ns[-1])
         missing[overlapping(times[:-1], times[1:], case.all_holes)] = 0
         if not (number := int(missing.sum())):
             return
         at, accounts = np.flatnonzero(missing), case.ingests_at(stream.receiver)
-        ends = stream.time_ns[[at[0], at[-1] + 1]].tolist()
+        ends = times[[at[0], at[-1] + 1]].tolist()
         may = case.perhaps_missed(len(stream), number)
-        evidence = [f"sequence count: {number:,} of {len(stream) + number:,} never came"]
+        evidence = [f"{way} {number:,} of {len(stream) + number:,} never came"]
         counted = [own.not_captured for own in accounts if own.first_ns < ends[0] and ends[1] < own.last_ns]
         if counted and not accounts[0].lost:
             may = min(number, counted[0])
@@ -480,15 +481,13 @@ class Commands:
 
         The types are wrong if a message arrived that does not fit them.
         """
-        verdicts: dict[Stream, list[tuple[Verdict, Mask]]] = {}
-        for item in refused:
-            for fate, within in self._alike(item):
-                verdicts.setdefault(fate.stream, []).append((item, within))
+        every = ((item, *both) for item in refused for both in self._alike(item))
+        verdicts = by_key(every, lambda one: one[1].stream)
         for fate in self.fates.values():
             own = verdicts.get(fate.stream, []) if fate.seen else []
-            if any((item.lost or 0) > (within & ~fate.arrived).sum() for item, within in own):
+            if any((item.lost or 0) > (within & ~fate.arrived).sum() for item, _, within in own):
                 continue
-            for item, within in own:
+            for item, _, within in own:
                 most = min(item.lost or 0, fate.ends["unaccounted"])
                 fate.ends["unaccounted"] -= self._place(item, fate, np.flatnonzero(fate.open & within), most)
 
@@ -532,8 +531,7 @@ class Commands:
             # Out of order, or with wrong times, it may be another one, sent a little sooner or later.
             loose = self._case.unsteady_ns or self._case.is_far(fate.stream.receiver)
             if loose or (np.diff(hop.in_rows) < 0).any():
-                others = open_[~(fate.passed | fate.newer)[open_]]
-                fate.passed[others[: int(room.sum()) - len(first)]] = True
+                fate.passed[open_[~(fate.passed | fate.newer)[open_]][: int(room.sum()) - len(first)]] = True
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True
 
     def _mark_undecidable(self, fates: Sequence[Fate]) -> None:
@@ -680,8 +678,7 @@ class Commands:
             stream = part.stream
             if part.kinds and stream in out and part.span.last == len(stream) - 1 and len(times):
                 next_ = (queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe)(profile)
-                passed = int(np.ptp(times) // next_.round_ns) * next_.limit(stream.msg_id)
-                lost.append(len(times) - passed)
+                lost.append(len(times) - (int(np.ptp(times) // next_.round_ns) * next_.limit(stream.msg_id)))
         return min(fate.waiting, max([0, *lost]))
 
     def _rest(self, fate: Fate) -> None:
@@ -738,27 +735,28 @@ def hold_back(case: Case, every: Sequence[Claim]) -> None:
     This concerns gaps that no event names and where no pipe was full. If the capture surely missed frames,
     messages sent while nobody received them are served before all others, because they are lost in any case.
     """
-    groups: dict[Hashable, list[Claim]] = {}
-    for claim in every:
-        if claim.rank == claims.Rank.MISSING:
-            groups.setdefault(claim.flow, []).append(claim)
-        elif claim.rank in {claims.Rank.CLOSED, claims.Rank.INTO_STOP} and case.quality.lacks_answered:
+    groups = by_key((item for item in every if item.rank == claims.Rank.MISSING), lambda item: item.flow)
+    for claim in every if case.quality.lacks_answered else ():
+        if claim.rank in {claims.Rank.CLOSED, claims.Rank.INTO_STOP}:
             claim.rank = claims.Rank.NOT_TAKEN
-    missing = sum(claim.number for own in groups.values() for claim in own)
+    for flow, shares in _missed(case, {flow: [item.number for item in own] for flow, own in groups.items()}):
+        for claim, share in zip(groups[flow], shares, strict=True):
+            claim.number, claim.perhaps_missed = claim.number - share, claim.perhaps_missed + share
+
+
+def _missed(case: Case, gaps: Mapping[Any, list[int]]) -> Iterator[tuple[Stream, list[int]]]:
+    """Yield streams, and how many messages of each of their gaps the capture may have missed.
+
+    Nothing is yielded if a capture that misses such a share of frames would have shown it elsewhere.
+    """
+    missing = sum(map(sum, gaps.values()))
     # In streams without sequence counts a frame missed by the capture leaves no gap.
-    came = sum(len(stream) for stream in case.streams if stream.counted)
-    if missing and not case.quality.excludes(missing / (came + missing)):
-        for stream in case.streams:
-            own = groups.get(stream, [])
-            for claim, share in zip(own, _missed(case, stream, [item.number for item in own]), strict=True):
-                claim.number, claim.perhaps_missed = claim.number - share, claim.perhaps_missed + share
-
-
-def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
-    """Return how many messages of each gap of a stream the capture may have missed."""
-    frames = case.frames(stream) if numbers else 0  # one missed frame is enough to lose a datagram
-    most = case.quality.may_have_missed(frames * (len(stream) + int(stream.missing.sum())), case.confidence)
-    return claims.shares(min(sum(numbers), most), numbers, numbers)
+    came = sum(len(item) for item in case.streams if item.counted and not item.link.only_to_cfs)
+    for stream in case.streams if missing and not case.quality.excludes(missing / (came + missing)) else ():
+        if numbers := gaps.get(stream, []):
+            size = len(stream) + int(stream.missing.sum())  # one missed frame is enough to lose a datagram
+            most = case.quality.may_have_missed(case.frames(stream) * size, case.confidence)
+            yield stream, claims.shares(min(sum(numbers), most), numbers, numbers)
 
 
 def _spans(fates: Sequence[Fate]) -> Integers:
@@ -795,12 +793,9 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
         number = loss.lost if loss.kind in _UNEXPLAINED else loss.uncounted
         if number and loss.stream is not None and not streamed[loss.stream.rows[0]]:
             gaps.setdefault(loss.stream, []).append((loss, number))
-    missing = sum(number for own in gaps.values() for _, number in own)
-    sent = sum(len(item) for item in case.streams if item.counted) + missing
     spare = _counted_but_missed(case, [*telemetry.losses, *losses])
-    for stream in case.streams if missing and not case.quality.excludes(missing / sent) else ():
-        own = gaps.get(stream, [])
-        for (loss, number), share in zip(own, _missed(case, stream, [many for _, many in own]), strict=True):
+    for stream, shares in _missed(case, {item: [many for _, many in own] for item, own in gaps.items()}):
+        for (loss, number), share in zip(gaps[stream], shares, strict=True):
             _take_back(telemetry, loss, min(number, share + spare))
             spare -= min(spare, number - share)
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]

@@ -37,7 +37,7 @@ from edoras_tools.decode.conversations import ConversationKind
 from edoras_tools.diagnosis.accounting.claims import shares
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, WAITS_NS, Fate, Loss, Outage
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.quality import overlapping
+from edoras_tools.diagnosis.quality import largest_share, overlapping
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import Integers, Mask, Places, changes, distinct, groups
 
@@ -118,6 +118,7 @@ class Ingest(msgspec.Struct):
         before: datagrams that arrived before its first count was made and are not in it.
         older_until_ns: until this time it may have read datagrams from before the capture, because it read as
             fast as it can when the capture began; 0 if it did not.
+        older_ns: until this time it surely read only these.
         ended: intervals from the last packet of a cFS that went down to when the next would have come: it may
             have read the datagrams sent meanwhile.
         by_kernel: it has no count; the drops of its socket are from its host's kernel.
@@ -137,6 +138,7 @@ class Ingest(msgspec.Struct):
     lacking: int = 0
     before: int = 0
     older_until_ns: int = 0
+    older_ns: int = 0
     ended: list[tuple[int, int]] = msgspec.field(default_factory=list)
     by_kernel: bool = False
 
@@ -188,8 +190,7 @@ class Ingest(msgspec.Struct):
 def ingests(case: Case) -> list[Ingest]:
     """Return an account of every CI that has counts: its own, or those of the recording host's kernel."""
     rows = case.rows
-    came = rows.on(lambda link: link.only_to_cfs) & ~rows.undelivered & (rows.length > 0)
-    to_ci = np.flatnonzero(came)
+    to_ci = np.flatnonzero(rows.on(lambda link: link.only_to_cfs) & ~rows.undelivered & (rows.length > 0))
     samples = _samples(case)
     every = distinct(rows.destination[to_ci]).tolist()
     places = {system: _endpoint(case, every, own) for system, own in samples.items()}
@@ -293,8 +294,7 @@ def _endpoint(case: Case, places: Sequence[int], own: Sequence[_Sample]) -> int 
     shared = len({system for item, system in pairs if item.host == host}) > 1
     fits = [place for place in places if case.endpoints[place].address == address]
     if len(fits) > 1 or shared:
-        names = {items[sample.instance].name for sample in own} - {""}
-        processor = max(names, default="").partition(":")[2]
+        processor = max({items[sample.instance].name for sample in own} - {""}, default="").partition(":")[2]
         port = command_ingest.PORT + int(processor) - 1 if processor.isdecimal() else 0
         fits = [place for place in fits if case.endpoints[place].port == port]
     return fits[0] if len(fits) == 1 else None
@@ -353,8 +353,7 @@ class _Counted:
         self._all_out = all(hop.out.link.last_hop for hop in hops)
         """Whether everything read comes out: on other ways newer messages may supersede older ones."""
         self._read_ns = _read_by(hops)
-        firsts = ((int(out[0]), int(sent[0])) for sent, out in self._read)
-        self._first_out = min(firsts, default=(0, 0))
+        self._first_out = min(((int(out[0]), int(sent[0])) for sent, out in self._read), default=(0, 0))
         """Of the first command that came out: a time at which CI had not read it, and when it was sent."""
         self.stood = bool((np.diff(self._sent_until(self._seen))[np.diff(self._count) == 0] > 2).any())
         """Whether CI read nothing between two samples though datagrams were sent, as on a stalled network."""
@@ -436,6 +435,17 @@ class _Counted:
             last, crowded = first, bool(busy[-1])
             idle = np.flatnonzero(drained[1:])
             idle_ns = int(self._seen[first + 1 + idle[-1]]) if len(idle) else idle_ns
+        if account.older_until_ns and account.before < 0:
+            # It reads in order: these come first, and as many more as it has lost of the others by then.
+            sure, rest = (
+                int(np.searchsorted(count, -account.before, "right")),
+                self._sent_until(account.older_until_ns),
+            )
+            account.older_ns = int(self._seen[max(0, sure - 1)])
+            more = ceil(largest_share(max(1, int(sent[-1] - rest)), 0) * int(rest))
+            until = int(np.searchsorted(count, more - account.before))
+            if not account.losses and until < np.searchsorted(self._seen, account.older_until_ns):
+                account.older_until_ns = int(self._seen[until])
         account.read_count = int(sent[-1]) - lost - account.waiting
         account.unread = max(0, account.waiting - int(sent[-1] - self._sent_until(own[-1].made_ns)))
         self._stop(account)
@@ -776,11 +786,22 @@ class BeforeCi:
         self._make_uncertain([(fate, fate.open) for fate in fates], account.unsure)
 
     def concede(self, telemetry: Sequence[Loss]) -> None:
-        """Make datagrams uncertain that counts lack, if the network loses some, either way."""
-        accounts, is_lossy = self._case.ingests, any(item.kind == "after" for item in telemetry)
-        if is_lossy or any(item.lost_by("network") for item in accounts):
+        """Make datagrams uncertain that counts lack, if the network loses some, either way.
+
+        Copies that a CI counted hide losses: as large a share as of the telemetry, where nothing shows what
+        came out.
+        """
+        accounts, quality = self._case.ingests, self._case.quality
+        behind = sum(item.lost for item in telemetry if item.kind == "after")
+        if behind or any(item.lost_by("network") for item in accounts):
+            sent = behind + sum(len(item) for item in self._case.streams if item.link.only_from_cfs)
+            share = largest_share(sent, behind) if behind else 0.0
             for account in accounts:
-                self._make_uncertain([(fate, fate.open) for fate in self._to(account)], account.lacking)
+                fates, copied = self._to(account), account.not_captured
+                if any(item.seen for item in fates) or not quality.excludes(copied / len(account.rows)):
+                    copied = 0  # what came out tells; or the capture missed them
+                more = account.lacking + min(copied, ceil(share * len(account.rows)))
+                self._make_uncertain([(fate, fate.open) for fate in fates], more)
 
     @staticmethod
     def _make_uncertain(may: Sequence[_May], number: int) -> None:

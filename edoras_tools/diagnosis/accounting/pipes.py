@@ -15,7 +15,7 @@ Rules:
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping  # noqa: TC003  TICKS is annotated with it
 from math import ceil
 from typing import TYPE_CHECKING, Any, Final
@@ -58,12 +58,11 @@ from edoras_tools.diagnosis.matching.streams import Span, Stream, bursts
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.links.table import carrying
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, distinct
+from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key, by_value, distinct
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from edoras_tools.diagnosis.accounting.claims import Place
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, PipeKind, ReportedLoss
     from edoras_tools.diagnosis.matching.crossing import Hop
@@ -532,8 +531,7 @@ class Leftover:
             events[item.instance, item.kind] += report.count
         out = []
         for item, report, kind in self._absent():
-            is_stopped = events[item.instance, kind] >= STOPS_AFTER - 2
-            end_ns = NEVER if is_stopped else report.last_ns + TAIL_NS
+            end_ns = NEVER if (events[item.instance, kind] >= STOPS_AFTER - 2) else report.last_ns + TAIL_NS
             out.append(Rival(item, item.instance, kind, report.first_ns - TAIL_NS, end_ns))
         for outage in (item for item in self._case.outages if item.app in TICKS):
             # Its wake-ups, one a second, fill the pipe while nobody reads it.
@@ -579,15 +577,44 @@ class Leftover:
             part = min(number, ends["superseded"])
             ends["superseded"] -= part
             ends["missed"] += part
-        places: Counter[Place] = Counter()
-        for own in claims:
-            places.update(own.assigned if own.rank == Rank.PRESSED else ())
-        for at, kind in {place[:2] for place in places if place[0] in behind}:
-            both = [(place[2], most) for place, most in places.items() if place[:2] == (at, kind)]
-            spans = [(self._counts[at].span([second]), most) for second, most in both if second != BEFORE]
+        gaps: defaultdict[tuple[int, PipeKind, Any], Counter[int]] = defaultdict(Counter)
+        for own in (
+            item for item in claims if item.rank == Rank.PRESSED and behind.issuperset(item.instances)
+        ):
+            for (at, kind, second), number in own.assigned.items():
+                gaps[at, kind, own.flow][second] += number
+        for (at, kind), keys in by_key(gaps, lambda key: key[:2]).items():
+            counts, both = self._counts[at], sum((gaps[key] for key in keys), Counter[int]())
+            spans = [(counts.span([second]), most) for second, most in both.items() if second != BEFORE]
+            room = sum(self._room(counts, kind, key[2], gaps[key]) for key in keys)
             for item, fate, sent in self._unseen(at, kind):
                 more = sum(max(0, min(most, item.beyond(sent, *span))) for span, most in spans)
-                fate.ends["earlier"] = min(len(sent), fate.ends["earlier"] + more)
+                fate.ends["earlier"] = min(len(sent), fate.ends["earlier"] + min(more, room))
+
+    def _room(self, counts: Counts, kind: PipeKind, stream: Stream, gaps: Counter[int]) -> int:
+        """Return how many missing messages of a stream its pipe may have let through, to be lost behind cFS.
+
+        In any time the pipe lets at most its limit through in each round, and once more.
+
+        Args:
+            counts: counters that the messages were assigned to.
+            kind: counter.
+            stream: telemetry stream behind the pipe.
+            gaps: second of ``counts`` to the number of missing messages.
+        """
+        case = self._case
+        if kind == "overflow" or not stream.link.only_from_cfs or case.unsteady_ns:
+            return gaps.total()
+        queue = queues.telemetry_pipe(case.profile)
+        limits = queue.limit(stream.msg_id), case.commanded_limit(stream) or 0
+        limit = max(*limits, *(case.rounds(stream, span).most for span in stream.spans))
+        seen = np.diff(np.searchsorted(np.sort(case.instances.made_ns[stream.rows]), counts.times))
+        rooms = np.diff(counts.times) * limit / queue.round_ns - seen
+        most, since = float(gaps[BEFORE]), np.inf
+        for second, room in enumerate(rooms.tolist()):
+            since = min(since, most + limit) + room
+            most = min(most + gaps[second], since)
+        return ceil(most)
 
     def make_losses(self) -> None:
         """Make losses of an unknown MsgId of the counts that nothing explains."""
@@ -650,12 +677,14 @@ class Leftover:
             old: mask of the seconds whose counts may be of messages from before the capture.
         """
         counts, rest = self._counts[instance], self._counts[instance].left[kind]
-        older, first_ns = counts.first.get(kind, 0) + int(rest[old].sum()), counts.times[int(old.sum())]
+        system = self._case.instances.systems[instance]
+        older_ns = max((item.older_ns for item in self._case.ingests if item.system == system), default=0)
+        later, first_ns = old & (counts.times[1:] > older_ns), counts.times[int(old.sum())]
+        older = counts.first.get(kind, 0) * bool(counts.times[0] > older_ns) + int(rest[later].sum())
         for item, fate, sent in self._unseen(instance, kind):
             fate.ends["earlier"] += min(older, int((sent < first_ns).sum()))
             for second in counts.set_back:
-                more = item.beyond(sent, *counts.span([second])) - int(rest[second])
-                fate.ends["earlier"] += max(0, more)
+                fate.ends["earlier"] += max(0, item.beyond(sent, *counts.span([second])) - int(rest[second]))
 
     def _unseen(self, instance: int, kind: PipeKind) -> Iterator[tuple[_Candidate, Fate, Integers]]:
         """Yield captured traffic that may explain counts, its fate, and when those without one were sent."""
