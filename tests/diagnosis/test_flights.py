@@ -1588,6 +1588,8 @@ def test_a_clock_set_back_just_before_the_clock_of_the_capture_is_set_has_one_st
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", moved))
     assert found.lost + found.unaccounted <= FLIGHTS["clock_set_in_overload"][0]
     assert len([item for item in found.verdicts if item.rule == "clock_jump"]) == 2
+
+
 def test_a_cfs_does_not_refuse_what_it_sends_itself_where_a_peer_bears_its_ids():
     found = examined("bridge_of_wrong_ids")
     assert by_cause(found)["unknown_peer"] == 140

@@ -27,7 +27,7 @@ from edoras_tools.diagnosis.evidence.table import Rows, number_hosts, peer_of
 from edoras_tools.sessions.sequence import BOOT_APART_NS, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_key, by_value, distinct, distinct_rows, groups, numbered
+from edoras_tools.wire.arrays.order import by_value, distinct, distinct_rows, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
