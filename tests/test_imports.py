@@ -42,7 +42,6 @@ PUT_OFF = {
         "tempfile zstandard",
         "only for recordings from a pipe or packed, and for captures inside zstd data",
     ),
-    "io/topics/additions.py": ("edoras_tools.sessions.faults.kinds", "2 ms, and only where faults are read"),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
     "decode/columns.py": ("edoras_tools.decode.recorded", "10 ms, and only for recorded topics"),
     "decode/filters/rows.py": (
@@ -65,7 +64,6 @@ PUT_OFF = {
         "4 ms, and only where a link is captured live",
     ),
     "addons/lab/demo/run.py": ("zenoh", "an extra"),
-    "addons/tables/recordings.py": ("edoras_tools.cli", "which `edoras_tools.read` does not need"),
     "pipelines/capture/ledger.py": (
         "edoras_tools.mission edoras_tools.ros.store importlib",
         "20 ms, and only where no message is of its type",

@@ -175,7 +175,7 @@ ADDONS: Final = (
         "tables",
         adds={
             "parts": {
-                "partition": "recordings:export_by_recording",
+                "partition": "partition:export_by_recording",
                 "arrow_tables": "arrow",
                 "recordings": "recordings:read_recordings",
                 "performance_trace": "trace:export_trace",

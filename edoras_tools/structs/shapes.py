@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 SHIPPED: Final = "cfe"
-"""Name of the built-in layout, also on the command line."""
+"""Name of the built-in layout."""
 PACKETS: Final = {
     0x0800: "CFE_ES_HousekeepingTlm",
     0x0801: "CFE_EVS_HousekeepingTlm",
@@ -34,7 +34,7 @@ PACKETS: Final = {
     0x0880: "TO_LAB_HkTlm",
     0x0884: "CI_LAB_HkTlm",
 }
-"""Struct name by MsgId of version 1; ``cfe.json`` describes these structs."""
+"""Struct name by MsgId of version 1; :mod:`edoras_tools.structs.cfe` describes these structs."""
 COMMANDED: Final = (
     *(0x1801, 0x1803, 0x1804, 0x1805, 0x1806, telemetry_output.COMMAND_MSG_ID),
     *(0x1895, 0x18B3, 0x18BB, sbn.COMMAND_MSG_ID),

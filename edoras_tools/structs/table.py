@@ -72,9 +72,9 @@ class Structs:
     def layouts(self) -> tuple[StructLayout, ...]:
         """The layouts, in order."""
         if self._layouts is None:
-            from edoras_tools.structs.files import shipped_layout
+            from edoras_tools.structs import cfe
 
-            layout = shipped_layout(self.msg_ids)
+            layout = cfe.shipped_layout(self.msg_ids)
             return (replace(layout, byte_order="big") if self.big_endian else layout,)
         return tuple(self._layouts)
 

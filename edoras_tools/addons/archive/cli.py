@@ -280,8 +280,7 @@ def export(
     printing: options.PrintOptions,
 ) -> None:
     """Write the index as Parquet: a folder for each table, partitioned by date, link and topic."""
-    from edoras_tools.addons.archive.index import open_index
-    from edoras_tools.addons.archive.questions import export_dataset
+    from edoras_tools.addons.archive.index import export_dataset, open_index
 
     with open_index(index) as opened:
         written = export_dataset(opened, output, force=force)

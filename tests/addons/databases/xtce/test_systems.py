@@ -19,8 +19,9 @@ from edoras_tools.addons.codegen.writing import describe_packets
 from edoras_tools.addons.databases.xtce.systems import is_system, read_system, read_systems
 from edoras_tools.errors import ConfigError
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.structs import cfe as cfe_structs
 from edoras_tools.structs.bindings import Bindings
-from edoras_tools.structs.files import dumps, load_together, parse_layout, shipped_layout, type_text
+from edoras_tools.structs.files import dumps, load_together, parse_layout, type_text
 from edoras_tools.wire import cfe
 
 TYPES = """<IntegerParameterType name="u3"><IntegerDataEncoding sizeInBits="3"/></IntegerParameterType>
@@ -219,7 +220,7 @@ def again(layout, headers=cfe.STANDARD):
 @pytest.mark.parametrize("name", ["cfe", "rover"])
 def test_what_we_wrote_is_read_as_it_was(name, headers):
     rover = [SAMPLES / f"structs/rover_{item}.xml" for item in ("app", "topics")]
-    layout = shipped_layout() if name == "cfe" else load_together(rover)
+    layout = cfe_structs.shipped_layout() if name == "cfe" else load_together(rover)
     _, read = again(layout, headers)
     before, after = described(layout), described(read)
     assert {key: values(item) for key, item in before.items()} == {
