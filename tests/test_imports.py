@@ -42,6 +42,7 @@ PUT_OFF = {
         "tempfile zstandard",
         "only for recordings from a pipe or packed, and for captures inside zstd data",
     ),
+    "io/topics/edoras.py": ("edoras_tools.sessions.faults.kinds", "2 ms, and only where faults are read"),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
     "decode/columns.py": ("edoras_tools.decode.recorded", "10 ms, and only for recorded topics"),
     "decode/filters/rows.py": (

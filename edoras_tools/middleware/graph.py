@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import msgspec
@@ -69,10 +70,12 @@ class Graph(Protocol):
     """One node in a ROS 2 graph.
 
     Topics are fully qualified (``/cmd_vel``), types ROS names (``geometry_msgs/msg/Twist``). A message is its
-    CDR with the four bytes of encapsulation, never decoded. A node does not receive its own messages. What a
-    middleware does not know is answered here.
+    CDR with the four bytes of encapsulation, never decoded. A node does not receive its own messages.
+
+    A class that inherits gets the answers of a middleware that does not know.
     """
 
+    @abstractmethod
     def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
         """Call ``heard(cdr)`` for each message, on a thread of the middleware: it must not block.
 
@@ -80,6 +83,7 @@ class Graph(Protocol):
             ConfigError: the type is unknown, or the middleware refuses the topic.
         """
 
+    @abstractmethod
     def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
         """Return a function that publishes a message of a topic; only one thread at a time may call it.
 
@@ -103,6 +107,7 @@ class Graph(Protocol):
         """Return new notes for the user, such as incompatible peers, or an address to connect to."""
         return []
 
+    @abstractmethod
     def close(self) -> None:
         """Leave the graph. No message is received after this returns; a second call does nothing."""
 

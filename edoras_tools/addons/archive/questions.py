@@ -1,6 +1,6 @@
 """Queries of an index: lists of captures and losses, and the contents of a report.
 
-Their SQL is in ``queries.sql``, where the line ``-- NAME`` stands above each.
+Their SQL is in ``queries.sql``, where the line ``-- name: NAME`` stands above each.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 
 _FILE: Final = Path(__file__).with_name("queries.sql")
-_QUERIES: Final = dict(part.split("\n", 1) for part in _FILE.read_text(encoding="utf-8").split("\n-- ")[1:])
+_QUERIES: Final = dict(
+    part.split("\n", 1) for part in _FILE.read_text(encoding="utf-8").split("\n-- name: ")[1:]
+)
 """Queries by name."""
 
 

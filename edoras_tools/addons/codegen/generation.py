@@ -139,7 +139,9 @@ def package_header(library: CLibrary, package: str, command: str) -> str:
 def umbrella(library: CLibrary, command: str) -> str:
     """Return the text of the header that includes all others."""
     includes = "".join(f'#include "{header_name(package)}"\n' for package in library.packages)
-    return banner(command, "Every message.") + guarded(UMBRELLA, filled("messages.h", includes=includes))
+    return banner(command, "Every message.") + guarded(
+        UMBRELLA, filled("messages.h", includes=includes.removesuffix("\n"))
+    )
 
 
 def heads(name: str) -> dict[str, str]:
@@ -171,7 +173,7 @@ def _message(message: Message) -> str:
         members=members,
         constants=f"{constants}\n" if constants else "",
         most_bytes=message.most_bytes,
-        declared=declared,
+        declared=declared.removesuffix("\n"),
     )
 
 

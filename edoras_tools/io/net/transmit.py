@@ -138,7 +138,7 @@ class Transmitter(_Port):
 
     def send(self, payload: bytes | memoryview) -> bool:
         """Send one datagram; return whether the kernel accepted it."""
-        sent = _without_waiting(sockets.send_one(self._socket, payload))
+        sent = _full_as_error(sockets.send_one(self._socket, payload))
         self.statistics.add(sent)
         return not sent.errors
 
@@ -165,7 +165,7 @@ class Transmitter(_Port):
         base = offset.astype(np.uint64) + np.uint64(data.ctypes.data)
         while at < len(base):
             part = slice(at, at + _MANY)
-            sent = _without_waiting(self._many.send(self._socket, base[part], length[part]))
+            sent = _full_as_error(self._many.send(self._socket, base[part], length[part]))
             self.statistics.add(sent)
             at += sent.sent
         return self.statistics.sent - before
@@ -223,8 +223,8 @@ def _probes() -> bool:
     return False
 
 
-def _without_waiting(sent: sockets.SendResult) -> sockets.SendResult:
-    """Return the result for a blocking socket: if it accepts no more, the system is out of memory."""
+def _full_as_error(sent: sockets.SendResult) -> sockets.SendResult:
+    """Return the result for a blocking socket: one that accepts no more shows that memory is out."""
     if not sent.full:
         return sent
     reason = os.strerror(errno.ENOBUFS)
@@ -237,7 +237,7 @@ _AT_ONCE: Final = 1 << 16
 
 
 class StreamTransmitter(_Port):
-    """A connection.
+    """A TCP connection on which messages are sent.
 
     Args:
         target: address that listens for the connection.

@@ -15,8 +15,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
-from edoras_tools.io.topics import additions
-from edoras_tools.io.topics.additions import HOST_TOPIC, HOST_TYPE, LinkStatistics
+from edoras_tools.io.topics import edoras
+from edoras_tools.io.topics.edoras import HOST_TOPIC, HOST_TYPE, LinkStatistics
 from edoras_tools.io.topics.messages import (
     TF_TOPIC,
     TF_TYPE,
@@ -211,7 +211,7 @@ _OF_EACH: Final = OWN_TOPICS[1:3]
 """The topics that each spacecraft has."""
 TRANSFORMS: Final = Topic(TF_TOPIC, TF_TYPE)
 """Poses as coordinate frames; only on request."""
-FAULTS: Final = Topic(additions.FAULTS_TOPIC, additions.FAULTS_TYPE)
+FAULTS: Final = Topic(edoras.FAULTS_TOPIC, edoras.FAULTS_TYPE)
 """Injected faults; only if there are any."""
 HOST_COUNTERS: Final = Topic(HOST_TOPIC, HOST_TYPE)
 """The kernel's counters of this host; only where datagrams are captured live."""
@@ -449,13 +449,15 @@ class Streams:
     ) -> list[Messages]:
         """Return the messages of one spacecraft's datagrams."""
         published, added, big_endian = prepared.published, prepared.added, self.structs.big_endian
-        streams = [additions.event_messages(batch, columns, self._events, published, big_endian=big_endian)]
+        streams = [edoras.event_messages(batch, columns, self._events, published, big_endian=big_endian)]
         if self.all_wanted:
-            bus = batch, columns, self._software_bus, published
+            bus = self._software_bus
             streams.insert(0, ros_messages(batch, columns, self._routes, published))
-            streams.append(additions.software_bus_messages(*bus, big_endian=big_endian))
+            streams.append(
+                edoras.software_bus_messages(batch, columns, bus, published, big_endian=big_endian)
+            )
         if (columns.link == RESETS).any():
-            streams.append(additions.reset_messages(batch, columns, self._events))
+            streams.append(edoras.reset_messages(batch, columns, self._events))
         if self.structs.dictionary is not None:
             streams.append(log_messages(batch, columns, self.structs, self.types, self._events))
         if self._add and self.all_wanted:
@@ -474,7 +476,7 @@ class Streams:
 
     def outages(self, news: Sequence[InterfaceOutage]) -> Messages:
         """Return an event for each time that an interface went away or returned, each in its own row."""
-        return additions.outage_messages(news, self._events)
+        return edoras.outage_messages(news, self._events)
 
     def _place_structs(self, batch: PacketBatch, columns: Columns) -> None:
         """Add the topics of structs that appear for the first time."""

@@ -23,7 +23,7 @@ from edoras_tools.errors import CaptureError, EdorasError, InterruptError
 from edoras_tools.io.formats.open import is_cfe_file
 from edoras_tools.io.processes import InOrder, Workers
 from edoras_tools.io.processors import jobs_for
-from edoras_tools.io.topics.additions import fault_messages
+from edoras_tools.io.topics.edoras import fault_messages
 from edoras_tools.io.topics.rows import APART, DATAGRAMS_TOPIC, RECORD, RECORD_BYTES, Messages, lay_out
 from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, PreparedBatch, Streams, Topic
 from edoras_tools.mission.tree import printable

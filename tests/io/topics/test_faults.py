@@ -6,7 +6,7 @@ from mcap.reader import make_reader
 
 from edoras_tools.io.formats.mcap.reader import McapSource
 from edoras_tools.io.formats.mcap.writer import McapSink
-from edoras_tools.io.topics.additions import FAULTS_TOPIC
+from edoras_tools.io.topics.edoras import FAULTS_TOPIC
 from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import Mission

@@ -42,7 +42,7 @@ from edoras_tools.io.formats.mcap.messages import scanned
 from edoras_tools.io.formats.table import TOPIC_READERS
 from edoras_tools.io.frames.frame_batch import FrameBatch, frames_at, joined_frames, packed_frames
 from edoras_tools.io.frames.linklayer import FrameSource
-from edoras_tools.io.topics.additions import FAULTS_TOPIC, HOST_TOPIC, fault_of, host_counters_of
+from edoras_tools.io.topics.edoras import FAULTS_TOPIC, HOST_TOPIC, fault_of, host_counters_of
 from edoras_tools.io.topics.messages import DATAGRAM
 from edoras_tools.io.topics.rows import (
     CDR_LE_WORD,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from edoras_tools.io.topics.additions import event_messages, software_bus_messages
+from edoras_tools.io.topics.edoras import event_messages, software_bus_messages
 from edoras_tools.io.topics.rows import RECORD_BYTES
 from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN

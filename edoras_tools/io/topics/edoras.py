@@ -20,7 +20,6 @@ from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, no_messages
 from edoras_tools.links import table
 from edoras_tools.links.table import RESETS
 from edoras_tools.model import Columns, HostCounters, PacketBatch, SocketCounters, SourceStatistics
-from edoras_tools.sessions.faults.kinds import Fault
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import InterfaceOutage
     from edoras_tools.ros import TypeStore
+    from edoras_tools.sessions.faults.kinds import Fault
     from edoras_tools.structs import Structs
     from edoras_tools.wire.layout import Layout
 
@@ -74,6 +74,8 @@ def fault_of(cdr: bytes) -> Fault:
     Raises:
         WireError: the message is not one of these.
     """
+    from edoras_tools.sessions.faults.kinds import Fault
+
     body = cdr[4:]
     try:
         seconds, rest, msg_id, link, to_cfs = _FIXED.unpack_from(body)
