@@ -640,7 +640,8 @@ class Stops:
         system, peer = case.system(stream), case.network.identity_of.get
         ways = [(Way(stream.msg_id, stream.link, system, to_cfs=True), np.ones(len(stream), bool))]
         if all(hop.out.link.peers for hop in fate.hops):
-            for each in fate.hops:
+            # What an application makes of a message counts, not that another cFS gets the message too.
+            for each in [hop for hop in fate.hops if hop.rewritten] or fate.hops:
                 way = Way(each.out.msg_id, each.out.link, system, peer=peer(each.out.receiver, ""))
                 ways.append((way, self._untaken(fate, each, _newest(fate, each, case.profile.sbn_wake_ns))))
         times, gap = stream.time_ns, np.cumsum(fate.arrived)
