@@ -25,7 +25,7 @@ FLIGHTS = {
     "scheduler_stopped": (1, {"limit": 1}),
     "relay_uplink": (28, {"network": 26, "limit": 2}),
     "relay_downlink": (124, {"after": 120, "limit": 4}),
-    "sbn_restarted": (309, {"stopped": 99, "limit": 210}),
+    "sbn_restarted": (309, {"stopped": 98, "away": 1, "limit": 210}),
     "unsubscribed": (14, {"unsubscribed": 14}),
     "frames_in_bursts": (0, {}),
     "ci_woken_often": (206, {"limit": 206}),

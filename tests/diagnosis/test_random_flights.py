@@ -382,3 +382,14 @@ def test_an_application_whose_way_out_is_closed_was_started_all_the_same(text):
     closed = simulation.cfs.account.losses()[socket(2234), 0, QueueEnd.CLOSED]
     assert 0.9 * closed < found["stopped"]
     assert bounds(result)[0] <= truth(simulation, sent).most
+
+
+@pytest.mark.parametrize(("hertz", "wake_ms"), [(9, 250), (12, 500), (20, 250)])
+def test_rounds_that_sbn_sends_in_bursts_are_no_shorter(hertz, wake_ms):
+    """SBN serves its peers once a second, and is stopped for good: the newest of each round is lost."""
+    profile = SimProfile(ci_wake_ns=wake_ms * MILLISECOND, app_msg_limit=20, sbn_wake_ns=SECOND)
+    stop = application(17.5, es.STOP_APP, "SBN")
+    simulation, sent = fly(Flight("two-rovers", profile, hertz, 0.0, 33, 16, (stop,)))
+    ends = simulation.cfs.account.losses()
+    closed = sum(ends["software bus", msg_id, QueueEnd.CLOSED] for msg_id in (0x82A, 0x82B))
+    assert abs(lost_by(examined(sent))["stopped"] - closed) <= 6

@@ -841,7 +841,8 @@ def _newest(fate: Fate, hop: Hop, wake_ns: int) -> Mask:
     """
     times, out, out_ns = fate.stream.time_ns, hop.out, hop.out.time_ns
     steps = np.diff(out_ns) // (out.missing[:-1] + 1)
-    steps = steps[steps <= 2 * np.median(steps)] if len(steps) > 1 else steps[:0]
+    # SBN may send in one burst what several rounds made: the steps between bursts are no pauses.
+    steps = steps[steps <= 2 * np.quantile(steps, 0.9)] if len(steps) > 1 else steps[:0]
     period = int(steps.sum() + wake_ns) // len(steps) if len(steps) else 0
     newest = np.ones(len(times), bool)
     if fate.newer.any() and period >= _FASTER * float(np.median(np.diff(times))):
