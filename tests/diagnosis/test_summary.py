@@ -135,7 +135,7 @@ def test_all_that_is_told_of_a_loss_is_told_once(diagnosed):
             "n5_app_restarts",
             "28 of 310 0x1827 while CI was restarted, 15.4 to 20.8 s, after RESTART_APP CI_LAB_APP",
         ),
-        ("all_restarted", "20.3 to 35.7 s, after RESTART_APP EDORAS_APP and RESTART_APP SBN"),
+        ("all_restarted", "20.3 to 32.7 s, after RESTART_APP EDORAS_APP and RESTART_APP SBN"),
         ("peers_flood_each_other", "957 of 1,025 0x0828 at TO_LAB_TLM_PIPE of cFS 66:2, 12.4 to 20.9 s: TO"),
         ("processor_of_peers_restarted", "28 of 444 0x1827 and 0x1828 while cFS 66:1 was down"),
         ("peer_killed_and_stopped", "371 of 1,968 messages of 22 MsgIds sent to SBN peer 66:2 while it was"),
