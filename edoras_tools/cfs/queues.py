@@ -273,7 +273,8 @@ class _Messages(NamedTuple):
         below = _rank(group) < limit
         ahead = np.cumsum(below) - below if batch is None else _rank(batch, below)
         entered = below & (ahead < self.queue.depth)
-        over = ~entered & ((np.bincount(group, entered)[group] if len(rows) else limit) >= limit)
+        inside = np.bincount(group, entered)[group] if len(rows) else limit
+        over = ~entered & (inside >= limit)
         lost = np.where(over, QueueEnd.MSG_LIMIT, self.queue.full)
         outcome = np.where(entered, QueueEnd.WAITING, lost).astype(np.uint8)
         if self.queue.keeps_newest and over.any():

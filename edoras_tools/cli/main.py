@@ -351,7 +351,8 @@ def program(*names: str, completes: bool = False) -> typer.Typer:
         if isinstance(command, typer.Typer):
             app.add_typer(command, name=name, rich_help_panel=heading)
         elif isinstance(command, ConfigError):
-            app.command(name, cls=_Absent, rich_help_panel=heading)(_absent(name, command))
+            absent = _absent(name, command)
+            app.command(name, cls=_Absent, rich_help_panel=heading)(absent)
         else:
             app.command(name, cls=Command, rich_help_panel=heading)(command)
     return app

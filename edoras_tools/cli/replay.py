@@ -151,7 +151,8 @@ def replay(
             send_options = _towards(send_options, source.to, bench)
             loaded = pipeline.load_datagrams(recording, bench, send_options, choice)
     headers = pipeline.headers_named(change.write_headers) if change.write_headers else None
-    extended = (headers or bench.columns.context.options.headers or STANDARD).extended
+    read_as = bench.columns.context.options.headers
+    extended = (headers or read_as or STANDARD).extended
     target = headers.msg_ids if headers else None
     names = pipeline.remapped(pairs, bench.mission, extended=extended, target=target)
     changes = pipeline.changes_for(

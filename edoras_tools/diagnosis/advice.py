@@ -109,7 +109,8 @@ class Arrivals(NamedTuple):
 
     def rate(self) -> int:
         """Return the largest number of arrivals in a second; jitter of a steady sender does not add one."""
-        return self.most(SECOND - (np.median(np.diff(self.time_ns)) if len(self.time_ns) > 1 else 0) / 2)
+        step_ns = np.median(np.diff(self.time_ns)) if len(self.time_ns) > 1 else 0
+        return self.most(SECOND - step_ns / 2)
 
     def lost(self, way: tuple[queues.Queue, ...], msg_id: int, phases: int = _PHASES) -> list[int]:
         """Return how many messages of a MsgId a chain of queues loses, at each of several phases."""

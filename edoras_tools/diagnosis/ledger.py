@@ -493,7 +493,8 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     entered = len(stream) + len(dropped) - doubled
     entered += relayed.more if relayed else 0
     entered += len(case.damaged_of(stream)) + case.commands.never_came.get(stream, 0)
-    way = LedgerWay(traffic, entered, case.perhaps_doubled[stream.link.code, stream.receiver, stream.msg_id])
+    doubtful = case.perhaps_doubled[stream.link.code, stream.receiver, stream.msg_id]
+    way = LedgerWay(traffic, entered, doubtful)
     if relayed:
         losses = _by_relay(way, relayed, losses)
     if dropped or doubled:
@@ -653,7 +654,8 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     doubled = min(faults.doubled, stream.duplicates if stream.counted else len(stream))
     if dropped or doubled:
         _by_proxy(way, faults.dropped, dropped, doubled)
-    way.hop(BEHIND, {"in": by, "out": SEEN}, duplicated=stream.duplicates - doubled if stream.counted else 0)
+    sources = {"in": by, "out": SEEN}
+    way.hop(BEHIND, sources, duplicated=stream.duplicates - doubled if stream.counted else 0)
     way.add_losses(losses, _BEHIND_PIPE)
     _lose_damaged(way, case.damaged_of(stream).take(slice(telemetry.ends[stream]["damaged"])))
     way.end("not_captured", telemetry.ends[stream]["away"])

@@ -131,7 +131,8 @@ def jobs_for(source: Source, number: int, *, fixed: bool = True) -> int:
         return 1
     if number:
         return number
-    others = min(_MOST_JOBS, len(os.sched_getaffinity(0)) if sys.platform == "linux" else 1) - 1
+    cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else 1
+    others = min(_MOST_JOBS, cores) - 1
     return 1 + (_spare(others) if fixed else others)
 
 

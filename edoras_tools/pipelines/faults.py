@@ -252,5 +252,6 @@ def _end(link: Link, bench: Workbench) -> Endpoint:
     """Return a destination that is decoded as this link: if possible, a port that no other link claims."""
     context = bench.columns.context
     shared = np.flatnonzero(context.ports[link])
-    ports = [port for port in shared if len(context.claimants[context.claim[port]]) == 1] or shared
+    alone = [port for port in shared if len(context.claimants[context.claim[port]]) == 1]
+    ports = alone or shared
     return Endpoint("127.0.0.1", int(ports[0]) if len(ports) else 0)

@@ -690,7 +690,8 @@ def _ordered(batch: PacketBatch, columns: Columns, rows: Integers) -> _Groups:
     receiver = _endpoints(batch, batch.destination_address, batch.destination_port, first)
     route = columns.link[first].astype(np.uint64) << 32 | columns.msg_id[first].astype(np.uint64)
     route += (columns.spacecraft[first].astype(np.uint64) - 1) << 40
-    keys = sums.stirred(route + np.where(identity, identity, source).astype(np.uint64) * sums.MIX)
+    sender = np.where(identity, identity, source).astype(np.uint64)
+    keys = sums.stirred(route + sender * sums.MIX)
     keys = sums.stirred(keys + receiver * (identity != 0))
     unique, _, which = distinct_rows(keys)
     if len(unique) == len(keys):

@@ -379,7 +379,8 @@ class Bound:
             payload: the bytes after the header; their length fits the struct.
             origin: values of ``HEADER_FIELDS``.
         """
-        window = np.frombuffer(np.array(origin, HEAD).tobytes() + payload, np.uint8).reshape(1, -1)
+        head = np.array(origin, HEAD).tobytes()
+        window = np.frombuffer(head + payload, np.uint8).reshape(1, -1)
         return self.plan(len(payload)).encode(window)[0].tobytes()
 
     def spans(self, values: Mapping[str, Any], length: int) -> Iterator[tuple[str, Any, int, int, Member]]:

@@ -203,7 +203,8 @@ class StructPlan:
                 continue
             pool, length = texts[index]
             put_rows(out, body + place, (length + 1).astype("<u4"))
-            copy_rows(out, body + place + 4, pool, np.arange(count) * item.size, length)
+            offsets = np.arange(count) * item.size
+            copy_rows(out, body + place + 4, pool, offsets, length)
         return out, start, size
 
     def _parts(self, struct: Struct, base: int, path: tuple[str | int, ...], *, whole: bool = False) -> None:
@@ -347,7 +348,8 @@ def _read(bits: Bits, window: Octets) -> NDArray[np.unsignedinteger[Any]]:
     if bits.truth:
         value = np.minimum(value, word(1))
     if bits.signed and spare:
-        value = ((value << word(spare)).view(f"i{size}") >> spare).view(word)
+        extended = (value << word(spare)).view(f"i{size}") >> spare
+        value = extended.view(word)
     return value
 
 

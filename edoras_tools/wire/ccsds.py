@@ -162,7 +162,8 @@ class _Version2(MsgIds):
 
     def of(self, packet: bytes, at: int = 0) -> int:
         low = packet[at + 1] & _APID | (_COMMAND_2 if VERSION_1.is_command(packet[at] << 8) else 0)
-        return (packet[at + _SUBSYSTEM_AT] if len(packet) - at > _SUBSYSTEM_AT else 0) << 8 | low
+        subsystem = packet[at + _SUBSYSTEM_AT] if len(packet) - at > _SUBSYSTEM_AT else 0
+        return subsystem << 8 | low
 
     def column(self, head: Octets, length: NDArray[Any]) -> NDArray[np.int32]:
         word = _first_words(head)

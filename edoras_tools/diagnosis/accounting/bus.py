@@ -363,7 +363,8 @@ class Telemetry:
         before, behind = self._case.rows.source[stream.rows[[span.first, span.last]]]
         if part.silenced or before != behind:  # Telemetry Output did not read its pipe, and some waited in it
             waited = queues.telemetry_pipe(self._case.profile).limit(stream.msg_id)
-            return part.missing if self._grown(part, COUNTERS["overflow"]) else max(0, part.missing - waited)
+            full = self._grown(part, COUNTERS["overflow"])
+            return part.missing if full else max(0, part.missing - waited)
         # Removed from TO's table and added again: it lost messages at its limit if it did so around that,
         # too.
         near = (gaps.at != span.first) & (np.abs(gaps.at - span.first) <= _AROUND)

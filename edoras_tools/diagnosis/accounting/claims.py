@@ -570,7 +570,8 @@ def _improve(
         for second in np.flatnonzero(table.left).tolist():
             place = instance, kind, second
             if alone:
-                may = (claims[at] for _, _, fresh in _ways_from(tables, claims, place, set()) for at in fresh)
+                ways = _ways_from(tables, claims, place, set())
+                may = (claims[at] for _, _, fresh in ways for at in fresh)
                 if len({claim.flow for claim in may if claim.open or claim.perhaps_missed}) != 1:
                     continue
             while table.left[second] and (path := _path(tables, claims, place, dead)):

@@ -457,7 +457,8 @@ def outages(case: Case) -> list[Outage]:
             for span in timeline.spans(subject, state, system):
                 sure = span.change.sure or (span.end and span.end.sure)
                 if sure or _falls_silent(case, subject.name, span):
-                    times = span.start_lo, span.end_hi if span.end else None, span.start_hi, span.end_lo
+                    end_ns = span.end_hi if span.end else None
+                    times = span.start_lo, end_ns, span.start_hi, span.end_lo
                     restarted = state == "restarting"
                     items.append(Outage(subject.name, *times, span.change.witness, system, restarted))
         first = timeline.of(subject, system)[0]

@@ -210,7 +210,8 @@ class Instances:
             apart = np.concatenate(([True], np.diff(windows) > 1, [True]))
             before = np.where(apart[:-1], least[1:-1], least[:-2])
             after = np.where(apart[1:], least[1:-1], least[2:])
-            made_ns[own] -= delay - np.minimum(np.minimum(before, after), least[1:-1])[window]
+            quickest = np.minimum(np.minimum(before, after), least[1:-1])
+            made_ns[own] -= delay - quickest[window]
         return made_ns
 
     def _find_owners(self, rows: Rows) -> dict[int, list[tuple[int, int]]]:
@@ -279,7 +280,8 @@ class Instances:
 
         def away(index: int) -> tuple[int, bool]:
             item = self.items[index]
-            return max(item.first_ns - time_ns, time_ns - item.last_ns, 0), not item.name.endswith(processor)
+            away_ns = max(item.first_ns - time_ns, time_ns - item.last_ns, 0)
+            return away_ns, not item.name.endswith(processor)
 
         return min(near or fits, key=away)
 

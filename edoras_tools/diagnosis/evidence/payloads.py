@@ -453,7 +453,8 @@ class StateRecorder:
 
     def add_states(self, batch: PacketBatch) -> None:
         """Record the robot states among some datagrams without packets."""
-        own = np.flatnonzero((batch.length == bare.ROBOT_STATE.size) & (batch.destination_port == CFS_PORT))
+        size = bare.ROBOT_STATE.size
+        own = np.flatnonzero((batch.length == size) & (batch.destination_port == CFS_PORT))
         if len(own):
             length = np.full(len(own), bare.ROBOT_POSE.size, np.int32)
             self._sent.append((batch.time_ns[own], of_bytes(batch.data, batch.offset[own], length)))

@@ -408,7 +408,8 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
         start_ns, end_ns = times[place : place + 2].tolist()
         followed = any(start_ns <= item.time_ns < end_ns for item in changes)
         read_ns = int(answers[answers <= start_ns].max(initial=0)) if answering else start_ns
-        number = int(((app_ns > (read_ns if answering else start_ns + usual_ns)) & (app_ns < end_ns)).sum())
+        unread_ns = read_ns if answering else start_ns + usual_ns
+        number = int(((app_ns > unread_ns) & (app_ns < end_ns)).sum())
         again = subs[(subscribes >= end_ns) & (subscribes < end_ns + SECOND // 4)]
         if followed or not number or not len(again):
             continue

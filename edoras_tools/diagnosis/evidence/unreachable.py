@@ -192,7 +192,8 @@ def _events(
     row = np.concatenate((to, quoted, np.full(int((kind == _VOICE).sum()), -1)))
     order = np.lexsort((kind, times, port))
     row, kind = row[order], kind[order]
-    return _Events(port[order], times[order], row, kind, order - len(to), (kind == _DATAGRAM) & ~closed[row])
+    unanswered = (kind == _DATAGRAM) & ~closed[row]
+    return _Events(port[order], times[order], row, kind, order - len(to), unanswered)
 
 
 def _telling(rows: Rows, errors: PortErrors, events: _Events, endpoints: Sequence[Endpoint]) -> Mask:

@@ -224,7 +224,8 @@ def _each_time(seen_ns: Integers, counts: Integers) -> bool:
     grown = np.flatnonzero(steps)
     if len(grown) < _FEW:
         return False
-    return bool((steps == np.rint(apart / np.median(apart)))[grown[0] : grown[-1] + 1].all())
+    even = steps == np.rint(apart / np.median(apart))
+    return bool(even[grown[0] : grown[-1] + 1].all())
 
 
 def _published(stream: Stream) -> Integers:
@@ -323,7 +324,8 @@ def _watched(case: Case, stream: Stream) -> bool:
     if fate is not None and fate.seen:
         return True
     times = stream.time_ns[:: max(1, len(stream) // _ASKED)].tolist()
-    return sum(any(track.watches(when) for track in case.tracks.values()) for when in times) > len(times) // 2
+    watched = sum(any(track.watches(when) for track in case.tracks.values()) for when in times)
+    return watched > len(times) // 2
 
 
 def wrong_direction(case: Case) -> Iterator[Verdict]:

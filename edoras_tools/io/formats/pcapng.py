@@ -303,7 +303,8 @@ class PcapngSource(RecordSource):
         unpack = struct.Struct(f"{self._order}I").unpack_from
 
         def successor(positions: Integers) -> Integers:
-            return (length_at[positions].view(dtype) & np.uint32(_MULTIPLE_OF_4)) + positions
+            length = length_at[positions].view(dtype)
+            return (length & np.uint32(_MULTIPLE_OF_4)) + positions
 
         def step(position: int) -> int:
             return position + (int(unpack(data.data, position + 4)[0]) & _MULTIPLE_OF_4)
@@ -466,7 +467,8 @@ class PcapngSink(CaptureFileSink):
             )
         ticks = batch.time_ns // self._unit_ns
         self._last_ticks = int(ticks[-1])
-        sizes = (batch.frame_length.astype(np.int64) + 3 & ~3) + (_HEAD_BYTES + _TAIL_BYTES)
+        padded = batch.frame_length.astype(np.int64) + 3 & ~3
+        sizes = padded + (_HEAD_BYTES + _TAIL_BYTES)
         starts = np.cumsum(sizes) - sizes
         head = np.empty((len(batch), 7), dtype="<u4")
         head[:, 0] = _ENHANCED_PACKET

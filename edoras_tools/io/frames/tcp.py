@@ -328,7 +328,8 @@ class _Follow:
             order = np.argsort(start, kind="stable")
             members, start, length = members[order], start[order], length[order]
         stop = start + length
-        twice = start < np.maximum(np.append(0, np.maximum.accumulate(stop)[:-1]), 0)
+        before = np.maximum(np.append(0, np.maximum.accumulate(stop)[:-1]), 0)
+        twice = start < before
         if not twice.any():
             whole = np.ones(len(members), bool)
             return _Pieces(members, segments.start[members], start, length, whole), members[:0]

@@ -565,7 +565,8 @@ class Flushing:
     def took(self, batch: PacketBatch) -> None:
         """Record that the sink got a batch."""
         if len(batch):
-            self.noted(max(0, self._wall() - int(batch.time_ns[0])) if self._wall else 0)
+            age = max(0, self._wall() - int(batch.time_ns[0])) if self._wall else 0
+            self.noted(age)
             self._bytes += int(batch.frame_length.sum())
 
     def noted(self, age_ns: int = 0) -> None:

@@ -412,7 +412,8 @@ def _read(words: str, context: Context) -> Expectation:
             f"--expect {words!r} is not known; there are event:TEXT, counter:NAME.FIELD[+N], "
             "and topics, MsgIds and names that tables show"
         )
-    ids = frozenset(find_packets(words, context).msg_ids(context.mission))
+    kinds = find_packets(words, context)
+    ids = frozenset(kinds.msg_ids(context.mission))
     if not ids:
         raise ConfigError(f"--expect {words!r}: it has no MsgId, so nothing that is received can show it")
     return Expectation(words, ids)

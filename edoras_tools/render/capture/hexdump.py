@@ -41,7 +41,8 @@ def regions(decoded: Decoded, base: Base = "payload") -> list[Region]:
 
     A frame that holds only one fragment of the payload has no regions.
     """
-    shift = 0 if base == "payload" else decoded.datagram.payload_offset
+    datagram = decoded.datagram
+    shift = 0 if base == "payload" else datagram.payload_offset
     if shift < 0:
         return []
     out = [Region("headers", 0, shift, palette.layer("frame"))] if shift else []

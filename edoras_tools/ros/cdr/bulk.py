@@ -466,7 +466,8 @@ def trailing(plan: CdrPlan, data: Octets, offset: Integers, length: NDArray[np.i
             if 2 * np.count_nonzero(alike) < len(cursor):
                 pattern = None
             cursor.keep(~alike)
-        result[first + cursor.rows] = _finish(plan, cursor)
+        rest = _finish(plan, cursor)
+        result[first + cursor.rows] = rest
     return result
 
 

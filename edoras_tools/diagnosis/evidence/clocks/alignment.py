@@ -150,7 +150,8 @@ def _near(pairs: _Pairs, about: ClockLine | None, *, back: bool, least: int = _L
     ahead = second - first
     if not len(ahead):
         return pairs
-    near = np.abs(ahead - (int(np.median(ahead)) if about is None else about.ahead(first))) < _NEAR_NS
+    middle = int(np.median(ahead)) if about is None else about.ahead(first)
+    near = np.abs(ahead - middle) < _NEAR_NS
     if near.sum() < least:
         near[:] = False
     return pairs[0][near], pairs[1][near]

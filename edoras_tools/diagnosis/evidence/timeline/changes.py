@@ -301,7 +301,8 @@ def _goodbyes(
         later = said_ns[said_ns > item.time_ns][:1].tolist()
         if not later or later[0] - item.time_ns > _SLACK_NS:
             text = "it sent its peer DISCONNECT, and then nothing"
-            yield Change(system, subject, "stopped" if later else "failed", item.time_ns, item.time_ns, text)
+            state = "stopped" if later else "failed"
+            yield Change(system, subject, state, item.time_ns, item.time_ns, text)
         for when in later:
             yield Change(system, subject, "running", when, when, "it speaks to its peers again")
 

@@ -215,7 +215,8 @@ def _edges(positions: Integers, base: Integers, size: int, limit: int) -> Intege
     if size <= limit:
         return np.array([0, size])
     count = -(-size // limit)
-    last = np.searchsorted(positions, base + (np.arange(1, count) * size // count), side="right") - 1
+    targets = np.arange(1, count) * size // count
+    last = np.searchsorted(positions, base + targets, side="right") - 1
     # If a channel has no message before a target, the index points to another channel, or is -1.
     starts = np.where(last < 0, 0, np.maximum(positions[last] - base, 0)).max(axis=0)
     edges = np.concatenate([[0], starts, [size]])

@@ -537,7 +537,8 @@ class McapSource(FrameSource):
                 break
             self._remember(opcode, start, end)
             position = end
-        tail = self._size - len(MAGIC) - (RECORD_HEAD.size + 20)
+        footer = RECORD_HEAD.size + 20
+        tail = self._size - len(MAGIC) - footer
         if tail < position or self._read(self._size - len(MAGIC), self._size) != MAGIC:
             return False
         summary = int.from_bytes(self._read(tail + RECORD_HEAD.size, tail + RECORD_HEAD.size + 8), "little")

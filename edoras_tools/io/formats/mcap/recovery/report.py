@@ -294,7 +294,8 @@ class Recovery(msgspec.Struct, frozen=True):
         Args:
             written: whether a repaired file was written.
         """
-        content = f"{sum(self.messages.values())} {self.unit}"
+        total = sum(self.messages.values())
+        content = f"{total} {self.unit}"
         if self.chunks:
             content += f" in {self.chunks} chunk{'s' * (self.chunks != 1)}"
         if self.whole:
