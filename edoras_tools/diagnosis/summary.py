@@ -412,7 +412,7 @@ def _parts(result: Diagnosis, rows: Sequence[Row]) -> list[str]:
         number = sum(row.proven for row in own) - sum(item.missing for item in lines)
         if lost.total() != number or len(lost) > (1 if lines else _NAMES):
             lost = Counter({plural(other, "other MsgId"): number})
-        parts += [f"{count:,} with {name}" for name, count in lost.most_common()]
+        parts += [f"{count:,} of {name}" for name, count in lost.most_common()]
     if shared:
         parts.append(f"{sum(row.proven for row in shared):,} of {_names(result, shared)}")
     return parts if parts[1:] or lines else []

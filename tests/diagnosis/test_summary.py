@@ -24,7 +24,7 @@ FIRST = {
     "n8_time_jumps": "No loss found, but 1 warning:",
     "q07_uplink_dup_loss_reorder_ground": "281 datagrams were not examined. "
     "In the rest: 37 messages were lost: "
-    "26 with unknown MsgIds, 11 with 0x1827.",
+    "26 of unknown MsgIds, 11 of 0x1827.",
 }
 
 
@@ -87,7 +87,7 @@ def test_the_figures_of_line_1_add_up_with_names_of_a_mission():
     missions = tuple(sorted((ROOT / "samples/missions").glob("two_rovers_*.yaml")))
     headline = summarize(examined(ROOT / "samples/captures/d3_cpu1_cpu2.pcap.gz", (), missions)).headline
     assert "6,599 messages were lost: 3,641 of 4,239 /robot_1/ground/pose, 2,214 of 3,719 0x0828" in headline
-    assert "744 with 18 other MsgIds." in headline
+    assert "744 of 18 other MsgIds." in headline
 
 
 def test_all_that_is_told_of_a_loss_is_told_once(diagnosed):
@@ -118,9 +118,9 @@ def test_all_that_is_told_of_a_loss_is_told_once(diagnosed):
         ("doubled_uplink", "Some may be copies: 0 to 11 of their messages never arrived."),
         ("burst_at_the_end", "11 of 0x082d, 0x1827 or 0x1828 on the software bus"),
         ("burst_at_the_end", "5 of 220 0x1827, 11 of 0x082d, 0x1827 or 0x1828. Up to 2 more may be lost."),
-        ("added_too_short", "135 messages were lost: 133 with 0x082e, 2 with TO_CMD."),
-        ("two_tcp", "1,088 of 1,350 0x0829 (SBN, cFS 66:1), 1,053 with 2 other MsgIds."),
-        ("ci_stopped_for_good", "68 messages were lost: 66 of 132 0x1827, 2 with CI_SEND_HK."),
+        ("added_too_short", "135 messages were lost: 133 of 0x082e, 2 of TO_CMD."),
+        ("two_tcp", "1,088 of 1,350 0x0829 (SBN, cFS 66:1), 1,053 of 2 other MsgIds."),
+        ("ci_stopped_for_good", "68 messages were lost: 66 of 132 0x1827, 2 of CI_SEND_HK."),
         ("flood_of_a_stranger", "spread all that is sent to CI, most of it by 127.0.0.1:42694: it reads 11"),
         ("flood_of_four_kinds", "send CI at most 21.7 Hz in all, 7.9 Hz of each MsgId (up to 79 a second"),
         (
