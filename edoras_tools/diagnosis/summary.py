@@ -447,11 +447,11 @@ def _fine(result: Diagnosis) -> str:
     # If the network doubles messages, it may also lose copies, and no counter shows that.
     hides = any(row.copies > row.sure_copies for row in result.balance)
     arrival = "arrived, as far as this capture shows." if _leaves_host(result) else "arrived."
-    parts = []
+    parts, proven = [], result.lost + result.unaccounted
     if arrived and not (open_ended or hides) and fates.keys() <= {"arrived", "lost"}:
-        parts.append(f"All {'else' if result.lost + result.unaccounted else whole} {arrival}")
+        rest = "but these" if result.uncertain else "else"
+        parts.append(f"All {rest if proven else whole} {arrival}")
     elif others:
-        proven = result.lost + result.unaccounted
         parts.append(f"{plural(others, 'other message' if proven else 'message')} {arrival}")
     if result.superseded:
         parts.append(f"{result.superseded:,} gave way to newer ones, as the application does.")

@@ -142,7 +142,7 @@ def test_all_that_is_told_of_a_loss_is_told_once(diagnosed):
         ("frames_in_bursts", "No loss found. Up to 17 messages may be lost. 2 warnings:"),
         ("bursts_at_a_pipe_of_four", "89 of 799 messages of 3 MsgIds at EDORAS_APP_PIPE: the pipe was full"),
         ("robot_ends_after_its_commands", "see whether the robot, or its simulator, runs"),
-        ("few_errors_come_back", "All else arrived, as far as this capture shows."),
+        ("few_errors_come_back", "All but these arrived, as far as this capture shows."),
         (
             "stopped_out_of_sight",
             "may be lost: nothing here shows whether an application took them (STOP_APP",
