@@ -490,8 +490,14 @@ class Case:
 
         They are of this stream if no other one to a CI has fragments; most do not show their MsgId.
         """
-        numbers, host = np.zeros(len(stream), np.int64), self.endpoints[stream.receiver].address
-        parts_ns = sorted(item.time_ns for item in self.capture.lacking if item.destination.address == host)
+        numbers, receiver = np.zeros(len(stream), np.int64), self.endpoints[stream.receiver]
+        senders = {self.endpoints[at].address for at in np.unique(self.rows.source[stream.rows]).tolist()}
+        ways = (item for item in self.capture.lacking if item.source.address in senders)
+        parts = [item for item in ways if item.destination.address == receiver.address]
+        # Without its first fragment a datagram does not show its port.
+        ports = {item.destination.port for item in parts} | {receiver.port}
+        own = {0, receiver.port} if ports <= {0, receiver.port} else {receiver.port}
+        parts_ns = sorted(item.time_ns for item in parts if item.destination.port in own)
         accounts = self.ingests_at(stream.receiver)
         number = len(parts_ns) - sum(own.not_captured for own in accounts)
         into = [item for item in self.streams if item.link.only_to_cfs] if accounts and number > 0 else []

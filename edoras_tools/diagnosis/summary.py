@@ -237,9 +237,9 @@ def _problem(
             place = place.replace("while cFS was", f"while {whose} was")
         text = f"{'' if alone else f'{about} '}{place}{_when(result, own)}"
         why = advice.why if advice else own[0].reason.partition(": ")[2] if own else ""
-        whys = dict.fromkeys(item.advice.why for item in own if item.advice and item.advice.why)
+        whys = dict.fromkeys(item.advice.why if item.advice else "" for item in own)
         if cause not in _AT_QUEUES:
-            text += f", after {' and '.join(whys)}" if whys else ""
+            text += f", after {' and '.join(whys)}" if all(whys) and whys else ""
         elif why:
             text += f": {why}"
     return Problem(lost, text, remedy, Severity.ERROR, tuple(own), advice.left if advice else None)
@@ -411,7 +411,8 @@ def _parts(result: Diagnosis, rows: Sequence[Row]) -> list[str]:
         lost = _by_name(result, own) - sum((Counter({x.topic: x.missing}) for x in lines), Counter[str]())
         number = sum(row.proven for row in own) - sum(item.missing for item in lines)
         if lost.total() != number or len(lost) > (1 if lines else _NAMES):
-            lost = Counter({plural(other, "other MsgId"): number})
+            lost = Counter()
+            parts.append(f"{number:,} with {plural(other, 'other MsgId')}")
         parts += [f"{count:,} of {name}" for name, count in lost.most_common()]
     if shared:
         parts.append(f"{sum(row.proven for row in shared):,} of {_names(result, shared)}")

@@ -393,3 +393,14 @@ def test_rounds_that_sbn_sends_in_bursts_are_no_shorter(hertz, wake_ms):
     ends = simulation.cfs.account.losses()
     closed = sum(ends["software bus", msg_id, QueueEnd.CLOSED] for msg_id in (0x82A, 0x82B))
     assert abs(lost_by(examined(sent))["stopped"] - closed) <= 6
+
+
+def test_a_restart_of_ci_moves_nothing_that_was_lost_long_before():
+    """The capture begins amid a flood: what its backlog lost is a range, also where counts fall later."""
+    answers = []
+    for commands in ((), (application(36.0, es.RESTART_APP, "CI_LAB_APP"),)):
+        _, sent = fly(Flight("rover", SimProfile(app_msg_limit=8, seed=3), 30.0, 4.0, 24, 90, commands))
+        late = [item for item in sent if item.time_ns > START_NS + 9 * SECOND]
+        answers.append(bounds(examined([item for item in late if item.destination.port in {1234, 1235}])))
+    assert answers[0] == answers[1]
+    assert answers[0][1] > answers[0][0]

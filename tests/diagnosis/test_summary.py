@@ -87,7 +87,7 @@ def test_the_figures_of_line_1_add_up_with_names_of_a_mission():
     missions = tuple(sorted((ROOT / "samples/missions").glob("two_rovers_*.yaml")))
     headline = summarize(examined(ROOT / "samples/captures/d3_cpu1_cpu2.pcap.gz", (), missions)).headline
     assert "6,599 messages were lost: 3,641 of 4,239 /robot_1/ground/pose, 2,214 of 3,719 0x0828" in headline
-    assert "744 of 18 other MsgIds." in headline
+    assert "744 with 18 other MsgIds." in headline
 
 
 def test_all_that_is_told_of_a_loss_is_told_once(diagnosed):
@@ -119,7 +119,7 @@ def test_all_that_is_told_of_a_loss_is_told_once(diagnosed):
         ("burst_at_the_end", "11 of 0x082d, 0x1827 or 0x1828 on the software bus"),
         ("burst_at_the_end", "5 of 220 0x1827, 11 of 0x082d, 0x1827 or 0x1828. Up to 2 more may be lost."),
         ("added_too_short", "135 messages were lost: 133 of 0x082e, 2 of TO_CMD."),
-        ("two_tcp", "1,088 of 1,350 0x0829 (SBN, cFS 66:1), 1,053 of 2 other MsgIds."),
+        ("two_tcp", "1,088 of 1,350 0x0829 (SBN, cFS 66:1), 1,053 with 2 other MsgIds."),
         ("ci_stopped_for_good", "68 messages were lost: 66 of 132 0x1827, 2 of CI_SEND_HK."),
         ("flood_of_a_stranger", "spread all that is sent to CI, most of it by 127.0.0.1:42694: it reads 11"),
         ("flood_of_four_kinds", "send CI at most 21.7 Hz in all, 7.9 Hz of each MsgId (up to 79 a second"),

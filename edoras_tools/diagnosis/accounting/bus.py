@@ -521,7 +521,7 @@ class Telemetry:
         behind = part.watched and not why
         if behind and grown:
             why = (
-                f"these counts are of other losses: {self._case.pipe_of(part.stream)} was not "
+                f"these counts seem to be of other losses: {self._case.pipe_of(part.stream)} was not "
                 "so full of this MsgId, and no event names it"
             )
         part.evidence += [why] if why else []

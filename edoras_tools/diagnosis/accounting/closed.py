@@ -569,12 +569,15 @@ class Stops:
         # A message that came out shows that it runs, also one whose origin is not known or was sent before.
         out_ns = (np.maximum(hop.out.time_ns, (hop.origin >= 0) * times[hop.origin]) for hop in fate.hops)
         came_ns = np.concatenate((times[fate.arrived], *out_ns))
-        until_ns = int(came_ns[came_ns > item.start_ns + WAITS_NS].min(initial=NEVER))
+        since_ns = item.start_ns + WAITS_NS
+        if item.end_ns is None and not (came_ns > item.ended_ns).any():
+            since_ns = max(since_ns, int(came_ns.max(initial=0)))  # it still ran until then
+        until_ns = int(came_ns[came_ns > since_ns].min(initial=NEVER))
         left_ns = READY_NS + 1 if item.end_ns is None else self._case.end_ns - item.end_ns
         if until_ns == NEVER and not 0 <= left_ns <= READY_NS:
             self._await_no_more(fate, item)
         # It received the last message that arrived before it stopped.
-        last_ns = times[fate.arrived & (times <= item.start_ns + WAITS_NS)].max(initial=0)
+        last_ns = times[fate.arrived & (times <= since_ns)].max(initial=0)
         inside = fate.open & (fate.stop < 0)
         inside &= (times > max(item.start_ns - WAITS_NS, last_ns)) & (times < until_ns)
         if fate.keeps_newest:

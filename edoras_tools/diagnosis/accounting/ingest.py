@@ -118,7 +118,6 @@ class Ingest(msgspec.Struct):
         before: datagrams that arrived before its first count was made and are not in it.
         older_until_ns: until this time it may have read datagrams from before the capture, because it read as
             fast as it can when the capture began; 0 if it did not.
-        older_ns: until this time it surely read only these.
         ended: intervals from the last packet of a cFS that went down to when the next would have come: it may
             have read the datagrams sent meanwhile.
         by_kernel: it has no count; the drops of its socket are from its host's kernel.
@@ -138,7 +137,6 @@ class Ingest(msgspec.Struct):
     lacking: int = 0
     before: int = 0
     older_until_ns: int = 0
-    older_ns: int = 0
     ended: list[tuple[int, int]] = msgspec.field(default_factory=list)
     by_kernel: bool = False
 
@@ -437,14 +435,12 @@ class _Counted:
             idle_ns = int(self._seen[first + 1 + idle[-1]]) if len(idle) else idle_ns
         if account.older_until_ns and account.before < 0:
             # It reads in order: these come first, and as many more as it has lost of the others by then.
-            sure, rest = (
-                int(np.searchsorted(count, -account.before, "right")),
-                self._sent_until(account.older_until_ns),
-            )
-            account.older_ns = int(self._seen[max(0, sure - 1)])
+            rest = self._sent_until(account.older_until_ns)
             more = ceil(largest_share(max(1, int(sent[-1] - rest)), 0) * int(rest))
-            until = int(np.searchsorted(count, more - account.before))
-            if not account.losses and until < np.searchsorted(self._seen, account.older_until_ns):
+            rising = count[: min(self._starts, default=len(own))]
+            until = int(np.searchsorted(rising, more - account.before))
+            ends = min(len(rising), int(np.searchsorted(self._seen, account.older_until_ns)))
+            if not account.losses and until < ends:
                 account.older_until_ns = int(self._seen[until])
         account.read_count = int(sent[-1]) - lost - account.waiting
         account.unread = max(0, account.waiting - int(sent[-1] - self._sent_until(own[-1].made_ns)))

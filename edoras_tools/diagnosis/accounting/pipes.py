@@ -531,7 +531,8 @@ class Leftover:
             events[item.instance, item.kind] += report.count
         out = []
         for item, report, kind in self._absent():
-            end_ns = NEVER if (events[item.instance, kind] >= STOPS_AFTER - 2) else report.last_ns + TAIL_NS
+            is_stopped = events[item.instance, kind] >= STOPS_AFTER - 2
+            end_ns = NEVER if is_stopped else report.last_ns + TAIL_NS
             out.append(Rival(item, item.instance, kind, report.first_ns - TAIL_NS, end_ns))
         for outage in (item for item in self._case.outages if item.app in TICKS):
             # Its wake-ups, one a second, fill the pipe while nobody reads it.
@@ -578,9 +579,8 @@ class Leftover:
             ends["superseded"] -= part
             ends["missed"] += part
         gaps: defaultdict[tuple[int, PipeKind, Any], Counter[int]] = defaultdict(Counter)
-        for own in (
-            item for item in claims if item.rank == Rank.PRESSED and behind.issuperset(item.instances)
-        ):
+        pressed = (item for item in claims if item.rank == Rank.PRESSED)
+        for own in (item for item in pressed if behind.issuperset(item.instances)):
             for (at, kind, second), number in own.assigned.items():
                 gaps[at, kind, own.flow][second] += number
         for (at, kind), keys in by_key(gaps, lambda key: key[:2]).items():
@@ -614,7 +614,7 @@ class Leftover:
         for second, room in enumerate(rooms.tolist()):
             since = min(since, most + limit) + room
             most = min(most + gaps[second], since)
-        return ceil(most)
+        return max(0, ceil(most))
 
     def make_losses(self) -> None:
         """Make losses of an unknown MsgId of the counts that nothing explains."""
@@ -677,10 +677,7 @@ class Leftover:
             old: mask of the seconds whose counts may be of messages from before the capture.
         """
         counts, rest = self._counts[instance], self._counts[instance].left[kind]
-        system = self._case.instances.systems[instance]
-        older_ns = max((item.older_ns for item in self._case.ingests if item.system == system), default=0)
-        later, first_ns = old & (counts.times[1:] > older_ns), counts.times[int(old.sum())]
-        older = counts.first.get(kind, 0) * bool(counts.times[0] > older_ns) + int(rest[later].sum())
+        older, first_ns = counts.first.get(kind, 0) + int(rest[old].sum()), counts.times[int(old.sum())]
         for item, fate, sent in self._unseen(instance, kind):
             fate.ends["earlier"] += min(older, int((sent < first_ns).sum()))
             for second in counts.set_back:

@@ -428,11 +428,14 @@ def who_doubled(
         votes[receiver] = 2 * vote - int(copies.at_once[mine[own]].sum()) if vote else 0
     whole = sum(votes.values())
     for receiver, members in by_value(np.where(copies.duplicate, rows.destination, -1)):
-        if receiver >= 0 and (vote := votes.get(receiver, 0) or whole):
-            out[members] = BY_NETWORK if vote > 0 else BY_CAPTURE
-            together = copies.at_once[members]
-            if 2 * together.sum() < len(members):
-                out[members[together]] = BY_CAPTURE
+        own_vote = votes.get(receiver, 0)
+        if receiver >= 0 and (vote := own_vote or whole):
+            # What is doubled steadily says nothing of what others get.
+            judged = members if own_vote else members[~copies.steady[members]]
+            out[judged] = BY_NETWORK if vote > 0 else BY_CAPTURE
+            together = copies.at_once[judged]
+            if 2 * together.sum() < len(judged):
+                out[judged[together]] = BY_CAPTURE
     out[copies.duplicate & (out == 0) & copies.at_once] = BY_CAPTURE
     return out
 

@@ -239,7 +239,8 @@ def _doubled(
         return pairs.copy, pairs.duplicate, pairs.duplicate, *pairs[4:]
     who = copies.who_doubled(rows, pairs, payloads.ingest, sources, endpoints)
     if any(item.doubled for item in proxied.values()):
-        who[pairs.duplicate & (who == 0)] = copies.BY_NETWORK  # the proxy's log shows repeated datagrams
+        # The proxy's log shows repeated datagrams.
+        who[pairs.duplicate & ~pairs.steady & (who == 0)] = copies.BY_NETWORK
     who[pairs.steady & (who == 0)] = copies.BY_CAPTURE
     perhaps = pairs.duplicate & (who == 0)
     return pairs.copy | perhaps | (who == copies.BY_CAPTURE), who == copies.BY_NETWORK, perhaps, *pairs[4:]

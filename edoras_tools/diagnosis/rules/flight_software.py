@@ -407,7 +407,8 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, beside_n
     """Return that a cFS was started again; ``how`` it shows, and when, if the one before still ran."""
     rows, down = case.rows, _down(case, *span)
     commanded = (rows.known_id == ES_COMMAND_MSG_ID) & (rows.function_code == RESTART)
-    commanded &= (rows.time_ns > span[0] - SECOND) & (rows.time_ns < span[1])
+    ended_ns = min((loss.start_ns + SECOND for loss in down), default=span[1])  # later ones were lost
+    commanded &= (rows.time_ns > span[0] - SECOND) & (rows.time_ns < min(ended_ns, span[1]))
     numbers = rows.number[commanded].tolist()
     lost, msg_ids = sum(loss.lost for loss in down), {loss.msg_id for loss in down}
     noun = "command" if all(loss.stream is None or loss.stream.is_command for loss in down) else "message"

@@ -133,8 +133,8 @@ def _over_limit(case: Case, loss: Loss, link: str, text: str) -> Verdict:
     rounds_text = f"at most {limit} came in one round, every {period_ms:.1f} ms{clean}" if measured else ""
     rounds = f"{limit or 'none'} of {rounds}"
     if loss.offered_hz:
-        bursts = ", in bursts" * (0 < loss.offered_hz <= rate)
-        rounds = f"published at {loss.offered_hz:,.0f}/s{bursts}, {rounds}"
+        mean = " on average" * (0 < loss.offered_hz <= rate)
+        rounds = f"published at {loss.offered_hz:,.0f}/s{mean}, {rounds}"
     reason = f"{lost_at(case, loss)}: {rounds}"
     return loss_verdict(case, loss, reason, advise(case, loss), rounds_text, link=link)
 
@@ -400,7 +400,8 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             noun = "commands" if loss.stream is None or loss.stream.is_command else "messages"
             reason = f"{lost_at(case, loss, noun)}: {CAUSES[loss.kind].listed.format(hop=loss.hop)}"
             app, failed = case.called(loss.hop), loss.kind == "restart_failed"
-            over = [item.witness for item in case.outages if item.app == app and item.start_ns <= loss.end_ns]
+            mine = [item for item in case.outages if item.app == app and item.start_ns <= loss.end_ns]
+            over = [item.witness for item in mine if item.end_ns is None or item.end_ns >= loss.start_ns]
             command = None if failed else _COMMAND.search("\n".join((*loss.evidence, *over[::-1])))
             advice = Advice(command[0] if command else "", START_AGAIN if failed else revival(case, app))
             yield loss_verdict(case, loss, reason, advice, link=None if loss.stream else "ci")

@@ -75,7 +75,6 @@ MAX_PAYLOAD = 65535
 QUOTED_BYTES = 64
 """Bytes of an incomplete datagram's IP payload that are kept: ports and the first headers."""
 _MOST_LACKING = 1 << 14
-_MOST_UNLISTED = 1 << 20
 _PIECE_OVERHEAD = 128
 """Memory of a stored piece besides its bytes; counted so that floods of tiny fragments are limited, too."""
 
@@ -157,7 +156,7 @@ class Reassembler:
         self._limit = limit
         self._stored = 0
         self._partials: dict[tuple[int, int, bytes, bytes], _Partial] = {}
-        self._unlisted: set[tuple[int, int, bytes, bytes]] = set()
+        self._unlisted: dict[tuple[int, int, bytes, bytes], int] = {}
 
     @property
     def pending(self) -> int:
@@ -185,8 +184,8 @@ class Reassembler:
         partial = self._partials.setdefault(fragment.key, _Partial(fragment.time_ns))
         self._store(partial, fragment)
         is_whole = partial.total >= 0 and partial.units == (1 << -(-partial.total // 8)) - 1
-        if (is_whole or not fragment.whole) and len(self._unlisted) < _MOST_UNLISTED:
-            self._unlisted.add(fragment.key)
+        if is_whole or not fragment.whole:
+            self._unlisted[fragment.key] = fragment.time_ns
         if is_whole:
             del self._partials[fragment.key]
             self._stored -= partial.size_stored
@@ -220,11 +219,11 @@ class Reassembler:
             self._stored += len(data) + _PIECE_OVERHEAD
 
     def _expire(self, now_ns: int) -> None:
-        while self._partials:
-            oldest = next(iter(self._partials.values()))
-            if now_ns - oldest.time_ns <= self._timeout_ns:
-                return
+        while self._partials and now_ns - next(iter(self._partials.values())).time_ns > self._timeout_ns:
             self._abandon_oldest()
+        # Those that still wait may be copies of these; and an identification comes again.
+        while self._unlisted and now_ns - next(iter(self._unlisted.values())) > 2 * self._timeout_ns:
+            del self._unlisted[next(iter(self._unlisted))]
 
     def _abandon_oldest(self) -> None:
         key = next(iter(self._partials))

@@ -64,6 +64,8 @@ _NAMED: Final = {"\n": r"\n", "\r": r"\r", "\t": r"\t", "\0": r"\0"}
 _SELECTORS: Final = re.compile("[\ufe00-\ufe0f\U000e0100-\U000e01ef]")
 _UNITS: Final = re.compile(r"(?<=\d) (?=(?:s|ms|Hz|%)(?!\w))")
 """The space between a number and its unit, where no line breaks."""
+_JOINED: Final = "\ue000"
+"""A character that no text has, in place of that space."""
 _STYLES: Final = re.compile("\x1b\\[[0-9;]*m")
 
 
@@ -141,13 +143,13 @@ def wrap(text: str, width: int) -> list[str]:
         width: at least 2, so that the widest character has room.
     """
     lines = [""]
-    for word in _UNITS.sub("\xa0", text).split(" "):
+    for word in _UNITS.sub(_JOINED, text).split(" "):
         joined = f"{lines[-1]} {word}" if lines[-1] else word
         if cells(joined) <= width:
             lines[-1] = joined
         else:
             lines += chop_cells(word, width)
-    return [line.rstrip().replace("\xa0", " ") for line in lines if line] or [""]
+    return [line.rstrip().replace(_JOINED, " ") for line in lines if line] or [""]
 
 
 def plain_cells(line: str) -> int:

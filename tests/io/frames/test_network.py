@@ -64,6 +64,18 @@ def test_the_beginning_of_what_never_became_whole_is_kept():
     assert {(item.time_ns, item.source, item.destination) for item in reassembler.beginnings()} == {
         (0, KEY[2], KEY[3])
     }
+    assert [item.head for item in reassembler.beginnings()] == heads
+
+
+def test_what_lacks_fragments_is_kept_where_its_identification_came_before():
+    reassembler = Reassembler(timeout_ns=SECOND)
+    for at in range(100):
+        for piece in pieces_of(bytes(200), 104, time_ns=at * SECOND // 20):
+            reassembler.add(piece)
+    assert reassembler.beginnings() == []
+    first, _ = pieces_of(bytes(200), 104, time_ns=9 * SECOND)
+    assert reassembler.add(first)[0] is None
+    assert [item.time_ns for item in reassembler.beginnings()] == [9 * SECOND]
 
 
 def test_the_first_to_arrive_stays_where_fragments_overlap():

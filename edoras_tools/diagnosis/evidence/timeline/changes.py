@@ -250,7 +250,7 @@ def network_changes(
     for (peer, observer), connection in network.connections.items():
         system = systems.get(observer, 0)
         yield from _peer(connection, system, int(rows.time_ns[0]))
-        yield from _goodbyes(rows, network, connection, observer, system)
+        yield from _goodbyes(rows, network, (peer, observer), system, software)
         ended_ns = [item.not_before_ns for item in software if (item.state, item.system) == ("down", system)]
         yield from _subscriptions(rows, payloads, network, (peer, observer), system, ended_ns)
 
@@ -289,22 +289,34 @@ def _peer(connection: Connection, system: int, begin_ns: int) -> Iterator[Change
 
 
 def _goodbyes(
-    rows: Rows, network: Network, connection: Connection, observer: SbnParty, system: int
+    rows: Rows, network: Network, ends: _Ends, system: int, software: Sequence[Change]
 ) -> Iterator[Change]:
-    """Yield the changes of a cFS's SBN application that ended after a DISCONNECT to its peer."""
-    places = [place for place in distinct(rows.source).tolist() if network.party(place) == observer]
+    """Yield the changes of a cFS's SBN application that ended after a DISCONNECT to its peer.
+
+    Args:
+        rows: table of datagrams.
+        network: connections of all peers.
+        ends: the peer and the observer, whose SBN it is.
+        system: number of the observer.
+        software: changes of each cFS and its applications, which show whether SBN was commanded to end.
+    """
+    subject, changes = StateOwner("app", sbn.NAME), network.connections[ends].changes
+    places = [place for place in distinct(rows.source).tolist() if network.party(place) == ends[1]]
     speaks = np.isin(rows.source, places) & (rows.sbn_msg_type >= 0)
     # It leaves one peer after the other.
-    said_ns = rows.time_ns[speaks & (rows.sbn_msg_type != MsgType.DISCONNECT)]
-    subject = StateOwner("app", sbn.NAME)
-    for item in (item for item in connection.changes if item.why == SAID_GOODBYE):
-        later = said_ns[said_ns > item.time_ns][:1].tolist()
-        if not later or later[0] - item.time_ns > _SLACK_NS:
+    said = np.flatnonzero(speaks & (rows.sbn_msg_type != MsgType.DISCONNECT))
+    said_ns, greets = rows.time_ns[said], np.isin(rows.sbn_msg_type[said], (MsgType.PROTO, MsgType.SUB))
+    own = (item for item in software if (item.system, item.subject) == (system, subject))
+    ends_ns = [item.not_before_ns for item in own if item.state != "running"]
+    for when in (item.time_ns for item in changes if item.why == SAID_GOODBYE):
+        # What it had sent before may come late; what starts greets its peers.
+        later = said_ns[(said_ns > when) & (greets | (said_ns - when > _SLACK_NS))][:1].tolist()
+        if not later or later[0] - when > _SLACK_NS:
+            asked = any(0 <= when - asked_ns <= _ENDS_NS for asked_ns in ends_ns)
             text = "it sent its peer DISCONNECT, and then nothing"
-            state = "stopped" if later else "failed"
-            yield Change(system, subject, state, item.time_ns, item.time_ns, text)
-        for when in later:
-            yield Change(system, subject, "running", when, when, "it speaks to its peers again")
+            yield Change(system, subject, "stopped" if later or asked else "failed", when, when, text)
+            for back_ns in later:
+                yield Change(system, subject, "running", back_ns, back_ns, "it speaks to its peers again")
 
 
 def _subscriptions(

@@ -165,12 +165,14 @@ def _follow(before: list[Change], change: Change) -> None:
     elif last.sure and not change.sure and len(last.rows) == 1 and change.not_before_ns <= last.not_after_ns:
         # The command that an event answers: the event's time is known only to one round.
         before[-1] = _joined(change, last)
+    for at in range(len(before) - 1, 0, -1):
+        high = before[at].not_after_ns
+        if not before[-1].sure or before[at - 1].not_after_ns <= high:
+            break
+        # A state cannot begin later than the one behind it certainly has.
+        before[at - 1] = replace(before[at - 1], not_after_ns=high)
     if len(before) > 1:
-        # The state before this one cannot begin later than this one certainly has.
-        last, change = before[-2:]
-        high = max(last.not_before_ns, change.not_after_ns if change.sure else NEVER)
-        before[-2] = replace(last, not_after_ns=min(last.not_after_ns, high))
-        before[-1] = _behind(before[-2], change)
+        before[-1] = _behind(before[-2], before[-1])
 
 
 def _joined(command: Change, answer: Change) -> Change:
