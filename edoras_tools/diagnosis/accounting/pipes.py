@@ -608,8 +608,8 @@ class Leftover:
         queue = queues.telemetry_pipe(case.profile)
         limits = queue.limit(stream.msg_id), case.commanded_limit(stream) or 0
         limit = max(*limits, *(case.rounds(stream, span).most for span in stream.spans))
-        seen = np.diff(np.searchsorted(np.sort(case.instances.made_ns[stream.rows]), counts.times))
-        rooms = np.diff(counts.times) * limit / queue.round_ns - seen
+        number = np.diff(np.searchsorted(np.sort(case.instances.made_ns[stream.rows]), counts.times))
+        rooms = np.diff(counts.times) * limit / queue.round_ns - number
         most, since = float(gaps[BEFORE]), np.inf
         for second, room in enumerate(rooms.tolist()):
             since = min(since, most + limit) + room

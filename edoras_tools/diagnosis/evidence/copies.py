@@ -431,11 +431,11 @@ def who_doubled(
         own_vote = votes.get(receiver, 0)
         if receiver >= 0 and (vote := own_vote or whole):
             # What is doubled steadily says nothing of what others get.
-            judged = members if own_vote else members[~copies.steady[members]]
-            out[judged] = BY_NETWORK if vote > 0 else BY_CAPTURE
-            together = copies.at_once[judged]
-            if 2 * together.sum() < len(judged):
-                out[judged[together]] = BY_CAPTURE
+            mine = members if own_vote else members[~copies.steady[members]]
+            out[mine] = BY_NETWORK if vote > 0 else BY_CAPTURE
+            together = copies.at_once[mine]
+            if 2 * together.sum() < len(mine):
+                out[mine[together]] = BY_CAPTURE
     out[copies.duplicate & (out == 0) & copies.at_once] = BY_CAPTURE
     return out
 

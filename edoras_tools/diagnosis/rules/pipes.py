@@ -400,10 +400,8 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             noun = "commands" if loss.stream is None or loss.stream.is_command else "messages"
             reason = f"{lost_at(case, loss, noun)}: {CAUSES[loss.kind].listed.format(hop=loss.hop)}"
             app, failed = case.called(loss.hop), loss.kind == "restart_failed"
-            mine = [item for item in case.outages if item.app == app and item.start_ns <= loss.end_ns]
-            over = [item.witness for item in mine if item.end_ns is None or item.end_ns >= loss.start_ns]
-            command = None if failed else _COMMAND.search("\n".join((*loss.evidence, *over[::-1])))
-            advice = Advice(command[0] if command else "", START_AGAIN if failed else revival(case, app))
+            command = "" if failed else _command_of(case, loss, app)
+            advice = Advice(command, START_AGAIN if failed else revival(case, app))
             yield loss_verdict(case, loss, reason, advice, link=None if loss.stream else "ci")
     for item in case.outages:
         start_ns = max(item.start_ns, case.start_ns)
@@ -421,6 +419,14 @@ def app_outage(case: Case) -> Iterator[Verdict]:
         reason = f"{item.app} was {event}; what it lost, if anything, cannot be seen here"
         span, remedy = (start_ns, end_ns), revival(case, item.app, restarts=item.restarted)
         yield warning(reason, item.witness, hop=item.app, span=span, remedy=remedy)
+
+
+def _command_of(case: Case, loss: Loss, app: str) -> str:
+    """Return the command that ended an application when it lost messages; empty if nothing names it."""
+    mine = [item for item in case.outages if item.app == app and item.start_ns <= loss.end_ns]
+    over = [item.witness for item in mine if item.end_ns is None or item.end_ns >= loss.start_ns]
+    match = _COMMAND.search("\n".join((*loss.evidence, *over[::-1])))
+    return match[0] if match else ""
 
 
 START_AGAIN: Final = "start cFS again, not that application alone: see its console, often a socket is in use"

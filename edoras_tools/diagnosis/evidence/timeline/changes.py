@@ -304,17 +304,17 @@ def _goodbyes(
     places = [place for place in distinct(rows.source).tolist() if network.party(place) == ends[1]]
     speaks = np.isin(rows.source, places) & (rows.sbn_msg_type >= 0)
     # It leaves one peer after the other.
-    said = np.flatnonzero(speaks & (rows.sbn_msg_type != MsgType.DISCONNECT))
-    said_ns, greets = rows.time_ns[said], np.isin(rows.sbn_msg_type[said], (MsgType.PROTO, MsgType.SUB))
+    words = np.flatnonzero(speaks & (rows.sbn_msg_type != MsgType.DISCONNECT))
+    said_ns, greets = rows.time_ns[words], np.isin(rows.sbn_msg_type[words], (MsgType.PROTO, MsgType.SUB))
     own = (item for item in software if (item.system, item.subject) == (system, subject))
     ends_ns = [item.not_before_ns for item in own if item.state != "running"]
     for when in (item.time_ns for item in changes if item.why == SAID_GOODBYE):
         # What it had sent before may come late; what starts greets its peers.
         later = said_ns[(said_ns > when) & (greets | (said_ns - when > _SLACK_NS))][:1].tolist()
         if not later or later[0] - when > _SLACK_NS:
-            asked = any(0 <= when - asked_ns <= _ENDS_NS for asked_ns in ends_ns)
+            is_commanded = any(0 <= when - asked_ns <= _ENDS_NS for asked_ns in ends_ns)
             text = "it sent its peer DISCONNECT, and then nothing"
-            yield Change(system, subject, "stopped" if later or asked else "failed", when, when, text)
+            yield Change(system, subject, "stopped" if later or is_commanded else "failed", when, when, text)
             for back_ns in later:
                 yield Change(system, subject, "running", back_ns, back_ns, "it speaks to its peers again")
 
