@@ -45,6 +45,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.decode.conversations import conversation_of
+from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.model import OTHER, Columns, Endpoint, PacketBatch
 from edoras_tools.units import MILLISECOND, SECOND
@@ -75,8 +76,6 @@ _MOST_AGAIN: Final = 1.5
 _WINDOW_BITS: Final = 20
 """Bits for the number of a half-second window: some days in one batch; later windows share a number."""
 _NEVER_NS: Final = (1 << 63) - 1
-_COOKED_BYTES: Final = {113: 12, 276: 18}
-"""Bytes of a Linux cooked header up to the end of the sender's address; two of any value follow it."""
 
 
 class Copies(NamedTuple):
@@ -226,21 +225,6 @@ def _of_most(conversation: Integers, twice: Places, first: Places) -> bool:
     return ways > 1 and 2 * ways >= every
 
 
-def tap_prints(batch: PacketBatch, network: Integers, some: Places | slice) -> Prints:
-    """Return a fingerprint (u64) of the bytes before some network headers: it shows where they were captured.
-
-    Args:
-        batch: datagrams.
-        network: start of each network header of the batch.
-        some: which datagrams.
-    """
-    frame, link_type = batch.frame_offset[some], batch.link_type[some]
-    size = network[some] - frame
-    for kind, length in _COOKED_BYTES.items():
-        size = np.where(link_type == kind, length, size)
-    return of_bytes(batch.data, frame, size)
-
-
 class Once:
     """Finds copies in batch after batch.
 
@@ -265,7 +249,7 @@ class Once:
 
         def whole(some: Places | slice) -> tuple[NDArray[Any], ...]:
             """Return the arguments of ``find_copies`` for some datagrams, and their quick keys."""
-            tap = tap_prints(batch, network, some) + life[some]
+            tap = fingerprint.of_tap(batch, network, some) + life[some]
             prints = of_bytes(batch.data, batch.offset[some], batch.length[some])
             return *(column[some] for column in base), tap, prints, short[some]
 

@@ -40,6 +40,23 @@ if TYPE_CHECKING:
 
 
 _OCTETS: Final = np.uint8, np.int8
+_COOKED_BYTES: Final = {113: 12, 276: 18}
+"""Bytes of a Linux cooked header up to the end of the sender's address; two of any value follow it."""
+
+
+def of_tap(batch: PacketBatch, network: Integers, some: Places | slice) -> Prints:
+    """Return a fingerprint (u64) of the bytes before some network headers: it shows where they were captured.
+
+    Args:
+        batch: datagrams.
+        network: start of each network header of the batch.
+        some: which datagrams.
+    """
+    frame, link_type = batch.frame_offset[some], batch.link_type[some]
+    size = network[some] - frame
+    for kind, length in _COOKED_BYTES.items():
+        size = np.where(link_type == kind, length, size)
+    return of_bytes(batch.data, frame, size)
 
 
 def of_values(

@@ -11,7 +11,6 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.conversations import Conversations
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.diagnosis.evidence import fingerprint
-from edoras_tools.diagnosis.evidence.copies import tap_prints
 from edoras_tools.diagnosis.evidence.payloads import Payloads, StateRecorder
 from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder
 from edoras_tools.io.frames.linklayer import network_headers
@@ -280,7 +279,7 @@ class Recorder:
             # Messages of one TCP segment share its identification: number them, as no message comes twice.
             identification = np.where(batch.streams, np.arange(len(batch)) % 0xFFFF + 1, identification)
             identification = identification.astype(np.uint16)
-        tap = tap_prints(batch, network, slice(None))
+        tap = fingerprint.of_tap(batch, network, slice(None))
         source, destination = self._ends(batch)
         sequences = self._sequences.follow(batch, columns)
         self._told.append(sequences)
