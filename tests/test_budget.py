@@ -39,8 +39,8 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(56_516, 150, 58_000),
-    "lines with code, all": Limit(90_162, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(56_524, 150, 58_000),
+    "lines with code, all": Limit(90_170, 150, 84_000),  # with what is still to come
     "files": Limit(450, 10, 450),
     "files below 170 lines, of 1,000": Limit(256, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),

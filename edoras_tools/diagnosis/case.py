@@ -571,7 +571,8 @@ class Case:
             return self.instances.owner(stream.sender, start_ns)
         if stream.instance != NOBODY:
             return stream.instance
-        return self.instances.named(self.network.identity_of.get(stream.sender, ""), start_ns, stream.sender)
+        name = self.network.identity_of.get(stream.sender, "")
+        return self.instances.named(name, start_ns, stream.sender)
 
     def commanded_limit(self, stream: Stream) -> int | None:
         """Return the limit of a stream at Telemetry Output, if the last command on its entry set one."""

@@ -535,7 +535,8 @@ class Commands:
             # Out of order, or with wrong times, it may be another one, sent a little sooner or later.
             loose = self._case.unsteady_ns or self._case.is_far(fate.stream.receiver)
             if loose or (np.diff(hop.in_rows) < 0).any():
-                fate.passed[open_[~(fate.passed | fate.newer)[open_]][: int(room.sum()) - len(first)]] = True
+                others = open_[~(fate.passed | fate.newer)[open_]]
+                fate.passed[others[: int(room.sum()) - len(first)]] = True
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True
 
     def _mark_undecidable(self, fates: Sequence[Fate]) -> None:
@@ -682,7 +683,8 @@ class Commands:
             stream = part.stream
             if part.kinds and stream in out and part.span.last == len(stream) - 1 and len(times):
                 next_ = (queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe)(profile)
-                lost.append(len(times) - (int(np.ptp(times) // next_.round_ns) * next_.limit(stream.msg_id)))
+                passed = int(np.ptp(times) // next_.round_ns) * next_.limit(stream.msg_id)
+                lost.append(len(times) - passed)
         return min(fate.waiting, max([0, *lost]))
 
     def _rest(self, fate: Fate) -> None:

@@ -188,7 +188,8 @@ class Ingest(msgspec.Struct):
 def ingests(case: Case) -> list[Ingest]:
     """Return an account of every CI that has counts: its own, or those of the recording host's kernel."""
     rows = case.rows
-    to_ci = np.flatnonzero(rows.on(lambda link: link.only_to_cfs) & ~rows.undelivered & (rows.length > 0))
+    came = rows.on(lambda link: link.only_to_cfs) & ~rows.undelivered & (rows.length > 0)
+    to_ci = np.flatnonzero(came)
     samples = _samples(case)
     every = distinct(rows.destination[to_ci]).tolist()
     places = {system: _endpoint(case, every, own) for system, own in samples.items()}
@@ -292,7 +293,8 @@ def _endpoint(case: Case, places: Sequence[int], own: Sequence[_Sample]) -> int 
     shared = len({system for item, system in pairs if item.host == host}) > 1
     fits = [place for place in places if case.endpoints[place].address == address]
     if len(fits) > 1 or shared:
-        processor = max({items[sample.instance].name for sample in own} - {""}, default="").partition(":")[2]
+        names = {items[sample.instance].name for sample in own} - {""}
+        processor = max(names, default="").partition(":")[2]
         port = command_ingest.PORT + int(processor) - 1 if processor.isdecimal() else 0
         fits = [place for place in fits if case.endpoints[place].port == port]
     return fits[0] if len(fits) == 1 else None
@@ -351,7 +353,8 @@ class _Counted:
         self._all_out = all(hop.out.link.last_hop for hop in hops)
         """Whether everything read comes out: on other ways newer messages may supersede older ones."""
         self._read_ns = _read_by(hops)
-        self._first_out = min(((int(out[0]), int(sent[0])) for sent, out in self._read), default=(0, 0))
+        firsts = ((int(out[0]), int(sent[0])) for sent, out in self._read)
+        self._first_out = min(firsts, default=(0, 0))
         """Of the first command that came out: a time at which CI had not read it, and when it was sent."""
         self.stood = bool((np.diff(self._sent_until(self._seen))[np.diff(self._count) == 0] > 2).any())
         """Whether CI read nothing between two samples though datagrams were sent, as on a stalled network."""

@@ -208,7 +208,8 @@ def _varied(conversation: Integers, identification: NDArray[np.uint16], rows: Pl
     own = np.flatnonzero(np.isin(conversation, distinct(conversation[rows])))
     _, which = numbered(conversation[own])
     first, _ = numbered(which, identification[own])
-    return np.asarray((2 * np.bincount(which[first]) > np.bincount(which))[which[np.searchsorted(own, rows)]])
+    varied = 2 * np.bincount(which[first]) > np.bincount(which)
+    return np.asarray(varied[which[np.searchsorted(own, rows)]])
 
 
 def _of_most(conversation: Integers, twice: Places, first: Places) -> bool:

@@ -232,7 +232,8 @@ class Instances:
     def _find_outputs(self, rows: Rows) -> dict[int, int]:
         """Return endpoint to the first endpoint of its Telemetry Output; two that send at once are two."""
         alone = {source: own[0][1] for source, own in self._owners.items() if len({at for _, at in own}) == 1}
-        times = [rows.time_ns[rows.source == source] for source in alone]
+        members = dict(by_value(rows.source))
+        times = [rows.time_ns[members[source]] for source in alone]
         turns = _in_turn([*alone.values()], [(int(own.min()), int(own.max())) for own in times])
         first: dict[tuple[int, int], int] = {}
         pairs = zip(alone.items(), turns, strict=True)
