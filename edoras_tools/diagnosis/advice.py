@@ -393,11 +393,10 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     arrivals = Arrivals(case.rows.time_ns[rows], case.rows.msg_id[rows].astype(np.int64))
     arrivals = arrivals.around(loss, pipe.round_ns)
     own, way = arrivals.only(stream.msg_id), (pipe,) if over_network else (socket, pipe)
-    lost = _meanwhile(case, loss, "limit") + _meanwhile(case, loss, "socket")
+    at_limit, in_socket = (_meanwhile(case, loss, kind) for kind in ("limit", "socket"))
     waiting = sum(item.waiting for item in case.ingests_at(stream.receiver))
-    fits = _explains(
-        arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id), lost or loss.lost, waiting
-    )
+    number = at_limit + in_socket or loss.lost
+    fits = _explains(arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id), number, waiting)
     why += f" ({case.origin(*names)}{', and fits what was lost' if fits else ''})"
     senders = len(senders_at_once(case.rows, _rows_of(loss)))
     slower = f"send at most {_safe(clean):g} Hz"
@@ -412,7 +411,7 @@ def _at_application(case: Case, loss: Loss) -> Advice:
         slower = _spread(case, own, pipe, limit, slower, ("sent", "the application's task"))
     need = min(own.most(pipe.round_ns * _LATE) + 1, pipe.depth if over_network else socket.reads)
     higher = (*way[:-1], pipe.with_limit(stream.msg_id, need))
-    if need > limit and not (_meanwhile(case, loss, "socket") or max(arrivals.lost(higher, stream.msg_id))):
+    if need > limit and not (in_socket or max(arrivals.lost(higher, stream.msg_id))):
         slower += f", or {_subscribed(f'a limit of {need:,}')}"
     paced = arrivals.spaced(SECOND / _safe(clean), stream.msg_id)
     if loss.kind == "socket" and not crowds and len(own.time_ns) < _MOSTLY * len(arrivals.time_ns):

@@ -394,8 +394,7 @@ class Case:
         # Commands and events are better witnesses of a subject than the SBN peers; but who speaks runs.
         subjects = {(item.system, item.subject) for item in changes if item.sure}
         network = network_changes(self.rows, self.payloads, self.instances, self.network, changes)
-        both = ((item, (item.system, item.subject) in subjects) for item in network)
-        changes += [item for item, is_common in both if item.state == "running" or not is_common]
+        changes += [x for x in network if x.state == "running" or (x.system, x.subject) not in subjects]
         changes += capture_changes(self.away)
         return Timeline([*changes, *stalls(self.rows, self.streams, self.instances, Timeline(changes))])
 

@@ -204,8 +204,7 @@ class Commands:
         may = case.perhaps_missed(len(stream), number)
         if not stream.counted and any(own.not_captured for own in accounts):
             # The capture misses some, of each message any of two fragments.
-            most = case.quality.may_have_missed(2 * (len(stream) + number), case.confidence)
-            may = min(number, most)
+            may = min(number, case.quality.may_have_missed(2 * (len(stream) + number), case.confidence))
         evidence = [f"{way} {number:,} of {len(stream) + number:,} never came"]
         counted = [own.not_captured for own in accounts if own.first_ns < ends[0] and ends[1] < own.last_ns]
         if counted and not accounts[0].lost:

@@ -440,10 +440,9 @@ class _Counted:
             # It reads in order: these come first, and as many more as it has lost of the others by then.
             rest = self._sent_until(account.older_until_ns)
             more = ceil(largest_share(max(1, int(sent[-1] - rest)), 0) * int(rest))
-            rising = count[: min(self._starts, default=len(own))]
+            rising = count[: min([*self._starts, int(np.searchsorted(self._seen, account.older_until_ns))])]
             until = int(np.searchsorted(rising, more - account.before))
-            ends = min(len(rising), int(np.searchsorted(self._seen, account.older_until_ns)))
-            if not account.losses and until < ends:
+            if not account.losses and until < len(rising):
                 account.older_until_ns = int(self._seen[until])
         account.read_count = int(sent[-1]) - lost - account.waiting
         account.unread = max(0, account.waiting - int(sent[-1] - self._sent_until(own[-1].made_ns)))

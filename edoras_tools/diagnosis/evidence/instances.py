@@ -14,7 +14,7 @@ Rules:
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -27,7 +27,7 @@ from edoras_tools.diagnosis.evidence.table import Rows, number_hosts, peer_of
 from edoras_tools.sessions.sequence import BOOT_APART_NS, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_value, distinct, distinct_rows, groups, numbered
+from edoras_tools.wire.arrays.order import by_key, by_value, distinct, distinct_rows, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
@@ -139,9 +139,8 @@ class Instances:
 
     def _find_systems(self) -> list[int]:
         """Return the number of the cFS of each instance, by address and name (rule 4)."""
-        names: defaultdict[int, set[str]] = defaultdict(set)
-        for item in self.items:
-            names[item.host] |= {item.name} - {""}
+        hosts = by_key(self.items, lambda item: item.host).items()
+        names = {host: {item.name for item in own} - {""} for host, own in hosts}
         sole = {host: max(own) if len(own) == 1 else "" for host, own in names.items()}
         whose = [(item.host, item.name or sole[item.host]) for item in self.items]
         followed = _in_turn(whose, [(item.first_ns, item.last_ns) for item in self.items])

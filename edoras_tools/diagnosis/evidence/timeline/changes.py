@@ -18,6 +18,7 @@ Rules:
 from __future__ import annotations
 
 import re
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -62,7 +63,7 @@ _APP_STATES: Final = {
 }
 
 
-class SoftwareChanges(msgspec.Struct):
+class SoftwareChanges(msgspec.Struct, dict=True):
     """Derives the changes of each cFS from its commands, events and boots.
 
     Attributes:
@@ -75,6 +76,12 @@ class SoftwareChanges(msgspec.Struct):
     _instances: Instances
     jumps: Sequence[Jump]
     resets: Sequence[tuple[int, int, int]]
+
+    @cached_property
+    def _cut(self) -> set[int]:
+        """MsgIds that commands add whose arguments are cut off; for these an event has the limit."""
+        added = self._payloads.outputs(telemetry_output.ADD_PACKET)
+        return {item.entry for item in added if not item.is_whole}
 
     def changes(self) -> Iterator[Change]:
         """Yield all changes: of commands, then of events, then of boots."""
@@ -128,10 +135,10 @@ class SoftwareChanges(msgspec.Struct):
         words = f"0x{command.msg_id:04X},  CC = {command.function_code}, Len"
         if state is None or not app or self._answered(command, words):  # wrong length
             return
-        later_ns = [item.time_ns - command.time_ns for item in self._payloads.about_apps() if item.app == app]
-        is_last = not any(0 < after_ns < _SLACK_NS for after_ns in later_ns)
-        if state == "running" and is_last and self._answered(command, f"Failed to start {app} from"):
-            return  # it had not ended yet
+        if state == "running" and self._answered(command, f"Failed to start {app} from"):
+            mine = (item.time_ns for item in self._payloads.about_apps() if item.app == app)
+            if not any(0 < when - command.time_ns < _SLACK_NS for when in mine):
+                return  # it had not ended yet
         change = replace(pattern, subject=StateOwner("app", app), state=state)
         is_output = app in telemetry_output.NAMES
         if state != "running":
@@ -202,9 +209,7 @@ class SoftwareChanges(msgspec.Struct):
         elif enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):
             yield change(_OUTPUT, "enabled", enabled["address"])
         elif added := telemetry_output.ADDED.pattern.fullmatch(event.message):
-            msg_id, orders = int(added["msg_id"], 16), self._payloads.outputs(telemetry_output.ADD_PACKET)
-            # The event has the limit where it is cut off from the command.
-            if any(item.entry == msg_id and not item.is_whole for item in orders):
+            if (msg_id := int(added["msg_id"], 16)) in self._cut:
                 yield change(StateOwner("entry", "", msg_id), "subscribed", int(added["limit"]))
         elif telemetry_output.SUPPRESSED.phrase in event.message:
             yield change(_OUTPUT, "suppressed")
